@@ -128,7 +128,7 @@ fn step(job: &Job, truth: Truth, device: &Device) -> Prepare {
 }
 
 /// Prepares the timing of a function.
-fn forward<T: 'static>(run: impl Fn() -> Result<T, SplatError> + 'static) -> Prepare {
+pub fn forward<T: 'static>(run: impl Fn() -> Result<T, SplatError> + 'static) -> Prepare {
     let run = Rc::new(run);
     Box::new(move || {
         let run = run.clone();
@@ -137,7 +137,7 @@ fn forward<T: 'static>(run: impl Fn() -> Result<T, SplatError> + 'static) -> Pre
 }
 
 /// Runs the function, tracked, and prepares the timing of its backward pass from a given gradient of the result.
-fn backward<const D: usize>(grad: Tensor<D>, run: impl Fn() -> Tensor<D> + 'static) -> Prepare {
+pub fn backward<const D: usize>(grad: Tensor<D>, run: impl Fn() -> Tensor<D> + 'static) -> Prepare {
     Box::new(move || {
         let value = Tensor::<1>::zeros([1], &grad.device());
         let loss = with_gradient(run(), value, grad.clone());

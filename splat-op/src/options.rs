@@ -41,7 +41,7 @@ pub struct RenderOptions {
     pub accumulation: Accumulation,
     /// Dial: which tiles list a Gaussian. It changes the time, not the result.
     pub culling: Culling,
-    /// Dial: how `exp` is computed in f32. Per-ray rasterization always uses the library's function.
+    /// Dial: how `exp` is computed in f32. On GPUs, per-ray rasterization always uses the library's function.
     pub exponential: Exponential,
     /// Dial: storage of the spherical-harmonics coefficients from which colours are computed. With [`Storage::Half`], f32 and f64
     /// coefficients are rounded in every render, at the cost of a pass over them; [`Colour::stored`](crate::Colour::stored) does so
@@ -72,8 +72,8 @@ pub enum Order {
     /// places in all pixels at the same moment, which is visible as popping.
     #[default]
     CentreDepth,
-    /// One order per pixel, by the camera z of each Gaussian's maximum along the pixel's ray, then by index (Radl et al. 2024,
-    /// StopThePop). For pinhole cameras only.
+    /// One order per pixel, by the camera z of each Gaussian's maximum along the pixel's ray, then in the order of the centres (Radl
+    /// et al. 2024, StopThePop). For pinhole cameras only.
     PerPixelSort,
 }
 

@@ -30,6 +30,10 @@ pub struct ConvertArgs {
     /// Drop spherical harmonics above this degree; many readers support at most 3
     #[arg(long, value_name = "DEGREE", value_parser = value_parser!(u8).range(0..=4))]
     pub sh_degree: Option<u8>,
+    /// Bits of each spherical-harmonics coefficient in SPZ: more are larger and closer to the scene [default: 5 at degree 1 and 4
+    /// above it, as the format's reference]
+    #[arg(long, value_name = "BITS", value_parser = value_parser!(u8).range(1..=8))]
+    pub sh_bits: Option<u8>,
     /// Mark the scene as trained with --antialias; only SPZ can store this
     #[arg(long)]
     pub antialias: bool,
@@ -82,7 +86,15 @@ pub fn run(args: &ConvertArgs) -> Result<()> {
     if let Some(folder) = args.out.parent() {
         fs::create_dir_all(folder).with_context(|| format!("cannot make the folder for {shown}"))?;
     }
-    let written = formats::write(&args.out, &scene, format).context("cannot write the scene")?;
+    ensure!(
+        args.sh_bits.is_none() || format == Format::Spz,
+        "`--sh-bits` is for SPZ, and {shown} is {format}: leave it out, or name a file that ends in .spz"
+    );
+    let written = match args.sh_bits {
+        Some(bits) => formats::write_spz(&args.out, &scene, [bits; 2]),
+        None => formats::write(&args.out, &scene, format),
+    };
+    let written = written.context("cannot write the scene")?;
     let (read, _) = formats::read(&args.out).context("cannot read what was written")?;
     let loss = QuantisationError::between(&written.rows, &read.rows);
 

@@ -245,8 +245,24 @@ pub fn write<'a>(path: &Path, scene: &'a SceneFile, format: Format) -> Result<Wr
     match format {
         Format::Ply => ply::write(path, &rows, scene.origin)?,
         Format::CompressedPly => compressed::write(path, &rows, scene.origin)?,
-        Format::Spz => spz::write(path, &rows, scene.antialiased)?,
+        Format::Spz => spz::write(path, &rows, scene.antialiased, SPZ_SH_BITS)?,
     }
+    let left_out = scene.rows.len() - rows.len();
+    Ok(Written { rows, left_out })
+}
+
+/// Bits of SPZ's harmonics at degree 1 and above it in the format's reference, and in [`write`](fn@write).
+pub const SPZ_SH_BITS: [u8; 2] = [5, 4];
+
+/// Writes SPZ as [`write`](fn@write) does, with other numbers of bits for the harmonics of degree 1 and above it, each 1 to 8. More
+/// bits make a larger file: the format stores eight and leaves it to gzip to find those that are not used.
+///
+/// # Errors
+/// As [`write`](fn@write).
+pub fn write_spz<'a>(path: &Path, scene: &'a SceneFile, sh_bits: [u8; 2]) -> Result<Written<'a>, FormatError> {
+    ply::check(path, &scene.rows, scene.origin)?;
+    let rows = fit(&scene.rows, Format::Spz);
+    spz::write(path, &rows, scene.antialiased, sh_bits.map(|bits| bits.clamp(1, 8)))?;
     let left_out = scene.rows.len() - rows.len();
     Ok(Written { rows, left_out })
 }

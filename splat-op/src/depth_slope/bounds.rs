@@ -24,7 +24,8 @@ pub(crate) fn bounds_cpu<F: Real>(packed: &[F], depth_slopes: &[F], spec: &Raste
     bounds
 }
 
-fn bounding_ellipse<F: Real>(
+/// Returns the bounds of a Gaussian from its packed ellipse and its depth slope.
+pub(crate) fn bounding_ellipse<F: Real>(
     e: &Ellipse<F>,
     [depth_slope_u, depth_slope_v, thickness]: [F; DEPTH_SLOPE],
     spec: &RasterizeSpec,

@@ -59,7 +59,7 @@ pub(crate) mod launch;
 #[cfg(test)]
 mod tests;
 
-pub(crate) use bounds::bounds_cpu;
+pub(crate) use bounds::{bounding_ellipse, bounds_cpu};
 
 /// Number of columns of the output.
 pub(crate) const DEPTH_SLOPE: usize = 3;

@@ -7,11 +7,11 @@ use rayon::prelude::*;
 
 use super::footprint::{Footprint, UNWHITEN, WIDTH};
 use super::prepared::Prepared;
-use super::tile::{Plane, Thresholds, TileTrace, TileView, in_block_order, rasterize_tile};
+use super::tile::{Plane, Thresholds, TileTrace, in_block_order, rasterize_tile};
 pub(crate) use super::tile_backward::MOMENTS;
 use super::tile_backward::{TileGrad, TileScratch, rasterize_tile_backward};
 use super::{Layers, RasterizeSpec};
-use crate::intersect::{IntersectionLists, TILE, TILE_PIXELS};
+use crate::intersect::{IntersectionLists, TILE, TILE_PIXELS, tile_grid};
 use crate::project::{COLUMNS, Ellipse};
 use crate::simd::real::Real;
 
@@ -64,43 +64,75 @@ pub(crate) fn rasterize_cpu<F: Real>(
     keep: bool,
 ) -> (Vec<F>, Option<Trace<F>>) {
     let prepared = Prepared::new(inputs, spec, intersections, None);
-    let plane_count = prepared.channels + 1;
-    let [width, height] = prepared.size;
-    let mut planes = vec![F::ZERO; spec.planes(inputs.background.len()) * width * height];
+    let size = PictureSize { pixels: prepared.size, features: inputs.background.len(), depth: spec.options.depth };
+    let (planes, traces) = picture(
+        &size,
+        inputs.background,
+        || (),
+        |(), tile, planes| {
+            let view = prepared.view(tile);
+            let mut trace = TileTrace::default();
+            specialised!(prepared, tile, simd, C, IS_LONG, LIBRARY => {
+                let thresholds = Thresholds::<_, F, LIBRARY>::new(simd, prepared.thresholds);
+                rasterize_tile::<_, F, C, IS_LONG, LIBRARY>(simd, &view, &thresholds, planes, keep.then_some(&mut trace));
+            });
+            trace
+        },
+    );
+    let footprints = prepared.footprints.into_owned();
+    (planes, keep.then_some(Trace { footprints, tiles: traces }))
+}
+
+/// Size of a picture and its numbers of planes.
+#[derive(Clone, Copy)]
+pub(crate) struct PictureSize {
+    /// Width and height, px.
+    pub pixels: [usize; 2],
+    pub features: usize,
+    /// Whether depth is accumulated.
+    pub depth: bool,
+}
+
+impl PictureSize {
+    /// Number of channels that a tile sums: the features, then depth.
+    pub fn channels(&self) -> usize {
+        self.features + usize::from(self.depth)
+    }
+}
+
+/// Runs `tile` on all tiles in parallel, each time with the `buffers` of its thread. It writes a tile's sums and, last, its transmittance, `[channels + 1, 256]`. Returns
+/// the picture's planes `[C + 1 (+ 1), H, W]` over the background, and the results of `tile`.
+pub(crate) fn picture<F: Real, B, T: Send>(
+    size: &PictureSize,
+    background: &[F],
+    buffers: impl Fn() -> B + Send + Sync,
+    tile: impl Fn(&mut B, usize, &mut [F]) -> T + Send + Sync,
+) -> (Vec<F>, Vec<T>) {
+    let plane_count = size.channels() + 1;
+    let [width, height] = size.pixels;
+    let grid = tile_grid(width, height);
+    let mut planes = vec![F::ZERO; plane_count * width * height];
     // Each row of tiles has its rows in every plane.
-    let mut strips: Vec<Vec<&mut [F]>> = (0..prepared.grid[1]).map(|_| Vec::with_capacity(plane_count)).collect();
+    let mut strips: Vec<Vec<&mut [F]>> = (0..grid[1]).map(|_| Vec::with_capacity(plane_count)).collect();
     for plane in planes.chunks_mut(width * height) {
         strips.iter_mut().zip(plane.chunks_mut(TILE * width)).for_each(|(strip, rows)| strip.push(rows));
     }
     let rasterize_strip = |(y, mut strip): (usize, Vec<&mut [F]>)| {
-        let columns = prepared.grid[0];
-        let mut by_tile = vec![F::ZERO; columns * plane_count * TILE_PIXELS];
-        let traces: Vec<TileTrace<F>> = by_tile
-            .par_chunks_mut(plane_count * TILE_PIXELS)
-            .enumerate()
-            .map(|(x, planes)| {
-                let tile = y * columns + x;
-                let view = prepared.view(tile);
-                let mut trace = TileTrace::default();
-                specialised!(prepared, tile, simd, C, IS_LONG, LIBRARY => {
-                    let thresholds = Thresholds::<_, F, LIBRARY>::new(simd, prepared.thresholds);
-                    rasterize_tile::<_, F, C, IS_LONG, LIBRARY>(simd, &view, &thresholds, planes, keep.then_some(&mut trace));
-                });
-                trace
-            })
-            .collect();
-        compose(&by_tile, inputs.background, &prepared, &mut strip);
-        traces
+        let mut by_tile = vec![F::ZERO; grid[0] * plane_count * TILE_PIXELS];
+        let tiles = by_tile.par_chunks_mut(plane_count * TILE_PIXELS).enumerate();
+        let results: Vec<T> =
+            tiles.map_init(&buffers, |buffers, (x, planes)| tile(buffers, y * grid[0] + x, planes)).collect();
+        compose(&by_tile, background, size, &mut strip);
+        results
     };
-    let traces: Vec<Vec<TileTrace<F>>> = strips.into_par_iter().enumerate().map(rasterize_strip).collect();
-    let footprints = prepared.footprints.into_owned();
-    (planes, keep.then(|| Trace { footprints, tiles: traces.into_iter().flatten().collect() }))
+    let results: Vec<Vec<T>> = strips.into_par_iter().enumerate().map(rasterize_strip).collect();
+    (planes, results.into_iter().flatten().collect())
 }
 
 /// Composes the sums and transmittances of a row of tiles over the background into its part of each plane.
-fn compose<F: Real>(by_tile: &[F], background: &[F], prepared: &Prepared<F>, strip: &mut [&mut [F]]) {
-    let (width, features) = (prepared.size[0], background.len());
-    let plane_count = prepared.channels + 1;
+fn compose<F: Real>(by_tile: &[F], background: &[F], size: &PictureSize, strip: &mut [&mut [F]]) {
+    let (width, features) = (size.pixels[0], size.features);
+    let plane_count = size.channels() + 1;
     for (plane, rows) in strip.iter_mut().enumerate() {
         for (y, row) in rows.chunks_mut(width).enumerate() {
             for (tile, out) in row.chunks_mut(TILE).enumerate() {
@@ -108,7 +140,7 @@ fn compose<F: Real>(by_tile: &[F], background: &[F], prepared: &Prepared<F>, str
                     let first = (tile * plane_count + plane) * TILE_PIXELS + y * TILE;
                     &by_tile[first..first + TILE]
                 };
-                let transmittance = of(prepared.channels);
+                let transmittance = of(size.channels());
                 match plane {
                     _ if plane < features => {
                         let composed =
@@ -179,8 +211,7 @@ pub(crate) fn tile_rows<F: Real, B>(
 /// Buffers of one thread.
 #[derive(Default)]
 struct Buffers<F: Real> {
-    planes: Vec<F>,
-    background_rho: Vec<F>,
+    grad: TilePlanes<F>,
     scratch: TileScratch<F>,
 }
 
@@ -195,9 +226,10 @@ fn tile_sums<F: Real>(
 ) -> Vec<F> {
     let view = prepared.view(tile);
     let features = background.len();
-    tile_gradient(prepared, &view, background, grad, buffers);
-    let Buffers { planes, background_rho, scratch } = buffers;
-    let planes = planes.as_chunks().0;
+    let size = PictureSize { pixels: prepared.size, features, depth: prepared.channels > features };
+    let Buffers { grad: of_planes, scratch } = buffers;
+    of_planes.read(grad, &size, view.origin, background);
+    let TilePlanes { planes, background_rho } = of_planes;
     let tile_grad = TileGrad { planes, background_rho, trace, absolute: needs.mean2d_abs };
     let mut transmittance = [F::ZERO; TILE_PIXELS];
     specialised!(prepared, tile, simd, C, IS_LONG, LIBRARY => {
@@ -205,45 +237,55 @@ fn tile_sums<F: Real>(
         let out = (sums, &mut transmittance);
         rasterize_tile_backward::<_, F, C, IS_LONG, LIBRARY>(simd, &view, &tile_grad, &thresholds, out, scratch);
     });
-    let through = |plane: &Plane<F>| plane.iter().zip(transmittance).map(|(&g, t)| g * t.abs()).sum();
-    planes.iter().take(if needs.background { features } else { 0 }).map(through).collect()
+    of_planes.background_gradient(&transmittance, if needs.background { features } else { 0 })
 }
 
-/// Computes the gradient of a tile's own planes (sums and alpha), and `g · background` behind all layers, from the
-/// gradient of the picture's planes.
-fn tile_gradient<F: Real>(
-    prepared: &Prepared<F>,
-    view: &TileView<F>,
-    background: &[F],
-    grad: &[F],
-    buffers: &mut Buffers<F>,
-) {
-    let ([width, height], features) = (prepared.size, background.len());
-    buffers.planes.clear();
-    buffers.planes.resize((prepared.channels + 1) * TILE_PIXELS, F::ZERO);
-    buffers.background_rho.clear();
-    buffers.background_rho.resize(TILE_PIXELS, F::ZERO);
-    for plane in 0..=prepared.channels {
-        // In the picture alpha precedes depth; in the tile it is last.
-        let source = match plane {
-            _ if plane == prepared.channels => features,
-            _ if plane == features => features + 1,
-            _ => plane,
-        };
-        for row in 0..view.size[1] {
-            let first = (source * height + view.origin[1] + row) * width + view.origin[0];
-            let values = &grad[first..first + view.size[0]];
-            for (half, values) in values.chunks(WIDTH).enumerate() {
-                let mut eight = [F::ZERO; WIDTH];
-                eight.iter_mut().zip(values).for_each(|(to, &from)| *to = from);
-                let place = in_block_order(row * (TILE / WIDTH) + half);
-                buffers.planes[plane * TILE_PIXELS..].as_chunks_mut().0[place] = eight;
-                if plane < features {
-                    let background_rho = &mut buffers.background_rho.as_chunks_mut::<WIDTH>().0[place];
-                    background_rho.iter_mut().zip(eight).for_each(|(sum, g)| *sum += g * background[plane]);
+/// Gradients of a tile's planes.
+#[derive(Default)]
+pub(crate) struct TilePlanes<F> {
+    /// `[channels + 1, 256]`: gradients of the sums `Σ w c` and of alpha; zero outside the picture.
+    pub planes: Vec<Plane<F>>,
+    /// `[256]`: `g · background`, behind all layers.
+    pub background_rho: Vec<F>,
+}
+
+impl<F: Real> TilePlanes<F> {
+    /// Fills them, for the tile with its first pixel at `origin`, from the gradient of the picture's planes.
+    pub fn read(&mut self, grad: &[F], size: &PictureSize, origin: [usize; 2], background: &[F]) {
+        let ([width, height], features, channels) = (size.pixels, size.features, size.channels());
+        self.planes.clear();
+        self.planes.resize(channels + 1, [F::ZERO; TILE_PIXELS]);
+        self.background_rho.clear();
+        self.background_rho.resize(TILE_PIXELS, F::ZERO);
+        for plane in 0..=channels {
+            // In the picture alpha precedes depth; in the tile it is last.
+            let source = match plane {
+                _ if plane == channels => features,
+                _ if plane == features => features + 1,
+                _ => plane,
+            };
+            for row in 0..TILE.min(height - origin[1]) {
+                let first = (source * height + origin[1] + row) * width + origin[0];
+                let values = &grad[first..first + TILE.min(width - origin[0])];
+                for (half, values) in values.chunks(WIDTH).enumerate() {
+                    let mut eight = [F::ZERO; WIDTH];
+                    eight.iter_mut().zip(values).for_each(|(to, &from)| *to = from);
+                    let place = in_block_order(row * (TILE / WIDTH) + half);
+                    self.planes[plane].as_chunks_mut().0[place] = eight;
+                    if plane < features {
+                        let background_rho = &mut self.background_rho.as_chunks_mut::<WIDTH>().0[place];
+                        background_rho.iter_mut().zip(eight).for_each(|(sum, g)| *sum += g * background[plane]);
+                    }
                 }
             }
         }
+    }
+
+    /// Returns the tile's share of the gradient of the background's first `features` values. `transmittance` is that behind
+    /// all layers, negated where a pixel is finished.
+    pub fn background_gradient(&self, transmittance: &Plane<F>, features: usize) -> Vec<F> {
+        let through = |plane: &Plane<F>| plane.iter().zip(transmittance).map(|(&g, t)| g * t.abs()).sum();
+        self.planes.iter().take(features).map(through).collect()
     }
 }
 

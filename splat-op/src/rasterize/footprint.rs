@@ -8,16 +8,16 @@ use crate::project::Ellipse;
 use crate::simd::real::Real;
 
 /// Number of pixels along a row of a block.
-pub(super) const WIDTH: usize = 8;
+pub(crate) const WIDTH: usize = 8;
 
 /// Number of rows of a block. The widest SIMD vectors hold a block's 16 pixels; narrower ones hold a part of it.
-pub(super) const ROWS: usize = 2;
+pub(crate) const ROWS: usize = 2;
 
 /// Number of blocks along a row of a tile.
 const COLUMNS: usize = TILE / WIDTH;
 
 /// `√(log₂e / 2)`. In whitened coordinates scaled by it, a Gaussian is `2^−(u² + v²)`.
-const WHITEN: f64 = 0.849_321_800_288_019_1;
+pub(crate) const WHITEN: f64 = 0.849_321_800_288_019_1;
 
 /// Inverse of [`WHITEN`]. It takes the scale out of a sum again, once for each scaled factor of its terms.
 pub(super) const UNWHITEN: f64 = 1.0 / WHITEN;
@@ -51,22 +51,30 @@ impl<F: Real> Footprint<F> {
         }
     }
 
-    /// Returns the rows, and the columns of blocks, of the tile at `origin` px that the bounding box meets. The range
-    /// of rows is extended to multiples of [`ROWS`].
+    /// Returns the window of the bounding box in the tile at `origin` px.
     #[inline(always)]
     pub fn window(&self, origin: [F; 2]) -> TileWindow {
+        TileWindow::of(self.mean_px, self.half, origin)
+    }
+}
+
+impl TileWindow {
+    /// Returns the rows, and the columns of blocks, of the tile at `origin` px that the box around `middle` meets, px, of
+    /// half the size `half`. The range of rows is extended to multiples of [`ROWS`].
+    #[inline(always)]
+    pub fn of<F: Real>(middle: [F; 2], half: [F; 2], origin: [F; 2]) -> Self {
         // Pixel `i` has its centre at `origin + i + 0.5`; the margin covers rounding.
         let span = |axis: usize| {
-            let margin = F::of(0.01) + F::of(8.0) * F::EPSILON * (self.mean_px[axis].abs() + self.half[axis]);
-            let centre = self.mean_px[axis] - origin[axis] - F::of(0.5);
+            let margin = F::of(0.01) + F::of(8.0) * F::EPSILON * (middle[axis].abs() + half[axis]);
+            let centre = middle[axis] - origin[axis] - F::of(0.5);
             let last = F::of((TILE - 1) as f64);
-            let low = (centre - self.half[axis] - margin).within(F::ZERO, last + F::ONE);
-            let high = (centre + self.half[axis] + margin).within(-F::ONE, last);
+            let low = (centre - half[axis] - margin).within(F::ZERO, last + F::ONE);
+            let high = (centre + half[axis] + margin).within(-F::ONE, last);
             // Truncation only lowers `low`; `high + 1` is positive or zero.
             (low.index(), (high + F::ONE).index())
         };
         let ((first_pixel, end_pixel), (first_row, end_row)) = (span(0), span(1));
-        TileWindow {
+        Self {
             first_row: first_row - first_row % ROWS,
             end_row: end_row.next_multiple_of(ROWS),
             first_column: first_pixel / WIDTH,
@@ -77,7 +85,7 @@ impl<F: Real> Footprint<F> {
 
 /// Rectangle within a tile, in rows and columns of blocks.
 #[derive(Clone, Copy)]
-pub(super) struct TileWindow {
+pub(crate) struct TileWindow {
     pub first_row: usize,
     pub end_row: usize,
     pub first_column: usize,

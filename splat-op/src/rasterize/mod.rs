@@ -22,7 +22,7 @@ pub(crate) mod cpu;
 mod dial_kernel_tests;
 #[cfg(test)]
 mod dial_tests;
-mod footprint;
+pub(crate) mod footprint;
 #[cfg(feature = "cube")]
 mod forward;
 #[cfg(feature = "cube")]
@@ -42,7 +42,7 @@ pub(crate) mod rows;
 mod suffix;
 #[cfg(test)]
 mod tests;
-mod tile;
+pub(crate) mod tile;
 mod tile_backward;
 #[cfg(feature = "cube")]
 pub(crate) mod trace;

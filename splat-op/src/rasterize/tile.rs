@@ -8,10 +8,10 @@ use crate::intersect::{TILE, TILE_PIXELS};
 use crate::simd::real::{EXP2_CONSTANTS, Real};
 
 /// Number of pixels in a block of a tile.
-pub(super) const BLOCK: usize = WIDTH * ROWS;
+pub(crate) const BLOCK: usize = WIDTH * ROWS;
 
 /// Number of pixels in a row of blocks.
-pub(super) const BLOCK_ROW: usize = ROWS * TILE;
+pub(crate) const BLOCK_ROW: usize = ROWS * TILE;
 
 /// Number of Gaussians between two checkpoints of a tile's transmittances.
 pub(super) const CHECKPOINT_EVERY: usize = 64;
@@ -82,7 +82,7 @@ impl<F: Real> Transmittances<F> {
 }
 
 /// One value for each pixel of a tile: block by block, within a block row by row. The blocks run along x, then y.
-pub(super) type Plane<F> = [F; TILE_PIXELS];
+pub(crate) type Plane<F> = [F; TILE_PIXELS];
 
 /// Brings values in the order of a tile's rows into the order of its blocks.
 #[inline(always)]
@@ -96,7 +96,7 @@ fn in_blocks<F: Real>(rows: &Plane<F>) -> Plane<F> {
 
 /// The inverse of [`in_blocks`].
 #[inline(always)]
-fn in_rows<F: Real>(plane: &Plane<F>) -> Plane<F> {
+pub(crate) fn in_rows<F: Real>(plane: &Plane<F>) -> Plane<F> {
     let mut rows = [F::ZERO; TILE_PIXELS];
     for (eight, values) in rows.as_chunks_mut::<WIDTH>().0.iter_mut().enumerate() {
         *values = plane.as_chunks::<WIDTH>().0[in_block_order(eight)];
@@ -105,25 +105,25 @@ fn in_rows<F: Real>(plane: &Plane<F>) -> Plane<F> {
 }
 
 /// Returns the place, in the order of blocks, of the eight pixels at place `eight` in the order of rows.
-pub(super) const fn in_block_order(eight: usize) -> usize {
+pub(crate) const fn in_block_order(eight: usize) -> usize {
     let (row, column) = (eight / (TILE / WIDTH), eight % (TILE / WIDTH));
     (row / ROWS * (TILE / WIDTH) + column) * ROWS + row % ROWS
 }
 
 /// Number of lanes of a vector of pixels.
 #[inline(always)]
-pub(super) const fn len<S: Simd, F: Real>() -> usize {
+pub(crate) const fn len<S: Simd, F: Real>() -> usize {
     <F::Block<S> as SimdBase<S>>::LEN
 }
 
 /// Returns a vector of pixels from `place` on, a multiple of its length.
 #[inline(always)]
-pub(super) fn lanes<S: Simd, F: Real>(simd: S, plane: &[F], place: usize) -> F::Block<S> {
+pub(crate) fn lanes<S: Simd, F: Real>(simd: S, plane: &[F], place: usize) -> F::Block<S> {
     F::Block::<S>::from_slice(simd, &plane[place..place + len::<S, F>()])
 }
 
 #[inline(always)]
-pub(super) fn store<S: Simd, L: SimdFloat<S>>(lanes: L, plane: &mut [L::Element], place: usize) {
+pub(crate) fn store<S: Simd, L: SimdFloat<S>>(lanes: L, plane: &mut [L::Element], place: usize) {
     lanes.store_slice(&mut plane[place..place + L::LEN]);
 }
 
@@ -146,10 +146,6 @@ impl<S: Simd, F: Real, const LIBRARY: bool> Thresholds<S, F, LIBRARY> {
         let lanes = |value| F::Block::<S>::splat(simd, value);
         // A threshold of zero leaves out nothing, not even layers behind an alpha of one.
         let never = if transmittance_min > F::ZERO { transmittance_min } else { -F::ONE };
-        let mut rows = [F::ZERO; TILE_PIXELS];
-        for (number, row) in rows.as_chunks_mut::<TILE>().0.iter_mut().enumerate() {
-            *row = [F::of(number as f64); TILE];
-        }
         let mut exp2 = [lanes(F::ZERO); EXP2_CONSTANTS];
         for (constant, value) in exp2.iter_mut().zip(F::EXP2) {
             *constant = lanes(value);
@@ -159,7 +155,7 @@ impl<S: Simd, F: Real, const LIBRARY: bool> Thresholds<S, F, LIBRARY> {
             alpha_max: lanes(alpha_max),
             transmittance_min: lanes(never),
             zero: lanes(F::ZERO),
-            rows: in_blocks(&rows),
+            rows: pixel_rows(),
             // The constants stay in memory, where instructions read them as operands; the compiler would rebuild them
             // each time.
             exp2: std::hint::black_box(exp2),
@@ -262,15 +258,30 @@ impl<F: Real> TileView<'_, F> {
         &self.colours[first..first + self.channels]
     }
 
-    /// Initial transmittances: one inside the picture, finished outside it.
     #[inline(always)]
     pub fn open_transmittance(&self) -> [F; TILE_PIXELS] {
-        let mut transmittance = [-F::ONE; TILE_PIXELS];
-        for row in transmittance.chunks_exact_mut(TILE).take(self.size[1]) {
-            row[..self.size[0]].fill(F::ONE);
-        }
-        in_blocks(&transmittance)
+        open_transmittance(self.size)
     }
+}
+
+/// Returns the initial transmittances of a tile that has `size` pixels inside the picture: one inside, finished outside.
+#[inline(always)]
+pub(crate) fn open_transmittance<F: Real>(size: [usize; 2]) -> Plane<F> {
+    let mut transmittance = [-F::ONE; TILE_PIXELS];
+    for row in transmittance.chunks_exact_mut(TILE).take(size[1]) {
+        row[..size[0]].fill(F::ONE);
+    }
+    in_blocks(&transmittance)
+}
+
+/// Returns the row of each pixel of a tile.
+#[inline(always)]
+pub(crate) fn pixel_rows<F: Real>() -> Plane<F> {
+    let mut rows = [F::ZERO; TILE_PIXELS];
+    for (number, row) in rows.as_chunks_mut::<TILE>().0.iter_mut().enumerate() {
+        *row = [F::of(number as f64); TILE];
+    }
+    in_blocks(&rows)
 }
 
 /// Gaussians of a tile, copied side by side. They are scattered in memory; fetched together, their latencies overlap.
@@ -302,7 +313,7 @@ impl<F: Real, const C: usize> Near<F, C> {
 
 /// Centres along x, px, of the pixels of a row of blocks.
 #[inline(always)]
-pub(super) fn centres<F: Real>(left: F) -> [F; BLOCK_ROW] {
+pub(crate) fn centres<F: Real>(left: F) -> [F; BLOCK_ROW] {
     std::array::from_fn(|place| left + F::of((place / BLOCK * WIDTH + place % WIDTH) as f64 + 0.5))
 }
 

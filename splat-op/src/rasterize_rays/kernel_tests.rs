@@ -1,10 +1,9 @@
 //! Compares the kernels of `rasterize_rays` with the CPU twin in f64, within f32 precision.
 
-use super::RayLayers;
 use super::backward::row_len;
 use super::cpu::{rasterize_rays_backward_cpu, rasterize_rays_cpu};
 use super::launch::{launch_rasterize_rays, launch_rasterize_rays_backward};
-use super::pixel::{RayGaussianCpu, Rules, look};
+use super::{D_MIN, RayLayers};
 use crate::camera::Intrinsics;
 use crate::depth_slope::launch::launch_bounds;
 use crate::depth_slope::{DEPTH_SLOPE, bounds_cpu};
@@ -13,7 +12,7 @@ use crate::intersect::cpu::intersect_cpu;
 use crate::intersect::launch::{DeviceIntersections, launch_intersect};
 use crate::intersect::{IntersectionLists, TILE_PIXELS};
 use crate::options::{Order, Projection, RenderOptions};
-use crate::project::COLUMNS;
+use crate::project::{COLUMNS, Ellipse};
 use crate::rasterize::RasterizeSpec;
 use crate::rasterize::layer::KernelShape;
 use crate::rasterize::rows::Rows;
@@ -118,20 +117,35 @@ impl StageInputs {
             }
         }
         if self.spec.options.order == Order::PerPixelSort {
-            let rows = self.inputs[0].chunks_exact(COLUMNS).zip(self.inputs[1].chunks_exact(DEPTH_SLOPE));
-            let rules = Rules { transmittance_min: -1.0, ..Rules::new(&self.spec.options) };
-            let footprints: Vec<RayGaussianCpu<f64>> =
-                rows.map(|(row, depth_slope)| RayGaussianCpu::new(row, depth_slope, &rules)).collect();
-            let all: Vec<u32> =
-                (0..footprints.len() as u32).filter(|i| footprints[*i as usize].ellipse.depth > 0.0).collect();
-            let mut layers = Vec::new();
             for (pixel, band) in band.iter_mut().enumerate() {
-                let at = [(pixel % width) as f64 + 0.5, (pixel / width) as f64 + 0.5];
-                look(&footprints, &all, at, &rules, &mut layers);
-                *band |= layers.windows(2).any(|pair| pair[1].key - pair[0].key <= NEAR * pair[1].key.abs());
+                let keys = self.keys([(pixel % width) as f64 + 0.5, (pixel / width) as f64 + 0.5]);
+                *band |= keys.windows(2).any(|pair| pair[1] - pair[0] <= NEAR * pair[1].abs());
             }
         }
         band
+    }
+
+    /// Returns the sort keys of the Gaussians that show at the pixel with its centre at `at`, px, in ascending order.
+    fn keys(&self, at: [f64; 2]) -> Vec<f64> {
+        let options = &self.spec.options;
+        let rows = self.inputs[0].chunks_exact(COLUMNS).zip(self.inputs[1].chunks_exact(DEPTH_SLOPE));
+        let key = |(row, slope): (&[f64], &[f64])| {
+            let e = Ellipse::from_row(row);
+            let (dx, dy) = (at[0] - e.mean_px[0], at[1] - e.mean_px[1]);
+            let (u, v) = (dx / e.sigma_u, (dy - e.shear * dx) / e.sigma_v);
+            let s = 1.0 - slope[0] * u - slope[1] * v;
+            let (square, d) = (u * u + v * v, s * s + slope[2] * slope[2] * (u * u + v * v));
+            let (seen, over) = match options.projection {
+                Projection::RayMax => (s > 0.0 && d > D_MIN, d),
+                Projection::Affine => (true, 1.0),
+            };
+            let alpha = e.opacity * (-0.5 * square / over).exp();
+            let lambda = if d > D_MIN { s / d } else { 0.0 };
+            (e.depth > 0.0 && seen && alpha > 0.0 && alpha >= options.alpha_min).then_some(lambda * e.depth)
+        };
+        let mut keys: Vec<f64> = rows.filter_map(key).collect();
+        keys.sort_by(f64::total_cmp);
+        keys
     }
 
     fn device(&self, gpu: &Gpu) -> (RayLayers<Buffer<f32>>, DeviceIntersections) {

@@ -134,7 +134,7 @@ pub(super) struct Walk {
     /// Places in the tile's list.
     pub places: Array<u32>,
     pub alphas: Array<f32>,
-    /// Progress: whether the walk has begun, the Gaussian of the last layer, and the next place of the list, or with the per-pixel
+    /// Progress: whether the walk has begun, the place of the last layer, and the next place of the list, or with the per-pixel
     /// sort the number of layers found. `last_key` is the key of the last layer.
     come_to: Array<u32>,
     last_key: Array<f32>,
@@ -142,8 +142,8 @@ pub(super) struct Walk {
 
 /// Whether a layer is in front of another.
 #[cube]
-fn in_front(key: f32, gaussian: u32, other_key: f32, other: u32) -> bool {
-    key < other_key || (key == other_key && gaussian < other)
+fn in_front(key: f32, place: u32, other_key: f32, other: u32) -> bool {
+    key < other_key || (key == other_key && place < other)
 }
 
 #[cube]
@@ -189,7 +189,7 @@ impl Walk {
             if layer.alpha > 0.0 {
                 if comptime!(view.per_pixel) {
                     let begun = self.come_to[0] != 0;
-                    let behind = in_front(self.last_key[0], self.come_to[1], layer.key, gaussian);
+                    let behind = in_front(self.last_key[0], self.come_to[1], layer.key, place);
                     if !begun || behind {
                         count = self.insert(count, layer.key, gaussian, place, layer.alpha);
                     }
@@ -206,7 +206,7 @@ impl Walk {
         }
         if count > 0 {
             self.come_to[0] = 1u32;
-            self.come_to[1] = self.gaussians[(count - 1) as usize];
+            self.come_to[1] = self.places[(count - 1) as usize];
             self.last_key[0] = self.keys[(count - 1) as usize];
         }
         if comptime!(view.per_pixel) {
@@ -224,13 +224,13 @@ impl Walk {
         let mut at = count;
         if full {
             at = count - 1;
-            room = in_front(key, gaussian, self.keys[at as usize], self.gaussians[at as usize]);
+            room = in_front(key, place, self.keys[at as usize], self.places[at as usize]);
         }
         if room {
             let mut moving = at > 0;
             while moving {
                 let other = at - 1;
-                moving = in_front(key, gaussian, self.keys[other as usize], self.gaussians[other as usize]);
+                moving = in_front(key, place, self.keys[other as usize], self.places[other as usize]);
                 if moving {
                     let (other_key, other_gaussian) = (self.keys[other as usize], self.gaussians[other as usize]);
                     let (other_place, other_alpha) = (self.places[other as usize], self.alphas[other as usize]);

@@ -17,7 +17,7 @@
 //! distance. (Where the affine Jacobian is clamped, the `λ` that orders the layers uses the clamped Jacobian too.)
 //!
 //! The alphas, thresholds, sums and the gradient back to front are as in `rasterize`, over the same lists. The order is the order
-//! of the lists (camera z of the centres, then the index) or a per-pixel sort by `λ z`, then by the index. Only this order
+//! of the lists (camera z of the centres, then the index) or a per-pixel sort by `λ z`, then in the order of the lists. Only this order
 //! decides which contributions lie behind a `transmittance_min`. The depth plane is `Σ wᵢ zᵢ` for the affine projection and
 //! `Σ wᵢ λᵢ zᵢ` for `RayMax`.
 //!
@@ -41,6 +41,7 @@
 #[cfg(feature = "cube")]
 mod backward;
 pub(crate) mod cpu;
+mod footprint;
 #[cfg(feature = "cube")]
 mod forward;
 #[cfg(all(test, feature = "cube"))]
@@ -49,9 +50,11 @@ mod kernel_tests;
 pub(crate) mod launch;
 #[cfg(feature = "cube")]
 mod layer;
-mod pixel;
+mod order;
 #[cfg(test)]
 mod tests;
+mod tile;
+mod tile_backward;
 
 use crate::record::record;
 

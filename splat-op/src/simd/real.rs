@@ -39,6 +39,8 @@ pub(crate) trait Real:
     const ONE: Self;
     /// The largest finite value.
     const MAX: Self;
+    /// The smallest positive number that is not subnormal.
+    const MIN_POSITIVE: Self;
     /// The distance from one to the next larger value.
     const EPSILON: Self;
     /// Rounds a constant or option to the nearest value.
@@ -46,7 +48,6 @@ pub(crate) trait Real:
     fn f64(self) -> f64;
     fn sqrt(self) -> Self;
     fn ln(self) -> Self;
-    fn exp(self) -> Self;
     fn abs(self) -> Self;
     fn finite(self) -> bool;
     fn sort_key(self) -> Self::SortKey;
@@ -54,6 +55,10 @@ pub(crate) trait Real:
     fn sort_by_key(rows: &mut [(Self::SortKey, u32)]);
     /// Returns the integer part of a value between 0 and 2³¹, faster than a conversion to `usize`.
     fn index(self) -> usize;
+    /// Returns a positive float that stands for an index below 2³⁰: floats follow one in this order.
+    fn from_index(index: usize) -> Self;
+    /// The inverse of [`Self::from_index`].
+    fn to_index(self) -> usize;
     /// The largest `q` that [`Self::exp2_lanes`] supports: `2^−q` is not subnormal.
     const EXP2_MAX: Self;
     /// The constants of [`Self::exp2_lanes`].
@@ -97,6 +102,7 @@ macro_rules! scalar_functions {
         const ZERO: Self = 0.0;
         const ONE: Self = 1.0;
         const MAX: Self = <$float>::MAX;
+        const MIN_POSITIVE: Self = <$float>::MIN_POSITIVE;
         const EPSILON: Self = <$float>::EPSILON;
         #[inline(always)]
         fn of(value: f64) -> Self {
@@ -106,7 +112,7 @@ macro_rules! scalar_functions {
         fn f64(self) -> f64 {
             self.into()
         }
-        inherent!($float: sqrt, ln, exp, abs);
+        inherent!($float: sqrt, ln, abs);
         #[inline(always)]
         fn finite(self) -> bool {
             self.is_finite()
@@ -114,6 +120,14 @@ macro_rules! scalar_functions {
         #[inline(always)]
         fn index(self) -> usize {
             self as i32 as usize
+        }
+        #[inline(always)]
+        fn from_index(index: usize) -> Self {
+            <$float>::from_bits(<$float>::to_bits(1.0) + index as $bits)
+        }
+        #[inline(always)]
+        fn to_index(self) -> usize {
+            (self.to_bits() - <$float>::to_bits(1.0)) as usize
         }
         #[inline(always)]
         fn sort_key(self) -> Self::SortKey {

@@ -12,7 +12,7 @@
 //! | colours | 3 | `127.5 + 0.15 · 255 · f_dc` by channel |
 //! | scales | 3 | `16 (ln σ + 10)` |
 //! | rotations | 4 | two bits for the index of the largest of `x y z w`, then for each other component a sign and 9 bits of its magnitude in √½; versions 1 and 2: 3 bytes, `127.5 + 127.5 (x y z)`, `w` positive |
-//! | harmonics | 3 for each higher coefficient | `128 + 128 c`, channels innermost; multiples of 8 at degree 1 and of 16 above, as the reference writes them |
+//! | harmonics | 3 for each higher coefficient | `128 + 128 c`, channels innermost; multiples of 8 at degree 1 and of 16 above unless other bits are asked for, as the reference writes them |
 //!
 //! Version 4 begins with an uncompressed header of 32 bytes; the last of its first 16 bytes is the number of streams, and the
 //! next u32 is the position of the table. Records of extensions, a table of the sections' compressed and plain sizes (two u64

@@ -57,8 +57,9 @@ fn byte(value: f64) -> u8 {
     value.round() as u8
 }
 
-/// The bytes of all Gaussians, section by section, in the layout of version 3.
-pub(super) fn pack(rows: &GaussianRows, fraction: u32) -> [Vec<u8>; SECTIONS] {
+/// The bytes of all Gaussians, section by section, in the layout of version 3. Harmonics are rounded to `sh_bits` of their eight
+/// bits, at degree 1 and above it.
+pub(super) fn pack(rows: &GaussianRows, fraction: u32, sh_bits: [u8; 2]) -> [Vec<u8>; SECTIONS] {
     let unit = f64::from(1_u32 << fraction);
     let positions = rows.means.iter().flat_map(|mean| {
         [0, 1, 2].map(|axis| {
@@ -70,7 +71,7 @@ pub(super) fn pack(rows: &GaussianRows, fraction: u32) -> [Vec<u8>; SECTIONS] {
     let rest = rows.rest_per_row().max(1);
     let harmonics = rows.sh_rest.iter().enumerate().map(|(i, value)| {
         let k = 1 + i % rest / 3;
-        let step = if k < 4 { 8.0 } else { 16.0 };
+        let step = f64::from(256_u32 >> sh_bits[usize::from(k >= 4)].min(8));
         byte(128.0 + step * (128.0 / step * f64::from(sign(k) * value)).round())
     });
     [

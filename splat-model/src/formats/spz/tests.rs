@@ -63,6 +63,41 @@ proptest! {
     }
 }
 
+/// A file with more bits is larger, and each error is at most half a step.
+#[test]
+fn harmonics_have_the_bits_that_are_asked_for() {
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join("scene.spz");
+    let per_row = 45;
+    let sh_rest: Vec<f32> = (0..200 * per_row).map(|i| (0.37 * (i as f32 * 1.7).sin()).clamp(-0.99, 0.99)).collect();
+    let rows = GaussianRows {
+        means: vec![[1.0, 2.0, 3.0]; 200],
+        rotations: vec![[1.0, 0.0, 0.0, 0.0]; 200],
+        log_scales: vec![[-3.0; 3]; 200],
+        logit_opacities: vec![0.0; 200],
+        sh_dc: vec![[0.0; 3]; 200],
+        sh_rest,
+        sh_degree: 3,
+    };
+    let scene = SceneFile { rows, ..SceneFile::default() };
+    let mut bytes = 0;
+    for bits in [[3, 2], [5, 4], [6, 6], [8, 8]] {
+        formats::write_spz(&path, &scene, bits).unwrap();
+        let found = read(&path);
+        for (i, (a, b)) in scene.rows.sh_rest.iter().zip(&found.sh_rest).enumerate() {
+            let half = 2.0_f32.powi(-i32::from(bits[usize::from(i % per_row >= 9)]));
+            assert!((a - b).abs() <= half + ONCE, "{bits:?}, coefficient {}: {a} became {b}", i % per_row);
+        }
+        let size = fs::metadata(&path).unwrap().len();
+        assert!(size > bytes, "{bits:?}: {size} bytes after {bytes}");
+        bytes = size;
+    }
+    formats::write_spz(&path, &scene, formats::SPZ_SH_BITS).unwrap();
+    let same = fs::read(&path).unwrap();
+    written(&scene.rows, &path);
+    assert!(same == fs::read(&path).unwrap(), "the reference's bits are the default");
+}
+
 #[test]
 fn the_frame_is_right_up_back() {
     let rows = GaussianRows {
@@ -74,7 +109,7 @@ fn the_frame_is_right_up_back() {
         sh_rest: vec![],
         sh_degree: 0,
     };
-    let [positions, _, _, _, rotations, _] = pack(&rows, 8);
+    let [positions, _, _, _, rotations, _] = pack(&rows, 8, formats::SPZ_SH_BITS);
     assert_eq!(positions, [0, 1, 0, 0, 0xfe, 0xff, 0, 0xfd, 0xff]);
     let word = u32::from_le_bytes(rotations.try_into().unwrap());
     // `x` is the largest and is not stored; `y` is negative there, `z` and `w` are not.

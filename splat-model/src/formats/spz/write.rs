@@ -11,12 +11,13 @@ use crate::formats::FormatError;
 use crate::gaussians::GaussianRows;
 use crate::replace::replace;
 
-/// Writes rows that fit the format ([`crate::formats::fit`]).
-pub fn write(path: &Path, rows: &GaussianRows, antialiased: bool) -> Result<(), FormatError> {
-    replace(path, |out| write_to(out, rows, antialiased)).map_err(|refused| FormatError::refused(path, refused))
+/// Writes rows that fit the format ([`crate::formats::fit`]), with harmonics of the given bits at degree 1 and above it.
+pub fn write(path: &Path, rows: &GaussianRows, antialiased: bool, sh_bits: [u8; 2]) -> Result<(), FormatError> {
+    replace(path, |out| write_to(out, rows, antialiased, sh_bits))
+        .map_err(|refused| FormatError::refused(path, refused))
 }
 
-fn write_to(out: &mut impl Write, rows: &GaussianRows, antialiased: bool) -> io::Result<()> {
+fn write_to(out: &mut impl Write, rows: &GaussianRows, antialiased: bool, sh_bits: [u8; 2]) -> io::Result<()> {
     let count = u32::try_from(rows.len()).map_err(|_| io::Error::other("more Gaussians than the format can count"))?;
     let fraction = fraction(rows);
     // The stream has no timestamp, so that the same scene gives the same file.
@@ -26,7 +27,7 @@ fn write_to(out: &mut impl Write, rows: &GaussianRows, antialiased: bool) -> io:
     stream.write_all(&count.to_le_bytes())?;
     let flags = if antialiased { ANTIALIASED } else { 0 };
     stream.write_all(&[rows.sh_degree as u8, fraction as u8, flags, 0])?;
-    for section in pack(rows, fraction) {
+    for section in pack(rows, fraction, sh_bits) {
         stream.write_all(&section)?;
     }
     stream.finish().map(drop)

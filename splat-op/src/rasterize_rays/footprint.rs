@@ -1,0 +1,205 @@
+//! A Gaussian in the CPU twin, and its evaluation at a vector of pixels.
+
+use fearless_simd::prelude::*;
+
+use super::{D_MIN, RayLayers, WHITENED_MAX};
+use crate::depth_slope::{DEPTH_SLOPE, bounding_ellipse};
+use crate::dials::Exponential;
+use crate::intersect::extent::{half_extent, widened_limit};
+use crate::options::Projection;
+use crate::project::{COLUMNS, Ellipse};
+use crate::rasterize::RasterizeSpec;
+use crate::rasterize::footprint::{TileWindow, WHITEN};
+use crate::simd::real::{EXP2_CONSTANTS, Real};
+
+/// A Gaussian in the form that the loops over pixels multiply by. Nothing is scaled, as it is in `rasterize`: where `s` is a small
+/// difference of products, their rounding would show.
+#[derive(Clone, Copy, Default)]
+#[repr(align(64))]
+pub(super) struct RayFootprint<F> {
+    pub mean_px: [F; 2],
+    pub inverse_u: F,
+    pub inverse_v: F,
+    pub shear: F,
+    pub opacity: F,
+    /// Largest exponent: beyond it the alpha is certainly below `alpha_min`. A negative extent never shows.
+    extent: F,
+    pub depth_slope: [F; 2],
+    pub thickness: F,
+    /// The square of the thickness.
+    pub thick: F,
+    pub depth: F,
+    /// Middle and half the size, px, of the box around the pixels that may see the Gaussian.
+    middle: [F; 2],
+    half: [F; 2],
+}
+
+impl<F: Real> RayFootprint<F> {
+    /// Reads the Gaussian `i`.
+    pub fn new(inputs: &RayLayers<&[F]>, i: usize, spec: &RasterizeSpec) -> Self {
+        let row = &inputs.projected[i * COLUMNS..][..COLUMNS];
+        let slopes = &inputs.depth_slope[i * DEPTH_SLOPE..][..DEPTH_SLOPE];
+        let (ellipse, alpha_min) = (Ellipse::from_row(row), F::of(spec.options.alpha_min));
+        // The bounds of a Gaussian that is not a number are the whole picture; it shows nowhere.
+        if !(ellipse.opacity > F::ZERO && row.iter().chain(slopes).all(|value| value.finite())) {
+            return Self { extent: -F::ONE, ..Self::default() };
+        }
+        let depth_slope = [slopes[0], slopes[1], slopes[2]];
+        let extent_of = |ellipse: &Ellipse<F>| half_extent(ellipse, widened_limit(ellipse.opacity, alpha_min));
+        let (middle, half) = match spec.options.projection {
+            Projection::RayMax => {
+                let bounds = bounding_ellipse(&ellipse, depth_slope, spec);
+                (bounds.mean_px, extent_of(&bounds))
+            }
+            Projection::Affine => (ellipse.mean_px, extent_of(&ellipse)),
+        };
+        // Limits at which no product of `u`, `v` and `s` overflows anywhere in the picture.
+        let widest = F::of(WHITENED_MAX);
+        let size = [spec.intrinsics.width, spec.intrinsics.height].map(|px| F::of(px as f64));
+        let [far_x, far_y] = [0, 1].map(|axis| {
+            let mean = ellipse.mean_px[axis];
+            mean.abs().max_of((size[axis] - mean).abs()).max_of(F::ONE)
+        });
+        let far_v = far_y + ellipse.shear.abs() * far_x;
+        let inverse = |sigma: F, far: F| (F::ONE / sigma).min_of(widest / far);
+        let (inverse_u, inverse_v) = (inverse(ellipse.sigma_u, far_x), inverse(ellipse.sigma_v, far_v));
+        let slope = |value: F, far: F| {
+            let largest = widest * widest / far;
+            value.within(-largest, largest)
+        };
+        let thickness = slopes[2];
+        let limit = widened_limit(ellipse.opacity, alpha_min) * F::of(WHITEN * WHITEN);
+        Self {
+            mean_px: ellipse.mean_px,
+            inverse_u,
+            inverse_v,
+            shear: ellipse.shear,
+            opacity: ellipse.opacity,
+            extent: limit.min_of(F::EXP2_MAX),
+            depth_slope: [slope(slopes[0], far_x * inverse_u), slope(slopes[1], far_v * inverse_v)],
+            thickness,
+            thick: thickness * thickness,
+            depth: ellipse.depth,
+            middle,
+            half,
+        }
+    }
+
+    /// Returns the part of the tile at `origin` px that may see the Gaussian.
+    #[inline(always)]
+    pub fn window(&self, origin: [F; 2]) -> TileWindow {
+        TileWindow::of(self.middle, self.half, origin)
+    }
+}
+
+/// Render options that affect pixels, one copy in each lane.
+pub(super) struct RayRules<S: Simd, F: Real> {
+    simd: S,
+    pub zero: F::Block<S>,
+    one: F::Block<S>,
+    half_log2_e: F::Block<S>,
+    /// At least the smallest positive number: an alpha of zero contributes nothing.
+    alpha_min: F::Block<S>,
+    /// Limits of `s`, `D` and the sort key.
+    nearest: F::Block<S>,
+    d_min: F::Block<S>,
+    farthest: F::Block<S>,
+    pub alpha_max: F::Block<S>,
+    /// A value below zero disables the threshold.
+    pub transmittance_min: F::Block<S>,
+    exp2: [F::Block<S>; EXP2_CONSTANTS],
+    /// Whether `exp` is the standard library's function.
+    library: bool,
+}
+
+/// Centres of a vector of pixels, px.
+#[derive(Clone, Copy)]
+pub(super) struct RayPixels<S: Simd, F: Real> {
+    pub x: F::Block<S>,
+    pub y: F::Block<S>,
+}
+
+/// A Gaussian at a vector of pixels.
+pub(super) struct RayLayerSimd<S: Simd, F: Real> {
+    pub u: F::Block<S>,
+    pub v: F::Block<S>,
+    /// `E log₂e`: the Gaussian is two to the power of minus this.
+    pub exponent: F::Block<S>,
+    pub lambda: F::Block<S>,
+    /// `1/D`
+    pub inverse: F::Block<S>,
+    /// Sort key `λ z`.
+    pub key: F::Block<S>,
+    /// Zero where the Gaussian does not show.
+    pub alpha: F::Block<S>,
+    pub shows: <F::Block<S> as SimdBase<S>>::Mask,
+}
+
+impl<S: Simd, F: Real> RayRules<S, F> {
+    #[inline(always)]
+    pub fn new(simd: S, spec: &RasterizeSpec) -> Self {
+        let options = &spec.options;
+        let lanes = |value| F::Block::<S>::splat(simd, F::of(value));
+        let mut exp2 = [lanes(0.0); EXP2_CONSTANTS];
+        for (constant, value) in exp2.iter_mut().zip(F::EXP2) {
+            *constant = F::Block::<S>::splat(simd, value);
+        }
+        Self {
+            simd,
+            zero: lanes(0.0),
+            one: lanes(1.0),
+            half_log2_e: lanes(WHITEN * WHITEN),
+            alpha_min: F::Block::<S>::splat(simd, F::of(options.alpha_min).max_of(F::MIN_POSITIVE)),
+            nearest: lanes(D_MIN.sqrt()),
+            d_min: lanes(D_MIN),
+            farthest: F::Block::<S>::splat(simd, F::MAX),
+            alpha_max: lanes(options.alpha_max),
+            // A threshold of zero omits nothing, not even layers behind an alpha of one.
+            transmittance_min: lanes(if options.transmittance_min > 0.0 { options.transmittance_min } else { -1.0 }),
+            exp2: std::hint::black_box(exp2),
+            library: options.exponential == Exponential::Library,
+        }
+    }
+
+    /// Evaluates a Gaussian. With `EXACT` its value is its maximum along the ray; without `EXACT` and `KEYED`, `lambda`,
+    /// `inverse` and `key` are arbitrary.
+    #[inline(always)]
+    pub fn layer<const EXACT: bool, const KEYED: bool>(
+        &self,
+        splat: &RayFootprint<F>,
+        pixels: &RayPixels<S, F>,
+    ) -> RayLayerSimd<S, F> {
+        let simd = self.simd;
+        let lanes = |value: F| F::Block::<S>::splat(simd, value);
+        let dx = pixels.x - lanes(splat.mean_px[0]);
+        let dy = pixels.y - lanes(splat.mean_px[1]);
+        let u = dx * lanes(splat.inverse_u);
+        let v = lanes(-splat.shear).mul_add(dx, dy) * lanes(splat.inverse_v);
+        let square = u.mul_add(u, v * v);
+        let (mut lambda, mut inverse, mut key) = (self.zero, self.zero, self.zero);
+        let mut exponent = square * self.half_log2_e;
+        let mut near = exponent.simd_le(lanes(splat.extent));
+        if EXACT || KEYED {
+            let [slope_u, slope_v] = splat.depth_slope.map(|slope| lanes(-slope));
+            let s = slope_u.mul_add(u, slope_v.mul_add(v, self.one));
+            let d = lanes(splat.thick).mul_add(square, s * s);
+            let sound = if EXACT { s.simd_gt(self.nearest) } else { d.simd_gt(self.d_min) };
+            inverse = sound.select(self.one / d, self.zero);
+            lambda = s * inverse;
+            key = lambda * lanes(splat.depth);
+            if EXACT {
+                exponent = exponent * inverse;
+                near = exponent.simd_le(lanes(splat.extent)) & sound;
+            }
+            near &= key.abs().simd_le(self.farthest);
+        }
+        let power = if self.library {
+            F::exp2_library(exponent)
+        } else {
+            F::exp2_lanes::<S, F::Block<S>>(exponent, &self.exp2)
+        };
+        let value = (lanes(splat.opacity) * power).min(self.alpha_max);
+        let shows = near & value.simd_ge(self.alpha_min);
+        RayLayerSimd { u, v, exponent, lambda, inverse, key, alpha: shows.select(value, self.zero), shows }
+    }
+}
