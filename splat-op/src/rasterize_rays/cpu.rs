@@ -60,15 +60,16 @@ impl<'a, F: Real> PreparedRayView<'a, F> {
 
 /// Runs `$body` with the SIMD level of this processor as `$simd`, and with the render's projection and order as the constants
 /// `$exact` and `$sorted`.
+#[rustfmt::skip] // rustfmt indents the inner macro further at every run
 macro_rules! specialised {
     ($spec:expr, $simd:ident, $exact:ident, $sorted:ident => $body:expr) => {{
         macro_rules! with {
-                                                        ($is_exact:literal, $is_sorted:literal) => {{
-                                                            const $exact: bool = $is_exact;
-                                                            const $sorted: bool = $is_sorted;
-                                                            dispatch!(Level::new(), $simd => $body)
-                                                        }};
-                                                    }
+            ($is_exact:literal, $is_sorted:literal) => {{
+                const $exact: bool = $is_exact;
+                const $sorted: bool = $is_sorted;
+                dispatch!(Level::new(), $simd => $body)
+            }};
+        }
         match ($spec.options.projection == Projection::RayMax, $spec.options.order != Order::CentreDepth) {
             (false, false) => with!(false, false),
             (false, true) => with!(false, true),
