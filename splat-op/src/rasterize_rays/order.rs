@@ -15,11 +15,19 @@ pub(super) type Mask<S, F> = <<F as Real>::Block<S> as SimdBase<S>>::Mask;
 pub(super) struct LayerSlots<F, const PARTS: usize> {
     values: Vec<F>,
     count: usize,
+    /// Number of slots that layers have passed on their way.
+    steps: usize,
+    /// Whether layers were appended without regard to their order; see [`Self::finish`].
+    unsorted: bool,
 }
+
+/// Number of slots that a layer may pass on average before the rest is appended and sorted at the end. Insertion alone would
+/// take a time that grows with the square of a long list in no order.
+const STEPS: usize = 64;
 
 impl<F: Real, const PARTS: usize> LayerSlots<F, PARTS> {
     pub fn clear(&mut self) {
-        self.count = 0;
+        (self.count, self.steps, self.unsorted) = (0, 0, false);
     }
 
     /// Number of slots.
@@ -57,7 +65,7 @@ impl<F: Real, const PARTS: usize> LayerSlots<F, PARTS> {
     }
 
     /// Inserts a layer, where `shows`, behind the layers with keys that are not larger. Layers come in the order of their centres,
-    /// which is nearly that of each pixel, so that the way is short.
+    /// which is nearly that of each pixel, so that the way is short. The layers are in order after [`Self::finish`].
     #[inline(always)]
     pub fn insert<S: Simd>(&mut self, mut layer: [F::Block<S>; PARTS], shows: Mask<S, F>) {
         let simd = layer[0].token();
@@ -67,6 +75,10 @@ impl<F: Real, const PARTS: usize> LayerSlots<F, PARTS> {
         let mut moves = layer[0].simd_lt(last);
         self.push::<S>(layer, shows);
         if !moves.any_true() {
+            return;
+        }
+        self.unsorted |= self.steps > STEPS * at;
+        if self.unsorted {
             return;
         }
         // What belongs in the slot `at`: the layer where it moves, and elsewhere what was there.
@@ -81,11 +93,37 @@ impl<F: Real, const PARTS: usize> LayerSlots<F, PARTS> {
             self.put::<S>(at, own);
             own = ahead;
             at -= 1;
+            self.steps += 1;
             if at > 0 {
                 moves &= layer[0].simd_lt(self.key(simd, at - 1));
             }
         }
         self.put::<S>(at, own);
+    }
+
+    /// Ends the insertions: sorts the layers of each lane, stably, if some were only appended.
+    pub fn finish<S: Simd>(&mut self) {
+        if !self.unsorted {
+            return;
+        }
+        let lanes = len::<S, F>();
+        let (mut order, mut column) = (Vec::new(), Vec::new());
+        for lane in 0..lanes {
+            let at = |slot: usize, part: usize| (slot * PARTS + part) * lanes + lane;
+            order.clear();
+            let shown = (0..self.count).filter(|&slot| self.values[at(slot, 1)] > F::ZERO);
+            order.extend(shown.map(|slot| (self.values[at(slot, 0)], slot)));
+            order.sort_by(|a, b| a.0.partial_cmp(&b.0).unwrap_or(std::cmp::Ordering::Equal));
+            column.clear();
+            column.extend(order.iter().map(|&(_, slot)| std::array::from_fn(|part| self.values[at(slot, part)])));
+            column.resize(self.count, [F::ZERO; PARTS]);
+            for (slot, layer) in column.iter().enumerate() {
+                for (part, value) in layer.iter().enumerate() {
+                    self.values[at(slot, part)] = *value;
+                }
+            }
+        }
+        self.unsorted = false;
     }
 
     #[inline(always)]
@@ -118,5 +156,70 @@ impl<S: Simd, F: Real> Ids<S, F> {
         let same = self.ids.simd_eq(F::Block::<S>::splat(self.ids.token(), id));
         self.left &= !same.to_bitmask();
         Some((id.to_index(), same))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use fearless_simd::{Level, dispatch};
+
+    use super::*;
+    use crate::testing::random::Random;
+
+    const LAYERS: usize = 700;
+
+    /// Inserts layers with these keys, `[layer][lane]`, of which a lane sees those with a positive one. Returns the layers of each
+    /// lane, front to back, and the number of steps.
+    #[inline(always)]
+    fn inserted<S: Simd>(simd: S, keys: &[Vec<f32>]) -> (Vec<Vec<usize>>, usize) {
+        let mut slots = LayerSlots::<f32, 3>::default();
+        let zero = <f32 as Real>::Block::<S>::splat(simd, 0.0);
+        for (i, keys) in keys.iter().enumerate() {
+            let key = <f32 as Real>::Block::<S>::from_slice(simd, keys);
+            let shows = key.simd_gt(zero);
+            let alpha = shows.select(<f32 as Real>::Block::<S>::splat(simd, 0.5), zero);
+            let id = <f32 as Real>::Block::<S>::splat(simd, f32::from_index(i));
+            slots.insert::<S>([key, alpha, id], shows);
+        }
+        slots.finish::<S>();
+        let mut found = vec![Vec::new(); len::<S, f32>()];
+        for slot in 0..slots.count() {
+            let [_, alpha, id] = slots.get::<S>(simd, slot);
+            for (lane, found) in found.iter_mut().enumerate().filter(|(lane, _)| alpha[*lane] > 0.0) {
+                found.push(id[lane].to_index());
+            }
+        }
+        (found, slots.steps)
+    }
+
+    /// Layers nearly in order, in reverse, and in no order; equal keys keep the order in which they came.
+    #[test]
+    fn every_lane_has_its_own_order_however_layers_come() {
+        let mut random = Random::new(3);
+        let mut random = |low: f64, high: f64| random.between(low, high) as f32;
+        let near = |i: usize, random: &mut dyn FnMut(f64, f64) -> f32| 1.0 + i as f32 + random(-3.0, 3.0);
+        for (name, spread) in [("near", 0), ("reverse", 1), ("none", 2)] {
+            let mut key = |i: usize| match spread {
+                _ if random(0.0, 1.0) < 0.3 => -1.0,
+                0 => near(i, &mut random).max(0.5).floor() + 0.5,
+                1 => (LAYERS - i) as f32,
+                _ => random(1.0, 100.0).floor(),
+            };
+            let lanes = dispatch!(Level::new(), simd => lanes_of(simd));
+            let keys: Vec<Vec<f32>> = (0..LAYERS).map(|i| (0..lanes).map(|_| key(i)).collect()).collect();
+            let (found, steps) = dispatch!(Level::new(), simd => inserted(simd, &keys));
+            for (lane, found) in found.iter().enumerate() {
+                let mut expected: Vec<usize> = (0..LAYERS).filter(|&i| keys[i][lane] > 0.0).collect();
+                expected.sort_by(|&a, &b| keys[a][lane].total_cmp(&keys[b][lane]));
+                assert_eq!(*found, expected, "{name}, lane {lane}");
+            }
+            assert!(steps <= (STEPS + 1) * LAYERS, "{name}: {steps} steps");
+            assert_eq!(steps > STEPS * 100, spread > 0, "{name}: {steps} steps");
+        }
+    }
+
+    #[inline(always)]
+    fn lanes_of<S: Simd>(_: S) -> usize {
+        len::<S, f32>()
     }
 }

@@ -203,6 +203,7 @@ fn sum<S: Simd, F: Real, const EXACT: bool, const SORTED: bool>(
         }
     }
     if SORTED {
+        slots.finish::<S>();
         for slot in 0..slots.count() {
             if open.add(slots.get::<S>(simd, slot), &mut sums, depth, rules) {
                 break;

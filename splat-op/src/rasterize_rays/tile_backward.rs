@@ -129,6 +129,7 @@ fn layers<S: Simd, F: Real, const EXACT: bool, const SORTED: bool>(
         }
     }
     if SORTED {
+        slots.finish::<S>();
         for place in 0..slots.count() {
             let [_, alpha, along, id] = slots.get::<S>(simd, place);
             let before = ended.transmittance;
