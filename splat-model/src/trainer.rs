@@ -215,6 +215,27 @@ impl Trainer {
         self.config.dials = mem::take(&mut self.config.dials).and(dials);
     }
 
+    /// Changes the length of the run and what depends on it, from the next step on: `steps`, `sh_every`, `learning_rates` and
+    /// `resolution` of this configuration; its other fields are ignored. Schedules continue at the same step, which is another
+    /// share of the run. For a run that must end at a certain time.
+    ///
+    /// # Errors
+    /// If there would be no step left, or the schedule of sizes is out of range. Nothing changes then.
+    pub fn reschedule(&mut self, to: &TrainConfig) -> Result<(), TrainError> {
+        if to.steps <= self.step {
+            return Err(TrainError::NoSteps);
+        }
+        if !to.resolution.is_valid() {
+            return Err(TrainError::Resolution(to.resolution));
+        }
+        let config = &mut self.config;
+        (config.steps, config.sh_every) = (to.steps, to.sh_every);
+        (config.learning_rates, config.resolution) = (to.learning_rates, to.resolution);
+        self.means_decay = self.config.step_rates().means_decay(self.extent, to.steps);
+        self.density.set_steps(to.steps);
+        Ok(())
+    }
+
     /// The configuration of the run, with the current dials.
     pub fn config(&self) -> &TrainConfig {
         &self.config

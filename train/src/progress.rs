@@ -124,7 +124,7 @@ impl StepProgress {
         if let Some(bar) = &bar {
             bar.set_style(style("[{bar:32}] {msg}"));
         }
-        let refinements = (1..=steps).filter(|&step| trainer.refines_at(step)).collect();
+        let refinements = refinements(trainer);
         let splats = history.points.first().map_or(trainer.gaussians().len(), |point| point.splats);
         let mut forecast = Forecast::new(trainer.config().clone(), refinements, (splats, trainer.mean_pixels()));
         for point in &history.points {
@@ -151,8 +151,7 @@ impl StepProgress {
     pub fn show(&mut self, step: usize, trainer: &Trainer) {
         self.shown = Instant::now();
         let (sum, count) = std::mem::take(&mut self.losses);
-        self.forecast.expect(trainer.outlook());
-        let (rate, left) = (1.0 / self.forecast.mean_s(), self.forecast.left_s());
+        let (left, rate) = (self.left_s(trainer), 1.0 / self.forecast.mean_s());
         let line = progress_line((step, self.steps), sum / count as f64, trainer.gaussians().len(), (rate, left));
         match &self.bar {
             None => note(&line),
@@ -163,12 +162,32 @@ impl StepProgress {
         }
     }
 
+    /// Predicts the time that the run has left, s. Waits for the device.
+    pub fn left_s(&mut self, trainer: &Trainer) -> f64 {
+        self.forecast.expect(trainer.outlook());
+        self.forecast.left_s()
+    }
+
+    /// Adapts the progress to a number of steps that has changed.
+    pub fn reschedule(&mut self, trainer: &Trainer) {
+        self.steps = trainer.config().steps;
+        if let Some(bar) = &self.bar {
+            bar.set_length(self.steps as u64);
+        }
+        self.forecast.reschedule(trainer.config().clone(), refinements(trainer));
+    }
+
     /// Removes the bar after the last step.
     pub fn finish(self) {
         if let Some(bar) = self.bar {
             bar.abandon();
         }
     }
+}
+
+/// The steps at which the number of Gaussians may change.
+fn refinements(trainer: &Trainer) -> Vec<usize> {
+    (1..=trainer.config().steps).filter(|&step| trainer.refines_at(step)).collect()
 }
 
 fn progress_line((step, steps): (usize, usize), loss: f64, splats: usize, (rate, left): (f64, f64)) -> String {

@@ -6,6 +6,7 @@ mod results;
 mod run;
 mod steps;
 mod stop;
+mod time_limit;
 
 use std::path::PathBuf;
 
@@ -17,6 +18,7 @@ use splat_model::trainer::{Resolution, TrainConfig, TrainError};
 
 pub use self::run::{resume, run, run_with};
 pub use self::stop::Interrupted;
+use self::time_limit::{GUESS, TrainingTime};
 use crate::accuracy::{AccuracyArgs, ModelArgs};
 use crate::background::TrainBackground;
 use crate::device::{self, DeviceName};
@@ -55,6 +57,12 @@ pub struct TrainArgs {
         "Training steps, each on `--batch` photographs [default: {}; with the demo capture {DEMO_STEPS}]", TrainConfig::default().steps
     ))]
     pub steps: Option<usize>,
+    /// Train for this time instead of a number of steps: 60s, 10min, '1h 30m'. The first steps are measured, and the number of
+    /// steps is chosen and corrected so that training ends in time; reading the capture and scoring come on top. Two such
+    /// runs differ, because machines are never equally fast twice
+    #[arg(long = "for", value_name = "TIME", conflicts_with_all = ["steps", "snapshots"])]
+    #[serde(default)]
+    pub time: Option<TrainingTime>,
     /// Device to compute on
     #[arg(long, value_name = "NAME", default_value_t, help = device::help())]
     #[serde(with = "crate::as_text")]
@@ -180,11 +188,10 @@ impl TrainArgs {
         if self.capture.is_none() {
             (config.steps, config.sh_degree) = (DEMO_STEPS, DEMO_SH_DEGREE);
         }
-        config.steps = self.steps.unwrap_or(config.steps);
+        let steps = self.time.map_or(self.steps.unwrap_or(config.steps), |_| GUESS);
+        config = self.schedule(config, steps);
         config.sh_degree = self.sh_degree.unwrap_or(config.sh_degree);
-        config.sh_every = self.sh_every.unwrap_or(sh_every_for(config.steps));
-        config.density = self.strategy.config(config.steps).with_max_splats(self.max_splats);
-        config.learning_rates = self.rates.rates(config.steps);
+        config.density = self.strategy.config(steps).with_max_splats(self.max_splats);
         config.dials = config.dials.and(&self.accuracy.accuracy.setting());
         if let Some(mb) = self.cache_mb {
             config.cache_mib = config.cache_mib.min(mb.saturating_mul(1_000_000) >> 20);
@@ -197,6 +204,14 @@ impl TrainArgs {
             TrainConfig { resolution, .. } if !resolution.is_valid() => Err(TrainError::Resolution(resolution)),
             config => config.check().map(|()| config),
         }
+    }
+
+    /// Returns the configuration with the schedules of a run of `steps` (see [`Trainer::reschedule`]).
+    ///
+    /// [`Trainer::reschedule`]: splat_model::trainer::Trainer::reschedule
+    fn schedule(&self, config: TrainConfig, steps: usize) -> TrainConfig {
+        let sh_every = self.sh_every.unwrap_or(sh_every_for(steps));
+        TrainConfig { steps, sh_every, learning_rates: self.rates.rates(steps), ..config }
     }
 }
 

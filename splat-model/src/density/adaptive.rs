@@ -319,6 +319,10 @@ impl Strategy for Adaptive {
         })
     }
 
+    fn set_steps(&mut self, steps: usize) {
+        self.steps = steps;
+    }
+
     fn save(&self, to: &mut State) -> Result<(), StateError> {
         if let Some(Tally { sums, counts }) = &self.seen {
             to.put("gradient_sum", sums.clone());

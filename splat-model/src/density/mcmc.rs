@@ -222,6 +222,10 @@ impl Strategy for Mcmc {
         )
     }
 
+    fn set_steps(&mut self, steps: usize) {
+        self.steps = steps;
+    }
+
     fn save(&self, to: &mut State) -> Result<(), StateError> {
         self.noise.save(to)
     }

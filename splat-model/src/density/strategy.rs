@@ -110,6 +110,9 @@ pub trait Strategy {
         None
     }
 
+    /// Informs the strategy that the run will have `steps` steps, for one that reads the number before [`Self::act`] tells it.
+    fn set_steps(&mut self, _steps: usize) {}
+
     /// Saves the strategy's state.
     ///
     /// # Errors

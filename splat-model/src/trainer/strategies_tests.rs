@@ -306,3 +306,28 @@ fn what_is_covered_is_what_hides_the_background() {
         assert!((found / expected - 1.0).abs() < 1e-4, "{found} instead of {expected}");
     }
 }
+
+#[test]
+fn a_run_of_another_length_is_the_run_begun_with_it() {
+    for density in strategies() {
+        let expected = run(trainer(config(density)));
+        let mut begun = trainer(TrainConfig { steps: 90, sh_every: 30, ..config(density) });
+        begun.reschedule(&config(density)).unwrap();
+        assert_eq!(run(begun), expected, "{density:?}");
+    }
+}
+
+#[test]
+fn a_run_may_change_its_length_while_it_goes_on() {
+    for density in strategies() {
+        let mut trainer = trainer(TrainConfig { steps: 90, ..config(density) });
+        (0..10).for_each(|_| drop(trainer.step().unwrap()));
+        assert!(matches!(trainer.reschedule(&TrainConfig { steps: 10, ..config(density) }), Err(TrainError::NoSteps)));
+        assert_eq!(trainer.config().steps, 90);
+        let (rate, growth) = (trainer.means_decay.at(24), (1..=90).filter(|&step| trainer.refines_at(step)).count());
+        trainer.reschedule(&config(density)).unwrap();
+        assert!(trainer.means_decay.at(24) < rate);
+        assert!((1..=90).filter(|&step| trainer.refines_at(step)).count() < growth);
+        run(trainer);
+    }
+}

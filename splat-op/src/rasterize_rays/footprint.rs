@@ -188,7 +188,7 @@ impl<S: Simd, F: Real> RayRules<S, F> {
             lambda = s * inverse;
             key = lambda * lanes(splat.depth);
             if EXACT {
-                exponent = exponent * inverse;
+                exponent *= inverse;
                 near = exponent.simd_le(lanes(splat.extent)) & sound;
             }
             near &= key.abs().simd_le(self.farthest);

@@ -92,6 +92,11 @@ impl Forecast {
         }
     }
 
+    /// Changes the configuration and the refinements of the run. What was observed of it stays.
+    pub fn reschedule(&mut self, config: TrainConfig, refinements: Vec<usize>) {
+        (self.config, self.refinements) = (config, refinements);
+    }
+
     /// Observes the run after one step or several.
     pub fn observe(&mut self, now: Observed) {
         let last = std::mem::replace(&mut self.last, now);

@@ -84,6 +84,11 @@ impl Recorder {
         }
     }
 
+    /// Changes the number of steps of the run.
+    pub fn set_steps(&mut self, steps: usize) {
+        (self.every, self.steps) = (steps.div_ceil(POINTS).max(1), steps);
+    }
+
     /// Training time so far, s.
     pub fn elapsed_s(&self) -> f64 {
         (self.earlier + self.started.elapsed()).as_secs_f64()

@@ -115,6 +115,17 @@ impl RunLog {
         Ok(())
     }
 
+    /// Predicts the time that the run has left, s. Waits for the device.
+    pub fn left_s(&mut self, trainer: &Trainer) -> f64 {
+        self.bar.left_s(trainer)
+    }
+
+    /// Adapts the log to a number of steps that has changed.
+    pub fn reschedule(&mut self, trainer: &Trainer) {
+        self.recorder.set_steps(trainer.config().steps);
+        self.bar.reschedule(trainer);
+    }
+
     /// Ends the log after the last step.
     pub fn finish(self) -> History {
         self.bar.finish();

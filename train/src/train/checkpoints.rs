@@ -45,6 +45,9 @@ pub struct SavedRun {
 pub struct SoFar {
     /// Training time of all parts of the run, s.
     pub seconds: f64,
+    /// Number of steps, if a time limit chose it.
+    #[serde(default)]
+    pub steps: Option<usize>,
     /// Whether the dials have been chosen, where a target asks for a choice.
     pub dials_chosen: bool,
     /// History of the run.

@@ -81,6 +81,9 @@ pub fn resume(args: &ResumeArgs) -> Result<Metrics> {
 
 fn to_the_end(mut args: TrainArgs, kept: Option<SavedRun>, change: impl FnOnce(Trainer) -> Trainer) -> Result<Metrics> {
     let mut config = args.config()?;
+    if let Some(steps) = kept.as_ref().and_then(|kept| kept.so_far.steps) {
+        config = args.schedule(config, steps);
+    }
     let (device, device_name) = args.device.resolve()?;
     let accuracy = args.accuracy.resolve(&device_name)?;
     let lpips = args.lpips.read(&device)?;
@@ -164,7 +167,8 @@ fn to_the_end(mut args: TrainArgs, kept: Option<SavedRun>, change: impl FnOnce(T
         checkpoints,
     };
     let Done { seconds: train, history, checkpoints } = steps.run(&mut trainer, so_far, choice)?;
-    config.dials = trainer.config().dials.clone();
+    // Dials and schedules may have changed since the start.
+    config = trainer.config().clone();
     let background = trainer.background();
     let render_options = trainer.render_options();
     // Before measuring, so that a failure there does not lose the scene.

@@ -12,6 +12,7 @@ use super::TrainArgs;
 use super::checkpoints::{Checkpoints, SoFar};
 use super::results::keep_scene;
 use super::stop::{Interrupted, Stop};
+use super::time_limit::TimeLimit;
 use crate::accuracy::RequestedAccuracy;
 use crate::output::OutputFolder;
 use crate::pareto::MeasuredView;
@@ -55,7 +56,7 @@ impl Steps<'_> {
     /// If a step fails; [`Interrupted`] if the run was asked to stop.
     pub fn run(mut self, trainer: &mut Trainer, so_far: SoFar, mut choice: Option<PendingChoice>) -> Result<Done> {
         let stop = Stop::listen().context("cannot listen for Ctrl-C")?;
-        let steps = trainer.config().steps;
+        let mut time_limit = self.args.time.map(TimeLimit::new);
         let mut dials_chosen = so_far.dials_chosen;
         // The first checkpoint comes before the first step: a run killed at once can be resumed too, and an unwritable
         // folder is found now.
@@ -65,11 +66,12 @@ impl Steps<'_> {
         let mut log = RunLog::new(trainer, so_far.history, so_far.seconds);
         while !trainer.is_done() {
             if let Some(signal) = stop.asked() {
-                let so_far = SoFar { seconds: log.recorder.seconds(), dials_chosen, history: log.finish() };
+                let seconds = log.recorder.seconds();
+                let so_far = self.so_far(trainer, seconds, dials_chosen, log.finish());
                 return Err(self.interrupted(trainer, &so_far, signal));
             }
             // Before this, the scene does not resemble the final one.
-            if trainer.steps_done() >= steps / MEASURED_AFTER
+            if trainer.steps_done() >= trainer.config().steps / MEASURED_AFTER
                 && let Some((accuracy, shots)) = choice.take()
             {
                 let (rows, base) = (trainer.rows(), trainer.render_options());
@@ -91,10 +93,13 @@ impl Steps<'_> {
                 }
             }
             evaluated?;
+            if let Some(limit) = &mut time_limit {
+                limit.adjust(trainer, self.args, &mut log)?;
+            }
             // At least one step is done, and no such number is a multiple of 0.
             if trainer.steps_done().is_multiple_of(self.args.checkpoint_every) {
-                let so_far =
-                    SoFar { seconds: log.recorder.seconds(), dials_chosen, history: log.recorder.history.clone() };
+                let (seconds, history) = (log.recorder.seconds(), log.recorder.history.clone());
+                let so_far = self.so_far(trainer, seconds, dials_chosen, history);
                 self.checkpoints.try_write(trainer, self.args, &so_far);
             }
         }
@@ -103,6 +108,11 @@ impl Steps<'_> {
             progress::note(&format!("the last curves of the snapshots were not saved: {error:#}"));
         }
         Ok(Done { seconds, history, checkpoints: self.checkpoints })
+    }
+
+    /// Returns the progress of the run besides its trainer.
+    fn so_far(&self, trainer: &Trainer, seconds: f64, dials_chosen: bool, history: History) -> SoFar {
+        SoFar { seconds, steps: self.args.time.map(|_| trainer.config().steps), dials_chosen, history }
     }
 
     /// Saves a run that was asked to stop.

@@ -14,6 +14,7 @@ mod pareto;
 mod resume;
 mod run;
 mod scores;
+mod time;
 mod view;
 mod voice;
 

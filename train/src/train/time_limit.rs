@@ -1,0 +1,156 @@
+//! `--for`: as many steps as fit a time.
+//!
+//! A run with a time limit begins with a guessed number of steps. From a hundredth of its time on, the number is chosen again
+//! and again such that the predicted time of the remaining steps is the time that is left. Learning rates, growth and all other
+//! schedules follow the number, so that the run ends as one that had it from the start.
+
+use std::fmt;
+use std::str::FromStr;
+use std::time::Duration;
+
+use serde::{Deserialize, Serialize};
+use splat_model::trainer::{TrainError, Trainer};
+
+use super::TrainArgs;
+use crate::report::log::RunLog;
+
+/// Number of steps before any is measured.
+pub const GUESS: usize = 2_000;
+
+/// Share of the time after which the number of steps is first chosen.
+const FIRST: f64 = 0.01;
+
+/// Largest share of the time between two choices. The share doubles until then.
+const BETWEEN: f64 = 0.03;
+
+/// Power of the ratio of times by which a choice changes the number of steps. The time grows faster than the number, because a
+/// longer run has more Gaussians; with a power of 1, choices would go back and forth.
+const DAMPING: f64 = 0.7;
+
+/// Largest number of changes in one choice.
+const CHANGES: usize = 8;
+
+/// A change of the number of remaining steps by less than this share ends a choice.
+const SETTLED: f64 = 0.005;
+
+/// Range of one change.
+const CHANGE: (f64, f64) = (0.1, 10.0);
+
+/// A time for training: `60s`, `10min`, `1h 30m`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(into = "String", try_from = "String")]
+pub struct TrainingTime(Duration);
+
+impl FromStr for TrainingTime {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let expected = "expected a time above zero, such as 60s, 10min or '1h 30m'";
+        let time = humantime::parse_duration(text).map_err(|error| format!("{error}: {expected}"))?;
+        if time.is_zero() { Err(expected.into()) } else { Ok(Self(time)) }
+    }
+}
+
+impl TryFrom<String> for TrainingTime {
+    type Error = String;
+
+    fn try_from(text: String) -> Result<Self, String> {
+        text.parse()
+    }
+}
+
+impl fmt::Display for TrainingTime {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        humantime::format_duration(self.0).fmt(f)
+    }
+}
+
+impl From<TrainingTime> for String {
+    fn from(time: TrainingTime) -> Self {
+        time.to_string()
+    }
+}
+
+impl TrainingTime {
+    /// Returns the time, s.
+    pub fn seconds(self) -> f64 {
+        self.0.as_secs_f64()
+    }
+}
+
+/// The choices of a run's number of steps.
+pub struct TimeLimit {
+    /// Training time of the whole run, s.
+    seconds: f64,
+    /// Share of the time at which the next choice is due.
+    next: f64,
+}
+
+impl TimeLimit {
+    /// The choices of a run with this training time.
+    pub fn new(time: TrainingTime) -> Self {
+        Self { seconds: time.seconds(), next: FIRST }
+    }
+
+    /// Chooses the number of steps after a step, if it is time to. One more step at least remains, which waits for the device
+    /// and finds its faults.
+    ///
+    /// # Errors
+    /// If the trainer refuses the number, for which there is no known reason.
+    pub fn adjust(&mut self, trainer: &mut Trainer, args: &TrainArgs, log: &mut RunLog) -> Result<(), TrainError> {
+        let remaining = self.seconds - log.recorder.elapsed_s();
+        let share = 1.0 - remaining / self.seconds;
+        if share < self.next || trainer.is_done() {
+            return Ok(());
+        }
+        if remaining <= 0.0 {
+            self.next = f64::INFINITY;
+            return set_steps(trainer.steps_done() + 1, trainer, args, log);
+        }
+        self.next = share + share.min(BETWEEN);
+        for _ in 0..CHANGES {
+            let (step, steps) = (trainer.steps_done(), trainer.config().steps);
+            let left = log.left_s(trainer);
+            if !(left > 0.0 && left.is_finite()) {
+                break;
+            }
+            let change = (remaining / left).powf(DAMPING).clamp(CHANGE.0, CHANGE.1);
+            let more = ((steps - step) as f64 * change).round().max(1.0) as usize;
+            set_steps(step + more, trainer, args, log)?;
+            if (change - 1.0).abs() < SETTLED {
+                break;
+            }
+        }
+        Ok(())
+    }
+}
+
+fn set_steps(steps: usize, trainer: &mut Trainer, args: &TrainArgs, log: &mut RunLog) -> Result<(), TrainError> {
+    trainer.reschedule(&args.schedule(trainer.config().clone(), steps))?;
+    log.reschedule(trainer);
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_are_read_as_people_write_them() {
+        let seconds = |text: &str| text.parse::<TrainingTime>().map(TrainingTime::seconds);
+        for (text, expected) in [("60s", 60.0), ("10min", 600.0), ("1h 30m", 5400.0), ("500ms", 0.5)] {
+            assert_eq!(seconds(text), Ok(expected), "{text}");
+        }
+        for text in ["", "60", "0s", "-1s", "soon", "99999999999999999999y"] {
+            assert!(seconds(text).unwrap_err().contains("such as 60s"), "{text}");
+        }
+    }
+
+    #[test]
+    fn a_time_is_saved_as_it_is_written() {
+        let time: TrainingTime = "1h 30m".parse().unwrap();
+        let text = serde_json::to_string(&time).unwrap();
+        assert_eq!(serde_json::from_str::<TrainingTime>(&text).unwrap(), time);
+        assert!(serde_json::from_str::<TrainingTime>("\"0s\"").is_err());
+    }
+}
