@@ -34,6 +34,7 @@ use crate::optim::{Adam, Decay, scene_extent, sh_degree_at};
 pub use self::checked::Stage;
 use self::checked::{Wrong, check_parameters};
 pub use self::config::TrainConfig;
+pub use self::cost::MeasuredCost;
 use self::differentiate::Batch;
 pub use self::error::TrainError;
 pub use self::guard::{Fault, Guard};

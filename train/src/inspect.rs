@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use anyhow::Result;
+use clap::value_parser;
 use serde::Serialize;
 use splat_model::effects::plan::{self, Cost, Decision, EffectVerdict, Plan};
 use splat_model::effects::survey::{Survey, ViewExposure};
@@ -22,6 +23,9 @@ const CHART_LINES: usize = 60;
 pub struct InspectArgs {
     /// Capture folder, with `images/` and COLMAP's `sparse/0/`, or with `transforms.json` or `transforms_train.json`
     pub capture: PathBuf,
+    /// Predict costs for photographs whose longer side is at most this, px, as `splat train --max-side` has them
+    #[arg(long, value_name = "PX", value_parser = value_parser!(u32).range(1..))]
+    pub max_side: Option<u32>,
     /// Print the report as JSON
     #[arg(long)]
     pub json: bool,
@@ -42,7 +46,8 @@ pub fn run(args: &InspectArgs) -> Result<()> {
     let start = Instant::now();
     let capture = input::capture(&args.capture)?;
     let survey = Survey::of(&capture)?;
-    let plan = Plan::from(&survey);
+    let all: Vec<usize> = (0..capture.views.len()).collect();
+    let plan = Plan::of(&survey, capture.mean_pixels(&all, args.max_side));
     let seconds = seconds_since(start);
     if args.json {
         progress::say(&serde_json::to_string_pretty(&Report { survey: &survey, plan: &plan, seconds })?);

@@ -111,12 +111,14 @@ pub struct TrainArgs {
     /// Weight of the mean opacity in the loss, against floaters [default: 0.01 with the strategy `gradual`, else 0]
     #[arg(long, value_name = "W")]
     pub opacity_weight: Option<f64>,
-    /// Begin with photographs downsized by this factor: 1, 2, 4, 8 or 16
-    #[arg(long, value_name = "N", default_value_t = TrainConfig::default().resolution.coarsest_divisor)]
-    pub coarsest: usize,
-    /// With `--coarsest`: fraction of the steps after which photographs have their full size
-    #[arg(long, value_name = "SHARE", default_value_t = TrainConfig::default().resolution.full_from)]
-    pub full_from: f64,
+    /// Begin with photographs downsized by this factor: 1, 2, 4, 8 or 16 [default: 1; with `--for`, 8 in a run of up to 1,000
+    /// steps, else 4]
+    #[arg(long, value_name = "N")]
+    pub coarsest: Option<usize>,
+    /// With `--coarsest`: fraction of the steps after which photographs have their full size [default: 0.5; with `--for`, that
+    /// of 1,000 steps, but at most 0.7]
+    #[arg(long, value_name = "SHARE")]
+    pub full_from: Option<f64>,
     /// Accuracy of the renders.
     #[command(flatten)]
     pub accuracy: AccuracyArgs,
@@ -184,7 +186,6 @@ impl TrainArgs {
         let mut config = TrainConfig { seed: self.seed, ..self.model.config() };
         config.opacity_weight = self.opacity_weight.unwrap_or(self.strategy.opacity_weight());
         config.batch = self.batch;
-        config.resolution = Resolution { coarsest_divisor: self.coarsest, full_from: self.full_from };
         if self.capture.is_none() {
             (config.steps, config.sh_degree) = (DEMO_STEPS, DEMO_SH_DEGREE);
         }
@@ -211,7 +212,10 @@ impl TrainArgs {
     /// [`Trainer::reschedule`]: splat_model::trainer::Trainer::reschedule
     fn schedule(&self, config: TrainConfig, steps: usize) -> TrainConfig {
         let sh_every = self.sh_every.unwrap_or(sh_every_for(steps));
-        TrainConfig { steps, sh_every, learning_rates: self.rates.rates(steps), ..config }
+        let usual = if self.time.is_some() { Resolution::within_time(steps) } else { Resolution::FULL };
+        let coarsest_divisor = self.coarsest.unwrap_or(usual.coarsest_divisor);
+        let resolution = Resolution { coarsest_divisor, full_from: self.full_from.unwrap_or(usual.full_from) };
+        TrainConfig { steps, sh_every, learning_rates: self.rates.rates(steps), resolution, ..config }
     }
 }
 
@@ -303,6 +307,10 @@ mod tests {
         assert_eq!(divisor(&[], 1), 1);
         assert_eq!([1, 26, 51].map(|step| divisor(&["--coarsest", "4"], step)), [4, 2, 1]);
         assert_eq!(divisor(&["--coarsest", "4", "--full-from", "0.8"], 80), 2);
+        assert_eq!(
+            [(&["--for", "60s"][..]), &["--for", "60s", "--coarsest", "1"]].map(|flags| divisor(flags, 1)),
+            [4, 1]
+        );
     }
 
     #[test]

@@ -234,7 +234,7 @@ fn with_alpha(picture: &DynamicImage) -> Option<RgbaImage> {
 }
 
 /// `size` shrunk so that its longer side is at most `max_side`; each side is rounded and at least one pixel.
-fn size_within(size: [u32; 2], max_side: Option<u32>) -> [u32; 2] {
+pub(super) fn size_within(size: [u32; 2], max_side: Option<u32>) -> [u32; 2] {
     let longer = size[0].max(size[1]);
     let Some(max_side) = max_side.map(|side| side.max(1)).filter(|&side| side < longer) else {
         return size;

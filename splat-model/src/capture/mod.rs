@@ -132,6 +132,17 @@ pub struct View {
     pub cam_from_world: DAffine3,
 }
 
+impl Capture {
+    /// Mean number of pixels of some photographs, whose longer sides are at most `max_side` px. 0 without photographs.
+    pub fn mean_pixels(&self, views: &[usize], max_side: Option<u32>) -> f64 {
+        let pixels = |&view: &usize| {
+            let Intrinsics { width, height, .. } = self.views[view].intrinsics;
+            image::size_within([width as u32, height as u32], max_side).map(f64::from).iter().product::<f64>()
+        };
+        views.iter().map(pixels).sum::<f64>() / views.len().max(1) as f64
+    }
+}
+
 /// Points of a sparse reconstruction.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PointCloud {

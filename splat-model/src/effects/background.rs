@@ -11,12 +11,11 @@
 //!
 //! Directions use the photographs' given poses, also while poses are refined.
 
-use std::collections::BTreeMap;
 use std::io;
 use std::path::{Path, PathBuf};
 
 use burn::tensor::{Device, Gradients, Tensor, TensorData};
-use glam::{DAffine3, DVec2};
+use glam::{DAffine3, DMat3, DVec2, DVec3};
 use rand::{Rng, RngExt};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -52,7 +51,7 @@ pub enum Backdrop {
 /// Learning rates of colours and coefficients, as for exposures.
 const RATE: Falling = Falling { from: 0.01, to: 0.001 };
 
-/// Memory for the values of the harmonics in each photograph's pixels. Beyond it they are computed at each step.
+/// Memory for the values of the harmonics in each camera's pixels. Beyond it they are computed at each step.
 const CACHE_BYTES: usize = 256 << 20;
 
 /// A background in a file or on the command line.
@@ -231,48 +230,88 @@ impl Effect for LearnedBackground {
 }
 
 /// A learned environment in spherical harmonics.
+///
+/// Photographs of one camera share the values of the harmonics in the directions of the camera's frame. The coefficients are
+/// rotated into the frame of each photograph instead.
 pub struct Environment {
-    /// `[(degree+1)², 3]`
+    /// `[(degree+1)², 3]`, world frame.
     coefficients: Learned<2>,
     degree: usize,
-    /// Given poses of the photographs, `cam_from_world`.
-    poses: Vec<DAffine3>,
-    /// `[(degree+1)², H, W]` by photograph, with the picture size for which it was computed.
-    cache: BTreeMap<usize, ([usize; 2], Tensor<3>)>,
+    /// `[(degree+1)², (degree+1)²]` by photograph: coefficients in its camera's frame from those in the world frame.
+    rotations: Vec<Tensor<2>>,
+    /// `[(degree+1)², H, W]` by camera, in its frame.
+    cache: Vec<(Intrinsics, Tensor<3>)>,
     cached_bytes: usize,
 }
 
 impl Environment {
     /// Grey light around photographs of the given poses, `cam_from_world`, in harmonics of `degree`, 0 to 4.
-    pub fn new(degree: usize, poses: Vec<DAffine3>, device: &Device) -> Self {
+    pub fn new(degree: usize, poses: &[DAffine3], device: &Device) -> Self {
         let coefficients = Learned::new(Tensor::zeros([(degree + 1) * (degree + 1), 3], device));
-        Self { coefficients, degree, poses, cache: BTreeMap::new(), cached_bytes: 0 }
+        let rotation = |pose: &DAffine3| rotation_of_harmonics(&pose.matrix3, degree, device);
+        let rotations = poses.iter().map(rotation).collect();
+        Self { coefficients, degree, rotations, cache: Vec::new(), cached_bytes: 0 }
     }
 
     /// The render over black of a photograph's camera, composited over the environment.
     fn behind(&mut self, image: Tensor<3>, alpha: Tensor<3>, view: usize, camera: &Intrinsics) -> Tensor<3> {
-        let harmonics = Tensor::from_inner(self.harmonics_of(view, camera));
-        over(&image, &alpha, &harmonics, &self.coefficients.tracked())
+        let harmonics = Tensor::from_inner(self.harmonics_of(camera));
+        let rotation = Tensor::from_inner(self.rotations[view].clone());
+        over(&image, &alpha, &harmonics, &rotation.matmul(self.coefficients.tracked()))
     }
 
-    fn harmonics_of(&mut self, view: usize, camera: &Intrinsics) -> Tensor<3> {
-        let size = [camera.width, camera.height];
-        let kept = self.cache.get(&view).filter(|(of, _)| *of == size);
-        if let Some((_, harmonics)) = kept {
+    fn harmonics_of(&mut self, camera: &Intrinsics) -> Tensor<3> {
+        if let Some((_, harmonics)) = self.cache.iter().find(|(of, _)| of == camera) {
             return harmonics.clone();
         }
         let device = self.coefficients.value().device();
-        let harmonics = harmonics_of(camera, &self.poses[view], self.degree, &device);
-        let bytes = |harmonics: &Tensor<3>| harmonics.shape().num_elements() * size_of::<f32>();
-        if let Some((_, stale)) = self.cache.remove(&view) {
-            self.cached_bytes -= bytes(&stale);
-        }
-        if self.cached_bytes + bytes(&harmonics) <= CACHE_BYTES {
-            self.cached_bytes += bytes(&harmonics);
-            self.cache.insert(view, (size, harmonics.clone()));
+        let harmonics = harmonics_of(camera, &DAffine3::IDENTITY, self.degree, &device);
+        let bytes = harmonics.shape().num_elements() * size_of::<f32>();
+        if self.cached_bytes + bytes <= CACHE_BYTES {
+            self.cached_bytes += bytes;
+            self.cache.push((*camera, harmonics.clone()));
         }
         harmonics
     }
+}
+
+/// Gauss-Legendre nodes and weights of order 5 on −1 to 1 (Abramowitz and Stegun 1964, table 25.4).
+const NODES: [(f64, f64); 5] = [
+    (0.0, 0.568_888_888_888_888_9),
+    (0.538_469_310_105_683_1, 0.478_628_670_499_366_47),
+    (-0.538_469_310_105_683_1, 0.478_628_670_499_366_47),
+    (0.906_179_845_938_664, 0.236_926_885_056_189_08),
+    (-0.906_179_845_938_664, 0.236_926_885_056_189_08),
+];
+
+/// Number of directions around the axis for each node.
+const AROUND: usize = 10;
+
+/// `[(degree+1)², (degree+1)²]`: the coefficients in the camera's frame of a function that has given coefficients in the world
+/// frame.
+///
+/// Rotated harmonics are sums of the harmonics of their degree, `Yₐ(R d) = Σ M_ab Y_b(d)` with `R` the rotation
+/// world-from-camera, so the function has `Σₐ M_ab cₐ` in the camera's frame. As the harmonics are orthonormal, `M_ab` is the
+/// integral of `Yₐ(R d) Y_b(d)` over the sphere. The sum over 5 × 10 directions is exact for polynomials up to degree 9, and
+/// products of two harmonics of degree 4 have 8.
+fn rotation_of_harmonics(cam_from_world: &DMat3, degree: usize, device: &Device) -> Tensor<2> {
+    let (world_from_cam, count) = (cam_from_world.transpose(), (degree + 1) * (degree + 1));
+    let mut rotation = vec![0.0; count * count];
+    for (z, weight) in NODES {
+        for i in 0..AROUND {
+            let (sin, cos) = (std::f64::consts::TAU * i as f64 / AROUND as f64).sin_cos();
+            let around = (1.0 - z * z).sqrt();
+            let direction = DVec3::new(around * cos, around * sin, z);
+            let in_camera = harmonics(direction.to_array(), degree);
+            let in_world = harmonics((world_from_cam * direction).to_array(), degree);
+            let weight = weight * std::f64::consts::TAU / AROUND as f64;
+            for (b, row) in rotation.chunks_exact_mut(count).enumerate() {
+                row.iter_mut().zip(in_world).for_each(|(value, a)| *value += weight * in_camera[b] * a);
+            }
+        }
+    }
+    let rotation: Vec<f32> = rotation.into_iter().map(|value| value as f32).collect();
+    Tensor::from_data(TensorData::new(rotation, [count, count]), device)
 }
 
 impl Effect for Environment {

@@ -97,34 +97,60 @@ impl Plan {
     }
 }
 
-impl From<&Survey> for Plan {
-    fn from(survey: &Survey) -> Self {
+impl Plan {
+    /// The plan for training on photographs of `pixels_per_view` pixels on average, which decides what effects cost.
+    pub fn of(survey: &Survey, pixels_per_view: f64) -> Self {
+        let at = TrainedSize { megapixels: pixels_per_view / 1e6 };
         let decisions = vec![
             colour::view_dependence(survey),
-            antialias(survey),
-            alpha(survey),
-            colour::exposure(survey),
-            colour::bilateral_grid(survey),
-            masks(survey),
-            pose(survey),
-            environment(survey),
-            depth(survey),
+            antialias(survey, at),
+            alpha(survey, at),
+            colour::exposure(survey, at),
+            colour::bilateral_grid(survey, at),
+            masks(survey, at),
+            pose(survey, at),
+            environment(survey, at),
+            depth(survey, at),
             lens(survey),
-            motion_blur(survey),
-            rolling_shutter(survey),
-            by_name(EffectKind::Defocus, "an open aperture"),
+            motion_blur(survey, at),
+            rolling_shutter(survey, at),
+            by_name(EffectKind::Defocus, "an open aperture", at),
         ];
         Self { decisions }
     }
 }
 
-/// Time per step and megapixel, ms, as measured (see `docs/EFFECTS.md`).
-const MASKS_MS_PER_MEGAPIXEL: f64 = 20.0;
-const ENVIRONMENT_MS_PER_MEGAPIXEL: f64 = 60.0;
-const ALPHA_MS_PER_MEGAPIXEL: f64 = 60.0;
+impl From<&Survey> for Plan {
+    /// The plan for training on photographs at full size.
+    fn from(survey: &Survey) -> Self {
+        Self::of(survey, survey.pixels_per_view)
+    }
+}
 
-/// Time per step for tensor code on the ellipses of about ten thousand Gaussians, ms.
-const OPTICS_MS: f64 = 10.0;
+/// The size of the photographs in training.
+#[derive(Clone, Copy)]
+struct TrainedSize {
+    megapixels: f64,
+}
+
+impl TrainedSize {
+    /// The time per step of an effect that takes `fixed` ms and `each` ms per megapixel (see `docs/EFFECTS.md`).
+    fn ms(self, (fixed, each): (f64, f64)) -> f64 {
+        fixed + each * self.megapixels
+    }
+}
+
+/// Times per step: a constant part, ms, and a part per megapixel, ms, measured on the demo capture at 0.02 megapixels and on
+/// `fox_colmap` at 0.52 (see `docs/EFFECTS.md`).
+const ANTIALIAS_MS: (f64, f64) = (2.8, 4.0);
+const MASKS_MS: (f64, f64) = (0.1, 2.0);
+const ENVIRONMENT_MS: (f64, f64) = (0.6, 19.0);
+const ALPHA_MS: (f64, f64) = (0.6, 0.6);
+const POSE_MS: (f64, f64) = (1.7, 0.7);
+const DEPTH_MS: (f64, f64) = (0.6, 8.5);
+const MOTION_MS: (f64, f64) = (8.0, 2.5);
+const SHUTTER_MS: (f64, f64) = (8.8, 0.3);
+const DEFOCUS_MS: (f64, f64) = (70.0, 400.0);
 
 const MIB: f64 = (1 << 20) as f64;
 
@@ -142,7 +168,7 @@ fn percent(share: f64) -> String {
     format!("{:.1}%", 100.0 * share)
 }
 
-fn antialias(survey: &Survey) -> Decision {
+fn antialias(survey: &Survey, at: TrainedSize) -> Decision {
     let rule = format!("on if the sizes of a twentieth of the points differ by a factor above {FOOTPRINT_RATIO}");
     let (on, evidence) = known(&survey.footprint, "no point is visible in several photographs", |found| {
         let evidence = format!(
@@ -151,21 +177,23 @@ fn antialias(survey: &Survey) -> Decision {
         );
         (found.largest_ratio > FOOTPRINT_RATIO, evidence)
     });
-    decide(EffectKind::Antialias, on, evidence, rule, None)
+    // The filter's standard deviation of each Gaussian, of which there are a few for each point.
+    let cost = Cost { ms_per_step: at.ms(ANTIALIAS_MS), mib: survey.points as f64 * 4.0 / MIB };
+    decide(EffectKind::Antialias, on, evidence, rule, Some(cost))
 }
 
-fn alpha(survey: &Survey) -> Decision {
+fn alpha(survey: &Survey, at: TrainedSize) -> Decision {
     let with = survey.files.with_alpha;
     let evidence = match with {
         0 => "every photograph is opaque".into(),
         _ => format!("{with} photographs have transparent pixels, or an alpha channel that was not decoded"),
     };
     let rule = "on if a photograph has an alpha channel that is not opaque".into();
-    let cost = Cost { ms_per_step: ALPHA_MS_PER_MEGAPIXEL * survey.pixels_per_view / 1e6, mib: 0.0 };
+    let cost = Cost { ms_per_step: at.ms(ALPHA_MS), mib: 0.0 };
     decide(EffectKind::Alpha, with > 0, evidence, rule, Some(cost))
 }
 
-fn masks(survey: &Survey) -> Decision {
+fn masks(survey: &Survey, at: TrainedSize) -> Decision {
     let files = &survey.files;
     let evidence = match files.with_mask {
         0 => "no folder `masks` or `mask` has a file for a photograph".into(),
@@ -176,8 +204,8 @@ fn masks(survey: &Survey) -> Decision {
         ),
     };
     let rule = "on if a photograph has a mask".into();
-    let mib = files.with_mask as f64 * survey.pixels_per_view / MIB;
-    let cost = Cost { ms_per_step: MASKS_MS_PER_MEGAPIXEL * survey.pixels_per_view / 1e6, mib };
+    let mib = files.with_mask as f64 * 1e6 * at.megapixels / MIB;
+    let cost = Cost { ms_per_step: at.ms(MASKS_MS), mib };
     decide(EffectKind::Masks, files.with_mask > 0, evidence, rule, Some(cost))
 }
 
@@ -204,7 +232,7 @@ fn rows_explain(survey: &Survey) -> bool {
     wrong && survey.shutter.as_ref().is_some_and(rows)
 }
 
-fn rolling_shutter(survey: &Survey) -> Decision {
+fn rolling_shutter(survey: &Survey, at: TrainedSize) -> Decision {
     let rule = format!(
         "on if the mean reprojection error exceeds {POSE_PX} px, and camera motion during readout leaves less than {} of it and \
          less than other poses do",
@@ -216,11 +244,11 @@ fn rolling_shutter(survey: &Survey) -> Decision {
             format!("camera motion during readout would leave {rows} of the reprojection error, other poses {poses}");
         (rows_explain(survey), evidence)
     });
-    let cost = Cost { ms_per_step: OPTICS_MS, mib: survey.views as f64 * 3.0 * 6.0 * 4.0 / MIB };
+    let cost = Cost { ms_per_step: at.ms(SHUTTER_MS), mib: survey.views as f64 * 3.0 * 6.0 * 4.0 / MIB };
     decide(EffectKind::RollingShutter, on, evidence, rule, Some(cost))
 }
 
-fn pose(survey: &Survey) -> Decision {
+fn pose(survey: &Survey, at: TrainedSize) -> Decision {
     let rule = format!("on if the mean reprojection error exceeds {POSE_PX} px and no rolling shutter causes it");
     let (on, evidence) = known(&survey.pose, "no reprojection error", |pose| {
         let source = match pose.source {
@@ -233,11 +261,11 @@ fn pose(survey: &Survey) -> Decision {
         (mean > POSE_PX && !rows_explain(survey), evidence)
     });
     // Projection and shading in two passes, the gradient of the pose, and some forty operations on twelve numbers.
-    let cost = Cost { ms_per_step: 5.0, mib: survey.views as f64 * 3.0 * 6.0 * 4.0 / MIB };
+    let cost = Cost { ms_per_step: at.ms(POSE_MS), mib: survey.views as f64 * 3.0 * 6.0 * 4.0 / MIB };
     decide(EffectKind::PoseRefinement, on, evidence, rule, Some(cost))
 }
 
-fn environment(survey: &Survey) -> Decision {
+fn environment(survey: &Survey, at: TrainedSize) -> Decision {
     let rule = format!(
         "on if more than {} of the points are that far away and no photograph has transparent parts",
         percent(FAR_SHARE)
@@ -252,22 +280,22 @@ fn environment(survey: &Survey) -> Decision {
         );
         (*far_share > FAR_SHARE && survey.files.with_alpha == 0, evidence)
     });
-    let cost = Cost { ms_per_step: ENVIRONMENT_MS_PER_MEGAPIXEL * survey.pixels_per_view / 1e6, mib: 0.0 };
+    let cost = Cost { ms_per_step: at.ms(ENVIRONMENT_MS), mib: 0.0 };
     decide(EffectKind::Environment, on, evidence, rule, Some(cost))
 }
 
-fn depth(survey: &Survey) -> Decision {
+fn depth(survey: &Survey, at: TrainedSize) -> Decision {
     let rule = format!("on if there is a folder of depth maps, or tracks and fewer than {FEW_VIEWS} photographs");
     let few = survey.views < FEW_VIEWS && survey.source == ObservationSource::Tracks;
     let evidence = match &survey.files.depth_maps {
         None => format!("{} photographs, no depth maps", survey.views),
         Some(folder) => format!("{} photographs and depth maps in {folder:?}", survey.views),
     };
-    let cost = Cost { ms_per_step: 5.0, mib: survey.observations_compared as f64 * 8.0 / MIB };
+    let cost = Cost { ms_per_step: at.ms(DEPTH_MS), mib: survey.observations_compared as f64 * 8.0 / MIB };
     decide(EffectKind::DepthSupervision, few || survey.files.depth_maps.is_some(), evidence, rule, Some(cost))
 }
 
-fn motion_blur(survey: &Survey) -> Decision {
+fn motion_blur(survey: &Survey, at: TrainedSize) -> Decision {
     let rule = format!("on if the least sharp twentieth has less than {BLUR_RATIO} of the median sharpness");
     let blur = &survey.blur;
     let (on, evidence) = match (blur.median, blur.least) {
@@ -280,14 +308,14 @@ fn motion_blur(survey: &Survey) -> Decision {
         }
         _ => (false, "not known: no photograph has any detail".into()),
     };
-    let cost = Cost { ms_per_step: OPTICS_MS, mib: survey.views as f64 * 3.0 * 6.0 * 4.0 / MIB };
+    let cost = Cost { ms_per_step: at.ms(MOTION_MS), mib: survey.views as f64 * 3.0 * 6.0 * 4.0 / MIB };
     decide(EffectKind::MotionBlur, on, evidence, rule, Some(cost))
 }
 
 /// The decision on an effect that no evidence detects.
-fn by_name(effect: EffectKind, what: &str) -> Decision {
+fn by_name(effect: EffectKind, what: &str, at: TrainedSize) -> Decision {
     let evidence = format!("not known: no measurement distinguishes {what} from other faults");
-    let cost = Cost { ms_per_step: OPTICS_MS, mib: 0.0 };
+    let cost = Cost { ms_per_step: at.ms(DEFOCUS_MS), mib: 0.0 };
     decide(effect, false, evidence, "on by name only".into(), Some(cost))
 }
 

@@ -39,9 +39,9 @@ pub(super) fn culled(ellipses: &Ellipses) -> Tensor<1, Bool> {
     ellipses.depth.clone().equal_elem(0.0)
 }
 
-/// Column `axis` of `[N, 2]`, as `[N]`.
-pub(super) fn column(pairs: &Tensor<2>, axis: usize) -> Tensor<1> {
-    pairs.clone().narrow(1, axis, 1).squeeze_dim(1)
+/// Column `axis` of a matrix with `N` rows, as `[N]`.
+pub(super) fn column(rows: &Tensor<2>, axis: usize) -> Tensor<1> {
+    rows.clone().narrow(1, axis, 1).squeeze_dim(1)
 }
 
 /// Stacks two `[N]` tensors to `[N, 2]`.
@@ -51,7 +51,7 @@ pub(super) fn pairs(x: Tensor<1>, y: Tensor<1>) -> Tensor<2> {
 
 /// `√(a² + b²)` for values that are not both zero. The larger value is factored out as a constant to avoid overflow. The
 /// result does not depend on that factor, so it is detached.
-fn hypotenuse(a: Tensor<1>, b: Tensor<1>) -> Tensor<1> {
+pub(super) fn hypotenuse<const D: usize>(a: Tensor<D>, b: Tensor<D>) -> Tensor<D> {
     let larger = a.clone().abs().max_pair(b.clone().abs()).detach();
     ((a / larger.clone()).square() + (b / larger.clone()).square()).sqrt() * larger
 }

@@ -6,9 +6,8 @@
 //! `s/ν²`, `s = 0.2`: its variances become `σ² + s/ν²`, and its opacity is multiplied by `√(|Σ|/|Σ′|)`, so that its
 //! integral stays the same. From closer than in training, the scene then shows no needles that no photograph showed.
 //!
-//! Everything is computed in logarithms: with `p = ln(1 + exp(2 (ln g − ln σ)))` and `g² = s/ν²`, the logarithm of each
-//! standard deviation grows by `p/2`, and the logarithm of the opacity falls by the sum of the three `p/2`. The
-//! determinants, sixth powers of lengths, are never computed: in f32 they are zero from 10⁻⁷ scene units down.
+//! No determinant is computed, because sixth powers of lengths are zero in f32 from 10⁻⁷ scene units down. Each standard deviation
+//! becomes a hypotenuse, `σ′ = √(σ² + g²)` with `g² = s/ν²`, and the opacity is multiplied by the three ratios `σ/σ′`.
 //!
 //! The filter is part of the render. A file holds Gaussians that are already convolved, as other viewers expect.
 
@@ -17,6 +16,7 @@ use glam::{DAffine3, DVec3, Vec3};
 use rayon::prelude::*;
 use splat_op::{Intrinsics, Projector, Splats};
 
+use super::screen::{column, hypotenuse};
 use super::{Effect, EffectContext, EffectKind, RenderInput};
 use crate::gaussians::{GaussianRows, Gaussians, values_of};
 use crate::state::{State, StateError};
@@ -30,9 +30,6 @@ const EVERY: usize = 100;
 /// A centre counts as visible up to this share of the picture beyond its border, because its Gaussian may extend into the
 /// picture.
 const MARGIN: f64 = 0.15;
-
-/// Bound on the logarithms of standard deviations. [`splat_op::activate`] masks Gaussians beyond it anyway.
-const LARGEST_LOG: f32 = 88.0;
 
 /// A camera that photographs the scene.
 struct Sampler {
@@ -103,12 +100,13 @@ impl Smoothing {
         self.found_at = step;
     }
 
-    /// The convolved Gaussians. `log_scales` `[N, 3]` are the parameters from which `splats` were made. Differentiable.
-    fn apply(&self, splats: Splats, log_scales: Tensor<2>) -> Splats {
-        let Some(widths) = &self.ln_widths else { return splats };
-        let widths = if log_scales.is_autodiff() { Tensor::from_inner(widths.clone()) } else { widths.clone() };
-        let (scales, share) = convolved(log_scales, widths);
-        Splats { scales: scales.exp(), opacities: splats.opacities * share.exp(), ..splats }
+    /// The convolved Gaussians. Differentiable.
+    fn apply(&self, splats: Splats) -> Splats {
+        let Some(ln_widths) = &self.ln_widths else { return splats };
+        let widths = ln_widths.clone().exp();
+        let widths = if splats.scales.is_autodiff() { Tensor::from_inner(widths) } else { widths };
+        let (scales, share) = convolved(splats.scales, widths);
+        Splats { scales, opacities: splats.opacities * share, ..splats }
     }
 }
 
@@ -119,7 +117,7 @@ impl Effect for Smoothing {
 
     fn before(&mut self, input: &mut RenderInput, gaussians: &Gaussians, at: EffectContext) {
         self.follow(gaussians, at.step);
-        input.splats = self.apply(input.splats.clone(), gaussians.log_scales.val());
+        input.splats = self.apply(input.splats.clone());
     }
 
     fn forget_rows(&mut self) {
@@ -160,16 +158,13 @@ impl Effect for Smoothing {
     }
 }
 
-/// Logarithms of the new standard deviations, `[N, 3]`, and of the factor of the opacity, `[N]`.
-fn convolved(log_scales: Tensor<2>, ln_widths: Tensor<2>) -> (Tensor<2>, Tensor<1>) {
-    // Unusable Gaussians are masked elsewhere. Here they must only not become NaN.
-    let unusable = log_scales.clone().abs().lower_equal_elem(LARGEST_LOG).bool_not();
-    let log_scales = log_scales.mask_fill(unusable, 0.0);
-    let excess = (ln_widths - log_scales.clone()) * 2.0;
-    // ln(1 + eˣ) without overflow. (x + |x|)/2 is used instead of max(x, 0), whose derivative at 0 is not one half.
-    let size = excess.clone().abs();
-    let grown = (excess + size.clone()) * 0.25 + size.neg().exp().log1p() * 0.5;
-    (log_scales + grown.clone(), grown.sum_dim(1).squeeze_dim::<1>(1).neg())
+/// The new standard deviations, `[N, 3]`, and the factor of the opacity, `[N]`. `widths` `[N, 1]` are positive.
+fn convolved(scales: Tensor<2>, widths: Tensor<2>) -> (Tensor<2>, Tensor<1>) {
+    let widths = widths.expand(scales.dims());
+    let convolved = hypotenuse(scales.clone(), widths);
+    let shares = scales / convolved.clone();
+    let [x, y, z] = [0, 1, 2].map(|axis| column(&shares, axis));
+    (convolved, x * y * z)
 }
 
 /// `ln(1 + eˣ)`.

@@ -1,52 +1,82 @@
 //! Measured cost of a run's effects: the time of a step with and without each effect, at the end of the run.
 
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use burn::tensor::Tensor;
+use serde::Serialize;
 use splat_op::Rendered;
 
 use super::differentiate::Batch;
 use super::{TrainError, Trainer};
-use crate::effects::plan::Cost;
 use crate::effects::{Effect, EffectKind};
 
-/// Number of timed pairs of steps. The fastest of each counts, because other load on the machine only adds time.
-const PAIRS: usize = 9;
+/// Number of timed pairs of steps: the median of 31 differences, or of fewer, but nine, after [`ENOUGH`].
+const PAIRS: std::ops::RangeInclusive<usize> = 9..=31;
+
+/// Time of the pairs after which nine suffice.
+const ENOUGH: Duration = Duration::from_secs(10);
 
 /// The photograph of the timed steps.
 const VIEW: usize = 0;
 
+/// Measured cost of an effect.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct MeasuredCost {
+    /// Time that the effect adds to a step, ms.
+    pub ms_per_step: f64,
+    /// Time of a step without it, from the render to the gradients, ms.
+    pub without_ms: f64,
+    /// Memory, MiB.
+    pub mib: f64,
+}
+
 impl Trainer {
-    /// Cost of `effect` in a step on the first photograph, at the current state of the run: time, ms, and memory, MiB.
-    /// Effects between render and loss are timed without the render, whose time would hide theirs. No parameter changes.
-    /// `None` for effects that are not part of a step, and for effects that are off. Motion blur, rolling shutters and
-    /// defocus are timed together.
+    /// Cost of `effect` in a step on the first photograph, at the current state of the run. Steps with and without it are timed
+    /// in turn; the result is the median of the differences. Effects between render and loss are timed without the render, whose
+    /// time would hide theirs. The update of an effect's own parameters is not included. No parameter changes. `None` for
+    /// effects that are not part of a step, and for effects that are off. Motion blur, rolling shutters and defocus are timed
+    /// together.
     ///
     /// # Errors
     /// If the render operation rejects the scene.
-    pub fn cost_of(&mut self, effect: EffectKind) -> Result<Option<Cost>, TrainError> {
+    pub fn cost_of(&mut self, effect: EffectKind) -> Result<Option<MeasuredCost>, TrainError> {
         let Some(bytes) = self.bytes_of(effect) else { return Ok(None) };
-        let in_the_camera = matches!(effect, EffectKind::Exposure | EffectKind::BilateralGrid | EffectKind::Masks);
-        let time = |run: &mut Self| match in_the_camera {
-            true => run.time_loss(),
-            false => run.time_step(),
+        let time = match effect {
+            EffectKind::Exposure | EffectKind::BilateralGrid | EffectKind::Masks => Self::time_loss,
+            _ => Self::time_step,
         };
-        // The first run compiles kernels and prepares photographs.
+        // The first runs compile kernels and prepare photographs.
         time(self)?;
-        let mut fastest_ms = [f64::INFINITY; 2];
-        for _ in 0..PAIRS {
-            fastest_ms[0] = time(self)?.min(fastest_ms[0]);
-            let (options, off) = (self.options, self.effects.take(effect.in_stack()));
-            self.options.antialias &= effect != EffectKind::Antialias;
-            self.views.ignore_masks(effect == EffectKind::Masks);
-            let without_ms = time(self);
-            self.options = options;
-            off.into_iter().for_each(|off| self.effects.put_back(off));
-            self.views.ignore_masks(false);
-            fastest_ms[1] = without_ms?.min(fastest_ms[1]);
+        self.without(effect, time)?;
+        let start = Instant::now();
+        let (mut differences_ms, mut steps_ms) = (Vec::new(), Vec::new());
+        while differences_ms.len() < *PAIRS.start() || (differences_ms.len() < *PAIRS.end() && start.elapsed() < ENOUGH)
+        {
+            let with_ms = time(self)?;
+            differences_ms.push(with_ms - self.without(effect, time)?);
+            if steps_ms.len() < *PAIRS.start() {
+                steps_ms.push(self.without(effect, Self::time_step)?);
+            }
         }
         let mib = bytes as f64 / (1 << 20) as f64;
-        Ok(Some(Cost { ms_per_step: fastest_ms[0] - fastest_ms[1], mib }))
+        let [ms_per_step, without_ms] = [median(&mut differences_ms), median(&mut steps_ms)];
+        Ok(Some(MeasuredCost { ms_per_step, without_ms, mib }))
+    }
+
+    /// Runs a measurement while an effect is off.
+    fn without(
+        &mut self,
+        effect: EffectKind,
+        time: impl Fn(&mut Self) -> Result<f64, TrainError>,
+    ) -> Result<f64, TrainError> {
+        let (options, off) = (self.options, self.effects.take(effect.in_stack()));
+        self.options.antialias &= effect != EffectKind::Antialias;
+        self.views.ignore_masks(effect == EffectKind::Masks);
+        let without_ms = time(self);
+        self.options = options;
+        off.into_iter().for_each(|off| self.effects.put_back(off));
+        self.views.ignore_masks(false);
+        without_ms
     }
 
     /// Memory that an effect keeps between steps, bytes. `None` if it is off or not part of a step.
@@ -82,4 +112,10 @@ impl Trainer {
         let _ = gradient.map(|gradient| gradient.sum().into_data());
         Ok(start.elapsed().as_secs_f64() * 1e3)
     }
+}
+
+/// The median of values, of which there is one at least; 0 otherwise.
+fn median(values: &mut [f64]) -> f64 {
+    values.sort_unstable_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or_default()
 }

@@ -51,8 +51,8 @@ pub(super) fn of(
             return Err(TrainError::EnvironmentDegree(degree));
         }
         Backdrop::Environment { degree } => {
-            let poses = photos.iter().map(|photo| photo.cam_from_world).collect();
-            stack.put(Environment::new(degree, poses, device));
+            let poses: Vec<_> = photos.iter().map(|photo| photo.cam_from_world).collect();
+            stack.put(Environment::new(degree, &poses, device));
         }
     }
     if let Some(exposure) = config.exposure {

@@ -15,6 +15,9 @@ pub struct Resolution {
     pub full_from: f64,
 }
 
+/// Number of steps with smaller photographs in [`Resolution::within_time`].
+const COARSE_STEPS: usize = 1_000;
+
 impl Resolution {
     /// Largest accepted divisor.
     pub const DIVISOR_MAX: usize = 16;
@@ -22,6 +25,14 @@ impl Resolution {
     /// Photographs of full size from the first step. With another divisor, photographs are smaller in the first half of the
     /// run.
     pub const FULL: Self = Self { coarsest_divisor: 1, full_from: 0.5 };
+
+    /// The schedule with which a run that has a time instead of a number of steps reaches most, if that time suffices for
+    /// `steps`: smaller photographs in the first 1,000 steps, but in at most 0.7 of the run. `docs/ACCURACY.md` holds the
+    /// measurements.
+    pub fn within_time(steps: usize) -> Self {
+        let coarsest_divisor = if steps <= COARSE_STEPS { 8 } else { 4 };
+        Self { coarsest_divisor, full_from: (COARSE_STEPS as f64 / steps.max(1) as f64).min(0.7) }
+    }
 
     /// Divisor of the sides at `step`, counted from 1, in a run of `steps` steps.
     pub fn divisor_at(&self, step: usize, steps: usize) -> usize {
@@ -61,6 +72,16 @@ mod tests {
         let schedule = Resolution { coarsest_divisor: 2, full_from: 0.25 };
         let last = (1..=1000).filter(|&step| schedule.divisor_at(step, 1000) == 2).max();
         assert_eq!(last, Some(250));
+    }
+
+    #[test]
+    fn a_run_within_a_time_begins_with_a_thousand_small_steps() {
+        let of = |steps| {
+            let Resolution { coarsest_divisor, full_from } = Resolution::within_time(steps);
+            (coarsest_divisor, full_from)
+        };
+        assert_eq!([0, 500, 2_000, 10_000].map(of), [(8, 0.7), (8, 0.7), (4, 0.5), (4, 0.1)]);
+        assert!((0..5_000).step_by(7).all(|steps| Resolution::within_time(steps).is_valid()));
     }
 
     #[test]

@@ -8,7 +8,8 @@
 //! Gradients, with `g = ∂out`: `∂colour = g`, `∂α = −⟨g, sky⟩`, `∂cₖ = Σ Yₖ(d) (1 − α) g` over the pixels, in a fixed order, so that
 //! every run has the same bits.
 //!
-//! The values of the harmonics belong to a camera and its pose, so the caller keeps them from step to step.
+//! The values of the harmonics belong to a camera, so the caller keeps them from step to step. With directions in the camera's frame
+//! and coefficients rotated into it, they serve every photograph of that camera.
 
 pub(crate) mod cpu;
 #[cfg(all(test, feature = "cube"))]

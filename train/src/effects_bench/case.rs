@@ -6,8 +6,8 @@ use anyhow::{Context, Result, bail};
 use clap::Parser;
 use splat_model::capture::demo::DemoOptions;
 use splat_model::capture::{Capture, write_binary_with_tracks};
-use splat_model::effects::plan::Cost;
 use splat_model::effects::{EffectKind, Plan, Survey};
+use splat_model::trainer::MeasuredCost;
 use splat_op::{CameraModel, Intrinsics};
 
 use crate::options::{Cli, Command};
@@ -224,8 +224,8 @@ pub struct EffectGain {
     pub score_db: [f64; 2],
     /// Training times, s.
     pub seconds: [f64; 2],
-    /// Cost of the effect in a step, ms and MiB, from `metrics.json` of the run with it.
-    pub cost: Option<Cost>,
+    /// Cost of the effect in a step, from `metrics.json` of the run with it.
+    pub cost: Option<MeasuredCost>,
 }
 
 impl EffectCase {

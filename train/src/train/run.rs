@@ -93,7 +93,8 @@ fn to_the_end(mut args: TrainArgs, kept: Option<SavedRun>, change: impl FnOnce(T
     args.capture = args.capture.map(|capture| std::path::absolute(&capture).unwrap_or(capture));
     args.lpips = args.lpips.from_anywhere();
     let (split, photo_args) = args.photos.split(&capture);
-    let mut effects = args.effects.choose(&capture, split.require_train()?, args.model.antialias)?;
+    let (seen, max_side) = (split.require_train()?, args.photos.max_side);
+    let mut effects = args.effects.choose(&capture, seen, args.model.antialias, max_side)?;
     effects.configure(&mut config, args.background, args.sh_degree);
     let available = budget::available();
     let cache = budget::cache(args.cache_mb, available);

@@ -64,7 +64,7 @@ fn an_environment_is_learnt() {
     let poses: Vec<DAffine3> = (0..4)
         .map(|i| pose * DAffine3::from_rotation_y(1.5 * f64::from(i)) * DAffine3::from_rotation_z(f64::from(i)))
         .collect();
-    let mut environment = Environment::new(1, poses.clone(), &device);
+    let mut environment = Environment::new(1, &poses, &device);
     let steps = 800;
     for step in 1..=steps {
         let view = step % poses.len();
@@ -78,13 +78,13 @@ fn an_environment_is_learnt() {
     for (found, expected) in found.as_flattened().iter().zip(lit().as_flattened()) {
         assert!((found - expected).abs() < 0.02, "{found} instead of {expected}");
     }
-    // The harmonics of the four photographs are cached, and those of another size replace them.
-    let per_view = 9 * 7 * 4 * size_of::<f32>();
-    assert_eq!(environment.bytes(), 3 * 12 * size_of::<f32>() + 4 * per_view);
+    // The four photographs share the harmonics of their camera. Those of another size are another camera's.
+    let bytes = (3 * 12 + 9 * 7 * 4) * size_of::<f32>();
+    assert_eq!(environment.bytes(), bytes);
     let half = intrinsics.resized(4, 3);
     let small = |tensor: Tensor<3>| Tensor::from_inner(tensor.slice([0..3, 0..4]));
     environment.behind(small(image), small(alpha), 0, &half);
-    assert_eq!(environment.bytes(), 3 * 12 * size_of::<f32>() + 3 * per_view + 4 * 3 * 4 * size_of::<f32>());
+    assert_eq!(environment.bytes(), bytes + 4 * 3 * 4 * size_of::<f32>());
 }
 
 #[test]
@@ -147,15 +147,47 @@ fn a_learnt_colour_is_one_that_can_be_shown_and_is_learnt() {
     assert_eq!(learnt.bytes(), 36);
 }
 
-/// Harmonics beyond the size of the cache are computed again each time and not counted.
+/// Harmonics beyond the size of the cache are computed again each time and not counted. Photographs of one camera share them.
 #[test]
 fn what_does_not_fit_is_not_kept() {
     let (intrinsics, pose) = camera();
     let device = Device::flex();
-    let mut environment = Environment::new(1, vec![pose; 3], &device);
+    let mut environment = Environment::new(1, &[pose; 3], &device);
     environment.cached_bytes = CACHE_BYTES - 9 * 7 * 4 * size_of::<f32>();
-    for view in 0..3 {
-        environment.harmonics_of(view, &intrinsics);
+    for focal_px in [0.0, 0.0, 1.0] {
+        environment.harmonics_of(&Intrinsics { fx: intrinsics.fx + focal_px, ..intrinsics });
     }
     assert_eq!((environment.cached_bytes, environment.cache.len()), (CACHE_BYTES, 1));
+}
+
+/// The sky from rotated coefficients is that from rotated directions, for every degree and any pose.
+#[test]
+fn coefficients_are_rotated_as_directions_are() {
+    let (intrinsics, _) = camera();
+    let device = Device::flex();
+    let poses: Vec<DAffine3> = (0..5)
+        .map(|i| {
+            let turned =
+                DMat3::from_euler(glam::EulerRot::XYZ, 0.7 * f64::from(i), 2.0 - f64::from(i), 1.3 * f64::from(i));
+            DAffine3::from_mat3_translation(turned, DVec3::new(1.0, 2.0, 3.0))
+        })
+        .collect();
+    for degree in 0..=4 {
+        let count = (degree + 1) * (degree + 1);
+        let light: Vec<[f32; 3]> = (0..count).map(|k| [k as f32, 3.0 - k as f32, 0.5].map(|x| 0.1 * x.sin())).collect();
+        let mut environment = Environment::new(degree, &poses, &device);
+        environment.coefficients =
+            Learned::new(Tensor::from_floats(TensorData::new(light.as_flattened().to_vec(), [count, 3]), &device));
+        for (view, pose) in poses.iter().enumerate() {
+            let nothing = Tensor::zeros([7, 9, 3], &device);
+            let alpha = Tensor::zeros([7, 9, 1], &device);
+            let expected =
+                Background::Environment(light.clone()).behind(nothing.clone(), alpha.clone(), &intrinsics, pose);
+            let tracked = |tensor: Tensor<3>| Tensor::from_inner(tensor);
+            let found = environment.behind(tracked(nothing), tracked(alpha), view, &intrinsics).inner();
+            for (found, expected) in values_of(found).into_iter().zip(values_of(expected)) {
+                assert!((found - expected).abs() < 2e-6, "degree {degree}, view {view}: {found} and {expected}");
+            }
+        }
+    }
 }

@@ -2,7 +2,7 @@
 
 use super::super::EffectKind;
 use super::super::survey::{GradingEvidence, Survey, ViewDependenceEvidence};
-use super::{Cost, Decision, EffectVerdict, MIB, VIEW_DEPENDENCE, decide, known, percent};
+use super::{Cost, Decision, EffectVerdict, MIB, TrainedSize, VIEW_DEPENDENCE, decide, known, percent};
 
 /// Threshold of the brightness differences between photographs, stops of stored values (deviation). Surfaces also look
 /// brighter from some sides than from others, so a smaller difference may belong to the scene.
@@ -30,9 +30,9 @@ const FEWEST_COMPARED: usize = 500;
 /// The reason for a missing comparison of colours.
 const FEW_POINTS: &str = "too few points are visible in several photographs";
 
-/// Time per step and megapixel, ms, as measured (see `docs/EFFECTS.md`).
-const EXPOSURE_MS_PER_MEGAPIXEL: f64 = 40.0;
-const GRID_MS_PER_MEGAPIXEL: f64 = 60.0;
+/// Times per step: a constant part, ms, and a part per megapixel, ms.
+const EXPOSURE_MS: (f64, f64) = (0.1, 9.0);
+const GRID_MS: (f64, f64) = (0.9, 30.0);
 
 /// Decides on the degree of the spherical harmonics instead of an effect. Missing harmonics cost more than idle ones, so
 /// the threshold is close above the share that scenes without view-dependent colour show (`docs/EFFECTS.md`).
@@ -57,7 +57,7 @@ pub(super) fn view_dependence(survey: &Survey) -> Decision {
     Decision { name: VIEW_DEPENDENCE, effect: None, verdict, evidence, rule, predicted: None }
 }
 
-pub(super) fn exposure(survey: &Survey) -> Decision {
+pub(super) fn exposure(survey: &Survey, at: TrainedSize) -> Decision {
     let rule = format!(
         "on if brightness differs by more than {BRIGHTNESS_STOPS} stops or white balance by more than {WHITE_BALANCE_STOPS}, \
          unless `bilateral-grid` is on"
@@ -72,7 +72,7 @@ pub(super) fn exposure(survey: &Survey) -> Decision {
     });
     // Parameters, two moments and a gradient of twelve numbers for each photograph.
     let mib = survey.views as f64 * 4.0 * 12.0 * 4.0 / MIB;
-    let cost = Cost { ms_per_step: EXPOSURE_MS_PER_MEGAPIXEL * survey.pixels_per_view / 1e6, mib };
+    let cost = Cost { ms_per_step: at.ms(EXPOSURE_MS), mib };
     decide(EffectKind::Exposure, on && !is_graded(survey), evidence, rule, Some(cost))
 }
 
@@ -85,7 +85,7 @@ fn is_graded(survey: &Survey) -> bool {
 }
 
 /// Decides on bilateral grids, which are the stronger form of exposures and replace them.
-pub(super) fn bilateral_grid(survey: &Survey) -> Decision {
+pub(super) fn bilateral_grid(survey: &Survey, at: TrainedSize) -> Decision {
     let (on, evidence) = known(&survey.grading, FEW_POINTS, |found| {
         let evidence = format!(
             "one colour map for each photograph leaves a median difference of {:.4} (of 1), maps that vary within the \
@@ -100,9 +100,8 @@ pub(super) fn bilateral_grid(survey: &Survey) -> Decision {
          {} of that",
         percent(PLACES_LEAVE)
     );
-    let megapixels = survey.pixels_per_view / 1e6;
     // Parameters and two moments of 12 x 8 x 16 x 16 numbers for each photograph.
     let mib = survey.views as f64 * 3.0 * 24_576.0 * 4.0 / MIB;
-    let cost = Cost { ms_per_step: GRID_MS_PER_MEGAPIXEL * megapixels, mib };
+    let cost = Cost { ms_per_step: at.ms(GRID_MS), mib };
     decide(EffectKind::BilateralGrid, on, evidence, rule, Some(cost))
 }

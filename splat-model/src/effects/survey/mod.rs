@@ -14,6 +14,7 @@ mod lens;
 mod observations;
 mod pictures;
 mod pose;
+mod selection;
 mod shutter;
 mod view_dependence;
 
@@ -77,8 +78,8 @@ pub struct Survey {
 }
 
 impl Survey {
-    /// Largest number of decoded pixels: about two seconds on two cores. In larger captures, evenly spaced photographs are
-    /// left out.
+    /// Largest number of decoded pixels: about two seconds on two cores. In larger captures, groups of photographs that show the
+    /// same points are decoded.
     pub const MOST_PIXELS: usize = 150_000_000;
 
     /// Surveys all photographs of `capture`.
@@ -97,8 +98,7 @@ impl Survey {
     pub fn of_views(capture: &Capture, views: &[usize]) -> Result<Self, CaptureError> {
         let size = |&view: &usize| capture.views[view].intrinsics.width * capture.views[view].intrinsics.height;
         let pixels: usize = views.iter().map(size).sum();
-        let every = pixels.div_ceil(Self::MOST_PIXELS).max(1);
-        let surveyed: Vec<usize> = views.iter().copied().step_by(every).collect();
+        let surveyed = selection::select(capture, views, Self::MOST_PIXELS);
         let mut observations = observations::PointObservations::of(capture, &surveyed);
         let glances = pictures::look(capture, &surveyed, &mut observations)?;
         let fit = exposure::fit(&observations, capture.views.len());
