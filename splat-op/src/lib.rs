@@ -114,6 +114,8 @@ pub mod options;
 // Maps the unconstrained parameters of an optimiser to the inputs of the stages.
 pub mod activate;
 
+pub mod smooth;
+
 // The stages, in the order in which data flows; the blank lines keep rustfmt from sorting them.
 pub mod project;
 
@@ -132,6 +134,8 @@ pub mod rasterize_rays;
 pub mod bilateral;
 
 pub mod environment;
+
+pub mod optics;
 
 pub mod loss;
 

@@ -67,6 +67,11 @@ pub struct Rendered<const D: usize> {
 }
 
 impl Projected {
+    /// Takes packed ellipses without depth slopes.
+    pub(crate) fn of(packed: Tensor<2>, intrinsics: Intrinsics) -> Self {
+        Self { packed, depth_slope: None, intrinsics }
+    }
+
     /// Returns the packed ellipses, `[N, 7]`.
     pub(crate) fn packed(&self) -> &Tensor<2> {
         &self.packed
@@ -125,7 +130,7 @@ impl Ellipses {
             reference.check(name, &column, [Some(count)], "[N]")?;
             columns.push(column.unsqueeze_dim(1));
         }
-        Ok(Projected { packed: Tensor::cat(columns, 1), depth_slope: None, intrinsics: *intrinsics })
+        Ok(Projected::of(Tensor::cat(columns, 1), *intrinsics))
     }
 }
 

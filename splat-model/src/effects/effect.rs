@@ -18,6 +18,9 @@ use super::learned::EffectContext;
 use crate::gaussians::{GaussianRows, Gaussians};
 use crate::state::{State, StateError};
 
+/// A change of the projected Gaussians.
+type Edit = Rc<dyn Fn(Projected) -> Result<Projected, SplatError>>;
+
 /// The inputs of a render. Effects may change all of them.
 #[derive(Clone)]
 pub struct RenderInput {
@@ -30,23 +33,25 @@ pub struct RenderInput {
     /// Render options.
     pub options: RenderOptions,
     /// See [`Self::edit`].
-    pub(crate) edits: Vec<Rc<dyn Fn(Ellipses) -> Ellipses>>,
+    pub(crate) edits: Vec<Edit>,
 }
 
 impl RenderInput {
     /// Adds an edit of the projected ellipses, applied after earlier edits. A render with edits runs the stages one by one.
     pub fn edit(&mut self, edit: impl Fn(Ellipses) -> Ellipses + 'static) {
+        self.edit_projected(move |projected| edit(projected.ellipses()).pack(projected.intrinsics()));
+    }
+
+    /// Adds an edit by an operation on the packed ellipses, such as those of [`splat_op::optics`]: as [`Self::edit`], without taking the
+    /// ellipses apart.
+    pub fn edit_projected(&mut self, edit: impl Fn(Projected) -> Result<Projected, SplatError> + 'static) {
         self.edits.push(Rc::new(edit));
     }
 
     /// The projected Gaussians, edited.
     pub(crate) fn project(&self) -> Result<Projected, SplatError> {
         let projected = project(&self.splats, &self.camera, &self.extras, &self.options)?;
-        if self.edits.is_empty() {
-            return Ok(projected);
-        }
-        let ellipses = self.edits.iter().fold(projected.ellipses(), |ellipses, edit| edit(ellipses));
-        ellipses.pack(&self.camera.intrinsics)
+        self.edits.iter().try_fold(projected, |projected, edit| edit(projected))
     }
 
     /// Renders the view.

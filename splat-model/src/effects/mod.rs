@@ -7,7 +7,6 @@
 
 pub mod background;
 mod centred;
-pub mod defocus;
 pub mod depth;
 mod effect;
 pub mod exposure;
@@ -18,7 +17,6 @@ pub mod motion;
 pub mod optics;
 pub mod plan;
 pub mod pose;
-pub mod screen;
 pub mod smoothing;
 mod stack;
 pub mod survey;

@@ -1,11 +1,9 @@
 //! Effects during the exposure, learned for each photograph along with the scene: the camera moves while the shutter is
-//! open ([`motion`]), rows are read one after the other ([`motion::rolled`]), and the lens has a focus distance
-//! ([`defocus`]).
+//! open, rows are read one after the other, and the lens has a focus distance.
 //!
-//! Each effect changes the projected ellipses, between [`project`](splat_op::project()) and [`intersect`](splat_op::intersect()), in
-//! the order in which light passes lens, shutter and sensor. That holds for pinholes. For other cameras, motion blur
-//! averages renders from several poses along the motion, at a multiple of the cost. Rolling shutters and defocus are not
-//! supported for them.
+//! Each effect changes the projected ellipses by an operation of [`splat_op::optics`], in the order in which light passes lens, shutter
+//! and sensor. That holds for pinholes. For other cameras, motion blur averages renders from several poses along the motion
+//! ([`motion::poses`]), at a multiple of the cost. Rolling shutters and defocus are not supported for them.
 //!
 //! Defocus averages renders for pinholes too: six positions in the aperture, each of which moves centres by their circle of
 //! confusion and widens ellipses by the blur of its part of the aperture. Widening alone spreads the light of each Gaussian
@@ -17,12 +15,21 @@
 
 use burn::tensor::{Device, Gradients, Tensor};
 use serde::{Deserialize, Serialize};
-use splat_op::{Camera, CameraModel, Ellipses, Intrinsics, RenderOptions};
+use splat_op::optics::{AperturePart, blurred, defocused, rolled};
+use splat_op::{Camera, CameraModel, Intrinsics, Projected, SplatError};
+use thiserror::Error;
 
 use super::learned::{EffectContext, Learned};
-use super::screen::ScreenError;
-use super::{Effect, RenderInput, defocus, motion};
+use super::{Effect, RenderInput, motion};
 use crate::state::{State, StateError};
+
+/// The camera has a lens, and rolling shutters and defocus are simulated for pinholes only.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[error(
+    "the camera model is {0:?}, and rolling shutters and defocus are simulated for Pinhole only: undistort the photographs, or train \
+     without `rolling-shutter` and `defocus`"
+)]
+pub struct LensError(pub CameraModel);
 
 /// Selects the simulated effects.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -65,15 +72,16 @@ const SUB_EXPOSURES: usize = 5;
 /// the disc. The second moments of the positions and of the sixths add up to the disc's.
 const PLACES: usize = 6;
 
-/// Position `i`, in units of the aperture's radius.
-fn place(i: usize) -> [f32; 2] {
+/// Part `i` of the aperture.
+fn part(i: usize) -> AperturePart {
+    let deviation = AperturePart::WHOLE.deviation / (PLACES as f64).sqrt();
     if i == 0 {
-        return [0.0; 2];
+        return AperturePart { place: [0.0; 2], deviation };
     }
     // A disc of radius 1 has variance 1/4 along each axis, a disc of a sixth of its area 1/24. The five outer positions
     // supply the rest: 5/6 · ρ²/2 = 1/4 − 1/24.
     let (radius, angle) = (0.5_f64.sqrt(), std::f64::consts::TAU * i as f64 / (PLACES - 1) as f64);
-    [angle.cos(), angle.sin()].map(|share| (radius * share) as f32)
+    AperturePart { place: [radius * angle.cos(), radius * angle.sin()], deviation }
 }
 
 /// The learned optics of all photographs of a run.
@@ -92,16 +100,16 @@ impl Optics {
     /// Parameters for photographs of these cameras, of a scene of `extent` whose middle is at a distance of `distance`.
     ///
     /// # Errors
-    /// [`ScreenError::Lens`] if rolling shutters or defocus are selected and a camera is not a pinhole.
+    /// [`LensError`] if rolling shutters or defocus are selected and a camera is not a pinhole.
     pub fn new(
         config: OpticsConfig,
         cameras: &[Intrinsics],
         (extent, distance): (f64, f64),
         device: &Device,
-    ) -> Result<Self, ScreenError> {
+    ) -> Result<Self, LensError> {
         let lens = cameras.iter().map(|camera| camera.model).find(|model| *model != CameraModel::Pinhole);
         if let Some(model) = lens.filter(|_| config.rolling || config.defocus) {
-            return Err(ScreenError::Lens(model));
+            return Err(LensError(model));
         }
         let learned = |on: bool, start: &dyn Fn(usize) -> Tensor<2>, reach: Tensor<2>| -> Vec<Learned<2>> {
             let views = 0..if on { cameras.len() } else { 0 };
@@ -123,38 +131,32 @@ impl Optics {
         })
     }
 
-    /// The change of the ellipses in a render of `view` through a position of the aperture. It fails for a camera with a lens.
+    /// The change of the ellipses in a render of `view` through a part of the aperture. `margin` is that of the Jacobian.
     fn edit(
         &mut self,
         view: usize,
-        place: [f32; 2],
-        (camera, options): (Intrinsics, RenderOptions),
-    ) -> impl Fn(Ellipses) -> Result<Ellipses, ScreenError> + use<> {
+        part: AperturePart,
+        margin: f64,
+    ) -> impl Fn(Projected) -> Result<Projected, SplatError> + use<> {
         let extent = self.extent;
-        // Logarithm of the aperture's radius, scene units, and the inverse of the distance in focus, `[1]` each.
         let lens = self.lenses.get_mut(view).map(|lens| {
             let lens = lens.tracked();
-            let log_aperture = lens.clone().narrow(1, 0, 1).reshape([1]) + extent.ln();
-            (log_aperture, lens.narrow(1, 1, 1).reshape([1]) / extent)
+            let log_aperture = lens.clone().narrow(1, 0, 1) + extent.ln();
+            Tensor::cat(vec![log_aperture, lens.narrow(1, 1, 1) / extent], 1).reshape([2])
         });
         let exposure = self.exposures.get_mut(view).map(|exposure| twist(exposure, extent));
         let readout = self.readouts.get_mut(view).map(|readout| twist(readout, extent));
-        move |mut ellipses| {
-            if let Some((log_aperture, inverse_focus)) = &lens {
-                let radii = defocus::confusion(&ellipses, &camera, log_aperture, inverse_focus)?;
-                let place = Tensor::<2>::from_floats([place], &radii.device());
-                ellipses.mean2d = ellipses.mean2d + radii.clone() * place;
-                ellipses = defocus::blurred(ellipses, radii / (PLACES as f64).sqrt());
+        move |mut projected| {
+            if let Some(lens) = &lens {
+                projected = defocused(&projected, lens, part)?;
             }
             if let Some(exposure) = &exposure {
-                let velocity = motion::velocity(&ellipses, &camera, exposure, &options)?;
-                ellipses = motion::blurred(ellipses, velocity);
+                projected = blurred(&projected, exposure, margin)?;
             }
             if let Some(readout) = &readout {
-                let velocity = motion::velocity(&ellipses, &camera, readout, &options)?;
-                ellipses = motion::rolled(ellipses, velocity, camera.height);
+                projected = rolled(&projected, readout, margin)?;
             }
-            Ok(ellipses)
+            Ok(projected)
         }
     }
 }
@@ -172,13 +174,11 @@ impl Effect for Optics {
     }
 
     fn samples(&mut self, input: RenderInput, at: EffectContext) -> Vec<RenderInput> {
-        let (camera, options) = (input.camera.intrinsics, input.options);
-        if camera.model == CameraModel::Pinhole {
+        if input.camera.intrinsics.model == CameraModel::Pinhole {
             let places = if self.lenses.is_empty() { 1 } else { PLACES };
             let through = |i: usize| {
-                let edit = self.edit(at.view, place(i), (camera, options));
                 let mut input = input.clone();
-                input.edit(move |ellipses| edit(ellipses).expect("the camera is a pinhole, as was asked above"));
+                input.edit_projected(self.edit(at.view, part(i), input.options.jacobian_margin));
                 input
             };
             return (0..places).map(through).collect();

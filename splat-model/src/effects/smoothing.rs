@@ -6,17 +6,16 @@
 //! `s/ν²`, `s = 0.2`: its variances become `σ² + s/ν²`, and its opacity is multiplied by `√(|Σ|/|Σ′|)`, so that its
 //! integral stays the same. From closer than in training, the scene then shows no needles that no photograph showed.
 //!
-//! No determinant is computed, because sixth powers of lengths are zero in f32 from 10⁻⁷ scene units down. Each standard deviation
-//! becomes a hypotenuse, `σ′ = √(σ² + g²)` with `g² = s/ν²`, and the opacity is multiplied by the three ratios `σ/σ′`.
+//! [`splat_op::smooth`] has the equations.
 //!
 //! The filter is part of the render. A file holds Gaussians that are already convolved, as other viewers expect.
 
 use burn::tensor::{Device, Tensor};
 use glam::{DAffine3, DVec3, Vec3};
 use rayon::prelude::*;
+use splat_op::smooth::smoothed;
 use splat_op::{Intrinsics, Projector, Splats};
 
-use super::screen::{column, hypotenuse};
 use super::{Effect, EffectContext, EffectKind, RenderInput};
 use crate::gaussians::{GaussianRows, Gaussians, values_of};
 use crate::state::{State, StateError};
@@ -105,8 +104,9 @@ impl Smoothing {
         let Some(ln_widths) = &self.ln_widths else { return splats };
         let widths = ln_widths.clone().exp();
         let widths = if splats.scales.is_autodiff() { Tensor::from_inner(widths) } else { widths };
-        let (scales, share) = convolved(splats.scales, widths);
-        Splats { scales, opacities: splats.opacities * share, ..splats }
+        let (scales, opacities) =
+            smoothed(&splats.scales, &splats.opacities, &widths).expect("a width for each Gaussian");
+        Splats { scales, opacities, ..splats }
     }
 }
 
@@ -156,15 +156,6 @@ impl Effect for Smoothing {
             *logit = logit_of_share(f64::from(*logit), ln_share) as f32;
         }
     }
-}
-
-/// The new standard deviations, `[N, 3]`, and the factor of the opacity, `[N]`. `widths` `[N, 1]` are positive.
-fn convolved(scales: Tensor<2>, widths: Tensor<2>) -> (Tensor<2>, Tensor<1>) {
-    let widths = widths.expand(scales.dims());
-    let convolved = hypotenuse(scales.clone(), widths);
-    let shares = scales / convolved.clone();
-    let [x, y, z] = [0, 1, 2].map(|axis| column(&shares, axis));
-    (convolved, x * y * z)
 }
 
 /// `ln(1 + eˣ)`.

@@ -1,60 +1,15 @@
-//! Helpers for tests of effects on the screen: ellipses from a row of numbers, gradients by differences, and a small scene
-//! that is rendered stage by stage.
+//! Helpers for tests of optics and motion: gradients by differences, and a small scene that is rendered stage by stage, in f64.
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
-use splat_op::{Camera, Colour, Ellipses, Extras, Intrinsics, RenderOptions, Splats, intersect, project, rasterize};
-
-/// Fields of an ellipse.
-pub(super) const FIELDS: usize = 7;
+use splat_op::{Camera, Colour, Extras, Intrinsics, Projected, RenderOptions, Splats, intersect, project, rasterize};
 
 /// `values` as a tensor on the CPU.
-pub(super) fn tensor<const D: usize>(values: &[f64], shape: [usize; D], dtype: DType) -> Tensor<D> {
-    Tensor::from_data(TensorData::new(values.to_vec(), shape), (&Device::flex(), dtype))
+pub(super) fn tensor<const D: usize>(values: &[f64], shape: [usize; D]) -> Tensor<D> {
+    Tensor::from_data(TensorData::new(values.to_vec(), shape), (&Device::flex(), DType::F64))
 }
 
 pub(super) fn host<const D: usize>(tensor: Tensor<D>) -> Vec<f64> {
     tensor.into_data().iter::<f64>().collect()
-}
-
-/// Ellipses from the first `FIELDS · count` of `values`, field by field.
-pub(super) fn ellipses(values: &Tensor<1>, count: usize) -> Ellipses {
-    let field = |i: usize| values.clone().narrow(0, i * count, count);
-    Ellipses {
-        mean2d: values.clone().narrow(0, 0, 2 * count).reshape([count, 2]),
-        sigma_u: field(2),
-        shear: field(3),
-        sigma_v: field(4),
-        depth: field(5),
-        opacity: field(6),
-    }
-}
-
-/// The inverse of [`ellipses`].
-pub(super) fn numbers(ellipses: Ellipses) -> Tensor<1> {
-    let Ellipses { mean2d, sigma_u, shear, sigma_v, depth, opacity } = ellipses;
-    let count = mean2d.dims()[0];
-    Tensor::cat(vec![mean2d.reshape([2 * count]), sigma_u, shear, sigma_v, depth, opacity], 0)
-}
-
-/// Random ellipses in a picture of 64 × 48 px, some of them needles, in the format of `ellipses`.
-pub(super) fn varied(count: usize) -> Vec<f64> {
-    let wave = |i: usize, rate: f64| (rate * (i as f64 + 1.0)).sin();
-    let field = |value: &dyn Fn(usize) -> f64| (0..count).map(value).collect::<Vec<f64>>();
-    let means = (0..count).flat_map(|i| [32.0 + 40.0 * wave(i, 1.3), 24.0 + 30.0 * wave(i, 2.1)]).collect();
-    [
-        means,
-        field(&|i| (2.0 * wave(i, 0.7)).exp()),
-        field(&|i| 3.0 * wave(i, 1.9)),
-        field(&|i| if i % 4 == 1 { 1e-3 } else { (2.0 * wave(i, 0.9)).exp() }),
-        field(&|i| 3.0 + 2.0 * wave(i, 2.7)),
-        field(&|i| 0.5 + 0.4 * wave(i, 3.1)),
-    ]
-    .concat()
-}
-
-/// Vectors like those of `varied`, one row per ellipse.
-pub(super) fn vectors(count: usize, size: f64) -> Vec<f64> {
-    (0..2 * count).map(|i| size * (4.3 * i as f64 + 0.4).cos()).collect()
 }
 
 /// Compares the gradient of a weighted sum of `of(at)` with central differences, in f64.
@@ -63,11 +18,11 @@ pub(super) fn check_gradient(at: &[f64], of: impl Fn(Tensor<1>) -> Tensor<1>) {
     let sum = |values: Tensor<1>| {
         let out = of(values);
         let weights: Vec<f64> = (0..out.dims()[0]).map(|i| (1.7 * i as f64 + 0.3).sin()).collect();
-        let weights = tensor(&weights, [weights.len()], DType::F64);
+        let weights = tensor(&weights, [weights.len()]);
         let weights = if out.is_autodiff() { Tensor::from_inner(weights) } else { weights };
         (out * weights).sum()
     };
-    let variable = tensor(at, [at.len()], DType::F64).autodiff().require_grad();
+    let variable = tensor(at, [at.len()]).autodiff().require_grad();
     let mut gradients = sum(variable.clone()).backward();
     let found = host(variable.grad_remove(&mut gradients).expect("the sum depends on its input"));
     let largest = found.iter().fold(0.0, |most: f64, value| most.max(value.abs()));
@@ -77,7 +32,7 @@ pub(super) fn check_gradient(at: &[f64], of: impl Fn(Tensor<1>) -> Tensor<1>) {
         let moved = |by: f64| {
             let mut values = at.to_vec();
             values[i] += by;
-            host(sum(tensor(&values, [values.len()], DType::F64)))[0]
+            host(sum(tensor(&values, [values.len()])))[0]
         };
         let expected = (moved(step) - moved(-step)) / (2.0 * step);
         let tolerance = 1e-6 * expected.abs() + 1e-8 * largest;
@@ -93,7 +48,7 @@ pub(super) fn camera() -> Intrinsics {
 /// `[3, 4]`: the scene's pose.
 pub(super) fn pose() -> Tensor<2> {
     let (sin, cos) = 0.1_f64.sin_cos();
-    tensor(&[cos, 0.0, sin, 0.1, 0.0, 1.0, 0.0, -0.05, -sin, 0.0, cos, 0.2], [3, 4], DType::F64)
+    tensor(&[cos, 0.0, sin, 0.1, 0.0, 1.0, 0.0, -0.05, -sin, 0.0, cos, 0.2], [3, 4])
 }
 
 /// Gaussians of a few px that hardly overlap, parallel to the image plane, and one behind the camera.
@@ -102,22 +57,23 @@ pub(super) fn scene() -> Splats {
     let scales = [0.25, 0.3, 0.05, 0.35, 0.25, 0.05, 0.4, 0.3, 0.05, 0.3, 0.45, 0.05, 0.25, 0.25, 0.05, 0.3, 0.3, 0.3];
     let turned = [1.0, 0.0, 0.0, 0.3];
     let count = 6;
+    let features: Vec<f64> = (0..2 * count).map(|i| (4.3 * i as f64 + 0.4).cos()).collect();
     Splats {
-        means: tensor(&means, [count, 3], DType::F64),
-        rotations: tensor(&turned.repeat(count), [count, 4], DType::F64),
-        scales: tensor(&scales, [count, 3], DType::F64),
-        opacities: tensor(&vec![0.3; count], [count], DType::F64),
-        colour: Colour::Features(tensor(&vectors(count, 1.0), [count, 2], DType::F64)),
+        means: tensor(&means, [count, 3]),
+        rotations: tensor(&turned.repeat(count), [count, 4]),
+        scales: tensor(&scales, [count, 3]),
+        opacities: tensor(&vec![0.3; count], [count]),
+        colour: Colour::Features(tensor(&features, [count, 2])),
     }
 }
 
 /// `[H · W · 2]`: a render of the scene from a pose, with changed ellipses.
-pub(super) fn render(camera: Intrinsics, pose: Tensor<2>, change: impl Fn(Ellipses) -> Ellipses) -> Vec<f64> {
+pub(super) fn render(camera: Intrinsics, pose: Tensor<2>, change: impl Fn(Projected) -> Projected) -> Vec<f64> {
     let (options, splats) = (RenderOptions::exact(), scene());
     let Colour::Features(features) = &splats.colour else { unreachable!("features, above") };
     let projected =
         project(&splats, &Camera { intrinsics: camera, cam_from_world: pose }, &Extras::default(), &options).unwrap();
-    let projected = change(projected.ellipses()).pack(&camera).unwrap();
+    let projected = change(projected);
     let intersections = intersect(&projected, &options).unwrap();
     host(rasterize(&projected, features, &intersections, &Extras::default(), &options).unwrap().colour)
 }

@@ -5,7 +5,7 @@ use thiserror::Error;
 
 use super::{Resolution, Stage};
 use crate::capture::CaptureError;
-use crate::effects::screen::ScreenError;
+use crate::effects::optics::LensError;
 use crate::gaussians::RowsError;
 use crate::state::StateError;
 
@@ -58,8 +58,8 @@ pub enum TrainError {
     )]
     LearntBackground(String),
     /// A rolling shutter or defocus with a lens.
-    #[error("{0}. Only motion blur is supported for it; train without `rolling-shutter` and `defocus`")]
-    Screen(#[from] ScreenError),
+    #[error("{0}")]
+    Optics(#[from] LensError),
     /// The render operation rejected its inputs.
     #[error(transparent)]
     Op(#[from] SplatError),

@@ -21,6 +21,8 @@ pub(crate) mod environment;
 mod fusion;
 mod host;
 pub(crate) mod loss;
+pub(crate) mod optics;
+pub(crate) mod smooth;
 pub(crate) mod stages;
 #[cfg(feature = "cube")]
 pub(crate) mod tally;
@@ -33,13 +35,15 @@ pub use bilateral::BilateralBackend;
 pub use custom_grad::CustomGradBackend;
 pub use environment::EnvironmentBackend;
 pub use loss::{Photometric, PhotometricBackend};
+pub use optics::OpticsBackend;
+pub use smooth::SmoothBackend;
 pub use stages::SplatBackend;
 #[cfg(feature = "cube")]
 pub use tally::{TalliedTensors, TallyBackend, TallyTensors};
 pub use tensors::{
-    ComparedTensors, GeometryGrads, GeometryTensors, InputTensor, LayerGrads, LayerTensors, OptionalIntTensor,
-    OptionalTensor, RawTensors, RayLayerGrads, RayLayerTensors, ShadingGrads, ShadingTensors, SkyGrads, SkyTensors,
-    SliceGrads, SliceTensors,
+    ComparedTensors, ExposedGrads, ExposedTensors, GeometryGrads, GeometryTensors, InputTensor, LayerGrads,
+    LayerTensors, OptionalIntTensor, OptionalTensor, RawTensors, RayLayerGrads, RayLayerTensors, ShadingGrads,
+    ShadingTensors, SkyGrads, SkyTensors, SliceGrads, SliceTensors, SmoothGrads, SmoothTensors,
 };
 
 pub use crate::activate::rule::Raw;
@@ -47,7 +51,9 @@ pub use crate::bilateral::Sliced;
 pub use crate::environment::Sky;
 pub use crate::intersect::IntersectionCell;
 pub use crate::loss::taps::Compared;
+pub use crate::optics::{Exposed, OpticsSpec};
 pub use crate::project::{Geometry, ProjectSpec};
 pub use crate::rasterize::{Layers, PartsCell, RasterizeSpec, TraceCell};
 pub use crate::rasterize_rays::RayLayers;
 pub use crate::sh::Shading;
+pub use crate::smooth::Smooth;

@@ -12,10 +12,12 @@ use crate::activate::rule::Raw;
 use crate::bilateral::Sliced;
 use crate::environment::Sky;
 use crate::loss::taps::Compared;
+use crate::optics::Exposed;
 use crate::project::Geometry;
 use crate::rasterize::Layers;
 use crate::rasterize_rays::RayLayers;
 use crate::sh::Shading;
+use crate::smooth::Smooth;
 
 /// A tensor in a record of inputs.
 #[derive(Clone, Debug, ExtensionType)]
@@ -126,6 +128,14 @@ pub type SliceGrads<B> = Sliced<OptionalTensor<B>>;
 pub type SkyTensors<B> = Sky<InputTensor<B>>;
 /// Gradients of the inputs of `environment`.
 pub type SkyGrads<B> = Sky<OptionalTensor<B>>;
+/// Inputs of `expose`.
+pub type ExposedTensors<B> = Exposed<InputTensor<B>>;
+/// Gradients of the inputs of `expose`.
+pub type ExposedGrads<B> = Exposed<OptionalTensor<B>>;
+/// Inputs of `smoothed_opacities`.
+pub type SmoothTensors<B> = Smooth<InputTensor<B>>;
+/// Gradients of the inputs of `smoothed_opacities`.
+pub type SmoothGrads<B> = Smooth<OptionalTensor<B>>;
 /// Inputs of `activated`.
 pub type RawTensors<B> = Raw<InputTensor<B>>;
 
@@ -165,7 +175,7 @@ macro_rules! crosses {
     )*};
 }
 
-crosses!(Geometry, Shading, Layers, RayLayers, Raw, Compared, Sliced, Sky);
+crosses!(Geometry, Shading, Layers, RayLayers, Raw, Compared, Sliced, Sky, Exposed, Smooth);
 
 #[cfg(feature = "fusion")]
 mod fused {
@@ -248,5 +258,5 @@ mod fused {
         )*};
     }
 
-    crosses_later!(Geometry, Shading, Layers, RayLayers, Raw, Compared, Sliced, Sky);
+    crosses_later!(Geometry, Shading, Layers, RayLayers, Raw, Compared, Sliced, Sky, Exposed, Smooth);
 }

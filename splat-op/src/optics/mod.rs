@@ -1,0 +1,216 @@
+//! What lens, shutter and sensor do to a picture, done to each Gaussian's ellipse: packed ellipses → packed ellipses.
+//! Differentiable in the ellipses and in the parameters of the change.
+//!
+//! A pinhole's ellipse `(x, y, sigma_u, shear, sigma_v, z, opacity)` as of [`mod@crate::project`] is moved and widened, or moved and
+//! sheared. A culled Gaussian, of depth 0, stays as it is, and gives the parameters no gradient.
+//!
+//! # Widening
+//!
+//! For the covariance `Σ + w wᵀ + diag(0, s²)`, with `a = sigma_u² + w_x²` and `c = sigma_u / √a`,
+//!
+//! ```text
+//! sigma_u' = √a     shear' = c² shear + w_x w_y / a     sigma_v'² = sigma_v² + c² (w_y − shear w_x)² + s²
+//! opacity' = opacity · sigma_u sigma_v / (sigma_u' sigma_v')
+//! ```
+//!
+//! which is the triangular factor of a rank-one sum (Gill, Golub, Murray and Saunders 1974, method C1), and then of a sum in one axis.
+//! Lengths are computed as hypotenuses, so that no new cancellation or overflow occurs. Where nothing is added, the ellipse stays the
+//! same. Light is conserved: the integral of `opacity · exp(−½ dᵀ Σ⁻¹ d)` is constant. For nearly opaque Gaussians that is an
+//! approximation, because the time average of `1 − Π (1 − α)` is not `1 − Π (1 − α)` of the averages.
+//!
+//! # Motion
+//!
+//! A twist `(ω, τ)`, `[6]`, is the motion of the scene in the camera's frame: a point `p` moves along `exp(t ξ) p`, `t` from −½ to ½.
+//! The velocity of a centre in the picture follows from the image Jacobian of a pinhole (Longuet-Higgins and Prazdny 1980). With the
+//! slopes `s = (x − c_x)/f_x, (y − c_y)/f_y`, of a centre clamped to a margin around the picture, because velocities grow without
+//! bound there,
+//!
+//! ```text
+//! v_x = f_x ( (τ_x − s_x τ_z)/z + ω_y (1 + s_x²) − ω_x s_x s_y − ω_z s_y )
+//! v_y = f_y ( (τ_y − s_y τ_z)/z − ω_x (1 + s_y²) + ω_y s_x s_y + ω_z s_x )
+//! ```
+//!
+//! in px. It is taken as constant over the time and over an ellipse. (Moving ellipses in the picture is the idea of Seiskari et al.
+//! 2024, "Gaussian Splatting on the Move".)
+//!
+//! **Motion blur** widens by `w = v/√12`, the deviation of a uniform distribution along `v`.
+//!
+//! **Rolling shutter**: row `y` is exposed at `t = y/H − ½`. A point at `(x, y)` in the middle of that time is found in the row
+//! `y' = y + v_y (y'/H − ½)`, so that with `k = 1/(1 − v_y/H)`, `q = k v_x/H` and `D = k (y − H/2)`
+//!
+//! ```text
+//! x' = x + v_x D/H     y' = y + v_y D/H     M = | 1 q |
+//!                                               | 0 k |
+//! ```
+//!
+//! exactly, with `M` the linear map about the centre. The rows of `M L` are `(sigma_u (1 + q shear), q sigma_v)` and
+//! `k (shear sigma_u, sigma_v)`, and
+//!
+//! ```text
+//! sigma_u' = |row 0|     shear' = row 0 · row 1 / sigma_u'²     sigma_v' = k sigma_u sigma_v / sigma_u'
+//! ```
+//!
+//! `v_y` is clamped to half of `H` either way: near `H` a point would stay ahead of the shutter for ever, and beyond it be visible in
+//! no row or upside down.
+//!
+//! # Defocus
+//!
+//! A ray from a point at depth `z` that passes the lens at an offset `a` from its axis hits the picture at a distance of
+//! `f a (1/z − 1/z_focus)` from the point's image (similar triangles; Potmesil and Chakravarty 1981). Over an aperture of radius `R`
+//! with uniform weight, these hits fill a disc of radius `r = R f |1/z − 1/z_focus|`, whose variance along each axis is `r²/4`. The
+//! parameters are `ln R` and `1/z_focus`, `[2]`. For a part of the aperture the centre moves by `r` times the part's place, and the
+//! ellipse widens by `w = (σ r_x, 0)`, `s = σ r_y`, with `σ` the part's deviation. `r` keeps its sign, so that the result is smooth at
+//! the focus. The sharp edge of the disc, which is visible on bright points, is not modelled.
+
+#[cfg(feature = "cube")]
+mod backward;
+pub(crate) mod cpu;
+#[cfg(feature = "cube")]
+mod forward;
+#[cfg(all(test, feature = "cube"))]
+mod kernel_tests;
+#[cfg(feature = "cube")]
+pub(crate) mod launch;
+#[cfg(test)]
+mod tests;
+
+use burn::backend::Dispatch;
+use burn::tensor::Tensor;
+
+use crate::backend::optics::OpticsBackend;
+use crate::camera::{CameraModel, Intrinsics};
+use crate::check::Reference;
+use crate::error::SplatError;
+use crate::record::record;
+use crate::stages::Projected;
+
+/// Largest vertical motion over a rolling shutter, as a share of the picture's height. Faster points are clamped to it.
+pub(crate) const LARGEST_SHARE: f64 = 0.5;
+
+/// Largest number of parameters of a change.
+pub(crate) const PARAMETERS: usize = 6;
+
+record! {
+    /// Inputs of a change, or their gradients.
+    pub struct Exposed {
+        /// `[N, 7]`: packed ellipses.
+        projected,
+        /// `[6]` or `[2]`: a twist, or the lens.
+        parameters,
+    }
+}
+
+/// A part of a lens's aperture, in units of its radius.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AperturePart {
+    /// Where its middle is.
+    pub place: [f64; 2],
+    /// Its standard deviation along each axis: ½ for the whole aperture.
+    pub deviation: f64,
+}
+
+impl AperturePart {
+    /// The whole aperture.
+    pub const WHOLE: Self = Self { place: [0.0; 2], deviation: 0.5 };
+}
+
+/// How a picture is exposed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Exposure {
+    /// The shutter is open while the camera moves.
+    MotionBlur,
+    /// Rows are read one after the other while the camera moves.
+    RollingShutter,
+    /// Light passes a part of an aperture.
+    Defocus(AperturePart),
+}
+
+impl Exposure {
+    /// The number of its parameters.
+    pub(crate) fn parameters(self) -> usize {
+        match self {
+            Self::MotionBlur | Self::RollingShutter => 6,
+            Self::Defocus(_) => 2,
+        }
+    }
+}
+
+/// A change of ellipses but for its tensors.
+#[derive(Clone, Copy, Debug)]
+pub struct OpticsSpec {
+    pub(crate) intrinsics: Intrinsics,
+    pub(crate) exposure: Exposure,
+    /// Share of half the picture's size by which a centre may lie outside it before its velocity is that at the margin.
+    pub(crate) margin: f64,
+}
+
+impl OpticsSpec {
+    /// Per axis: focal length, principal point, and the limits to which a centre is clamped, px.
+    pub(crate) fn axes(&self) -> [[f64; 4]; 2] {
+        let Intrinsics { fx, fy, cx, cy, width, height, .. } = self.intrinsics;
+        let axis = |focal: f64, principal: f64, size: usize| {
+            let reach = 0.5 * self.margin * size as f64;
+            [focal, principal, -reach, size as f64 + reach]
+        };
+        [axis(fx, cx, width), axis(fy, cy, height)]
+    }
+}
+
+/// Returns the ellipses of a picture that is exposed while the camera moves by `twist`, `[6]`: a rotation vector, rad, and a
+/// translation, scene units, of the scene in the camera's frame over the exposure, whose middle has the camera's pose. A camera that
+/// moves one unit forward has the translation `(0, 0, −1)`. Differentiable in both.
+///
+/// `margin` is [`RenderOptions::jacobian_margin`](crate::RenderOptions::jacobian_margin). The approximation is good while the motion is
+/// below the width of the moving object.
+///
+/// # Errors
+/// If the camera is not a pinhole, if a shape is not as documented, or if float types or devices differ.
+pub fn blurred(projected: &Projected, twist: &Tensor<1>, margin: f64) -> Result<Projected, SplatError> {
+    exposed(projected, ("twist", twist, "[6]"), Exposure::MotionBlur, margin)
+}
+
+/// Returns the ellipses on a sensor that is read row by row, from the upper border to the lower, while the camera moves by `twist`,
+/// `[6]`, from the first row to the last, otherwise as [`blurred`]. Differentiable in both. The approximation is good while the motion
+/// is far below the picture's height.
+///
+/// # Errors
+/// As [`blurred`].
+pub fn rolled(projected: &Projected, twist: &Tensor<1>, margin: f64) -> Result<Projected, SplatError> {
+    exposed(projected, ("twist", twist, "[6]"), Exposure::RollingShutter, margin)
+}
+
+/// Returns the ellipses seen through a part of a thin lens's aperture. `lens`, `[2]`, is the natural logarithm of the aperture's
+/// radius, scene units, which keeps it positive, and the inverse of the focus distance along the optical axis, which is 0 at infinity.
+/// Differentiable in both.
+///
+/// The mean of renders through parts that cover the aperture spreads the light of surfaces; [`AperturePart::WHOLE`] in one render
+/// spreads that of each Gaussian.
+///
+/// # Errors
+/// As [`blurred`].
+pub fn defocused(projected: &Projected, lens: &Tensor<1>, part: AperturePart) -> Result<Projected, SplatError> {
+    exposed(projected, ("lens", lens, "[2]"), Exposure::Defocus(part), 0.0)
+}
+
+fn exposed(
+    projected: &Projected,
+    (name, parameters, expected): (&'static str, &Tensor<1>, &'static str),
+    exposure: Exposure,
+    margin: f64,
+) -> Result<Projected, SplatError> {
+    let intrinsics = *projected.intrinsics();
+    if intrinsics.model != CameraModel::Pinhole {
+        return Err(SplatError::Value {
+            field: "model",
+            found: format!("{:?}", intrinsics.model),
+            expected: "Pinhole, because ellipses are moved and widened for that alone: average renders from several poses \
+                       instead, which any camera can do",
+        });
+    }
+    let reference = Reference::new(projected.packed())?;
+    reference.check(name, parameters, [Some(exposure.parameters())], expected)?;
+    let inputs = Exposed { projected: projected.packed().clone().into(), parameters: parameters.clone().into() };
+    let spec = OpticsSpec { intrinsics, exposure, margin };
+    let packed = Tensor::from_dispatch(<Dispatch as OpticsBackend>::expose(inputs, spec));
+    Ok(Projected::of(packed, intrinsics))
+}
