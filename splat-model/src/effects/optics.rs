@@ -131,13 +131,12 @@ impl Optics {
         })
     }
 
-    /// The change of the ellipses in a render of `view` through a part of the aperture. `margin` is that of the Jacobian.
-    fn edit(
+    /// The changes of the ellipses in a render of `view`, one for each part of the aperture. `margin` is that of the Jacobian.
+    fn edits(
         &mut self,
         view: usize,
-        part: AperturePart,
         margin: f64,
-    ) -> impl Fn(Projected) -> Result<Projected, SplatError> + use<> {
+    ) -> impl Iterator<Item = impl Fn(Projected) -> Result<Projected, SplatError> + use<>> + use<> {
         let extent = self.extent;
         let lens = self.lenses.get_mut(view).map(|lens| {
             let lens = lens.tracked();
@@ -146,18 +145,21 @@ impl Optics {
         });
         let exposure = self.exposures.get_mut(view).map(|exposure| twist(exposure, extent));
         let readout = self.readouts.get_mut(view).map(|readout| twist(readout, extent));
-        move |mut projected| {
-            if let Some(lens) = &lens {
-                projected = defocused(&projected, lens, part)?;
+        (0..if lens.is_some() { PLACES } else { 1 }).map(move |i| {
+            let (lens, exposure, readout) = (lens.clone(), exposure.clone(), readout.clone());
+            move |mut projected| {
+                if let Some(lens) = &lens {
+                    projected = defocused(&projected, lens, part(i))?;
+                }
+                if let Some(exposure) = &exposure {
+                    projected = blurred(&projected, exposure, margin)?;
+                }
+                if let Some(readout) = &readout {
+                    projected = rolled(&projected, readout, margin)?;
+                }
+                Ok(projected)
             }
-            if let Some(exposure) = &exposure {
-                projected = blurred(&projected, exposure, margin)?;
-            }
-            if let Some(readout) = &readout {
-                projected = rolled(&projected, readout, margin)?;
-            }
-            Ok(projected)
-        }
+        })
     }
 }
 
@@ -173,15 +175,11 @@ impl Effect for Optics {
         "optics"
     }
 
-    fn samples(&mut self, input: RenderInput, at: EffectContext) -> Vec<RenderInput> {
+    fn samples(&mut self, mut input: RenderInput, at: EffectContext) -> Vec<RenderInput> {
         if input.camera.intrinsics.model == CameraModel::Pinhole {
-            let places = if self.lenses.is_empty() { 1 } else { PLACES };
-            let through = |i: usize| {
-                let mut input = input.clone();
-                input.edit_projected(self.edit(at.view, part(i), input.options.jacobian_margin));
-                input
-            };
-            return (0..places).map(through).collect();
+            let margin = input.options.jacobian_margin;
+            input.edit_each(self.edits(at.view, margin));
+            return vec![input];
         }
         let Some(exposure) = self.exposures.get_mut(at.view) else { return vec![input] };
         let poses = motion::poses(&input.camera.cam_from_world, &twist(exposure, self.extent), SUB_EXPOSURES);

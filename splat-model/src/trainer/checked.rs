@@ -3,11 +3,11 @@
 use std::fmt;
 
 use burn::tensor::Tensor;
-use splat_op::{Intersections, Projected, Rendered, colours, intersect, rasterize};
+use splat_op::{Intersections, Projected, Rendered, colours_up_to, intersect, rasterize};
 
 use super::TrainError;
 use crate::density::rows::Gradients;
-use crate::effects::RenderInput;
+use crate::effects::{RenderInput, mean_of};
 use crate::gaussians::{GaussianRows, values_of};
 
 /// The stages of a step, in the order in which they are computed.
@@ -47,15 +47,17 @@ pub(super) fn render_checked(
     input: &RenderInput,
     error: impl Fn(Wrong) -> TrainError,
 ) -> Result<Rendered<3>, TrainError> {
-    let projected = input.project()?;
-    let opacities = check_projected(&projected).map_err(&error)?;
-    let features = colours(&input.splats, &input.camera)?;
-    check_colours(&features, &opacities).map_err(&error)?;
-    let intersections = intersect(&projected, &input.options)?;
-    check_intersections(&intersections, projected.len()).map_err(&error)?;
-    let picture = rasterize(&projected, &features, &intersections, &input.extras, &input.options)?;
-    check_picture(&picture).map_err(&error)?;
-    Ok(picture)
+    let features = colours_up_to(&input.splats, &input.camera, input.options.sh_degree)?;
+    let checked = |projected: &Projected| {
+        let opacities = check_projected(projected).map_err(&error)?;
+        check_colours(&features, &opacities).map_err(&error)?;
+        let intersections = intersect(projected, &input.options)?;
+        check_intersections(&intersections, projected.len()).map_err(&error)?;
+        let picture = rasterize(projected, &features, &intersections, &input.extras, &input.options)?;
+        check_picture(&picture).map_err(&error)?;
+        Ok(picture)
+    };
+    Ok(mean_of(input.project()?.iter().map(checked).collect::<Result<_, TrainError>>()?))
 }
 
 /// Checks that ellipses are finite, have an area, and have opacities from 0 to 1. Returns the opacities.
