@@ -56,11 +56,15 @@ const TWIST_REACH: [f32; 2] = [0.15, 0.1];
 /// Initial rotation of twists, rad: half a pixel at a focal length of 250 px.
 const TWIST_START: f64 = 2e-3;
 
-/// Reach in a run of the aperture's logarithm and of the inverse focus distance, per extent.
-const LENS_REACH: [f32; 2] = [2.0, 0.6];
+/// Reach in a run of the aperture's logarithm.
+const APERTURE_REACH: f64 = 2.0;
 
-/// Initial radius of the aperture, scene extents.
-const APERTURE_START: f64 = 0.02;
+/// Reach in a run of the inverse focus distance, per extent.
+const FOCUS_REACH: f64 = 0.6;
+
+/// Initial radius of the aperture, scene extents: wide open. It closes where photographs are sharp, and would not open again where
+/// large Gaussians, blurred already, have taken the place of the blur.
+const APERTURE_START: f64 = 0.06;
 
 /// Ratio of the last step size to the first.
 const FALL: f64 = 0.01;
@@ -91,9 +95,11 @@ pub struct Optics {
     exposures: Vec<Learned<2>>,
     /// `[2, 3]` each: `ω`, rad, and `τ`, scene extents, over the readout of the rows.
     readouts: Vec<Learned<2>>,
-    /// `[1, 2]` each: the logarithm of the aperture's radius divided by the scene extent, and the scene extent divided by
-    /// the focus distance.
-    lenses: Vec<Learned<2>>,
+    /// `[1, 1]`, with defocus: the logarithm of the aperture's radius divided by the scene extent. Photographs share it: a photograph
+    /// alone is visited too rarely to find both its aperture and its focus.
+    aperture: Option<Learned<2>>,
+    /// `[1, 1]` each: the scene extent divided by the focus distance.
+    foci: Vec<Learned<2>>,
 }
 
 impl Optics {
@@ -122,12 +128,13 @@ impl Optics {
             let [x, y] = [cos, sin].map(|share| (TWIST_START * share) as f32);
             Tensor::from_floats([[x, y, 0.0], [0.0; 3]], device)
         };
-        let focus = |_| Tensor::from_floats([[APERTURE_START.ln() as f32, (extent / distance) as f32]], device);
+        let number = |value: f64| Tensor::<2>::from_floats([[value as f32]], device);
         Ok(Self {
             extent,
             exposures: learned(config.motion, &twist, twists.clone()),
             readouts: learned(config.rolling, &|_| Tensor::zeros([2, 3], device), twists),
-            lenses: learned(config.defocus, &focus, Tensor::from_floats([LENS_REACH], device)),
+            aperture: config.defocus.then(|| Learned::reaching(number(APERTURE_START.ln()), number(APERTURE_REACH))),
+            foci: learned(config.defocus, &|_| number(extent / distance), number(FOCUS_REACH)),
         })
     }
 
@@ -138,10 +145,8 @@ impl Optics {
         margin: f64,
     ) -> impl Iterator<Item = impl Fn(Projected) -> Result<Projected, SplatError> + use<>> + use<> {
         let extent = self.extent;
-        let lens = self.lenses.get_mut(view).map(|lens| {
-            let lens = lens.tracked();
-            let log_aperture = lens.clone().narrow(1, 0, 1) + extent.ln();
-            Tensor::cat(vec![log_aperture, lens.narrow(1, 1, 1) / extent], 1).reshape([2])
+        let lens = self.aperture.as_mut().zip(self.foci.get_mut(view)).map(|(aperture, focus)| {
+            Tensor::cat(vec![aperture.tracked() + extent.ln(), focus.tracked() / extent], 1).reshape([2])
         });
         let exposure = self.exposures.get_mut(view).map(|exposure| twist(exposure, extent));
         let readout = self.readouts.get_mut(view).map(|readout| twist(readout, extent));
@@ -191,7 +196,10 @@ impl Effect for Optics {
     }
 
     fn step(&mut self, gradients: &mut Gradients, at: EffectContext) {
-        for all in [&mut self.exposures, &mut self.readouts, &mut self.lenses] {
+        if let Some(aperture) = &mut self.aperture {
+            aperture.step_within(gradients, (FALL, 1), at);
+        }
+        for all in [&mut self.exposures, &mut self.readouts, &mut self.foci] {
             let views = all.len();
             if let Some(learned) = all.get_mut(at.view) {
                 learned.step_within(gradients, (FALL, views), at);
@@ -200,13 +208,19 @@ impl Effect for Optics {
     }
 
     fn save(&self, to: &mut State) -> Result<(), StateError> {
-        let parts = [("exposures", &self.exposures), ("readouts", &self.readouts), ("lenses", &self.lenses)];
+        if let Some(aperture) = &self.aperture {
+            to.save_part("aperture", |part| aperture.save(part))?;
+        }
+        let parts = [("exposures", &self.exposures), ("readouts", &self.readouts), ("foci", &self.foci)];
         parts.into_iter().try_for_each(|(name, all)| to.save_part(name, |part| Learned::save_all(all, part)))
     }
 
     fn load(&mut self, from: &mut State, _: &Device) -> Result<(), StateError> {
-        let Self { exposures, readouts, lenses, .. } = self;
-        let parts = [("exposures", exposures), ("readouts", readouts), ("lenses", lenses)];
+        if let Some(aperture) = &mut self.aperture {
+            from.load_part("aperture", |part| aperture.load(part))?;
+        }
+        let Self { exposures, readouts, foci, .. } = self;
+        let parts = [("exposures", exposures), ("readouts", readouts), ("foci", foci)];
         parts.into_iter().try_for_each(|(name, all)| from.load_part(name, |part| Learned::load_all(all, part)))
     }
 }

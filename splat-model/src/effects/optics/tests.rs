@@ -59,10 +59,13 @@ fn without_motion_and_aperture_nothing_is_different() {
     let mut still = optics(all, CameraModel::Pinhole).unwrap();
     let device = Device::flex();
     still.exposures[1].set(Tensor::zeros([2, 3], &device));
-    still.lenses[1].set(Tensor::from_floats([[-60.0, 0.25]], &device));
-    assert!(difference(&shown(&mut still, CameraModel::Pinhole), &plain) < 1e-6);
-    still.lenses[1].set(Tensor::from_floats([[-2.0, 1.0]], &device));
-    assert!(difference(&shown(&mut still, CameraModel::Pinhole), &plain) > 1e-3, "an open aperture");
+    let mut lens = |log_aperture: f32, focus: f32| {
+        still.aperture.as_mut().unwrap().set(Tensor::from_floats([[log_aperture]], &device));
+        still.foci[1].set(Tensor::from_floats([[focus]], &device));
+        difference(&shown(&mut still, CameraModel::Pinhole), &plain)
+    };
+    assert!(lens(-60.0, 0.25) < 1e-6);
+    assert!(lens(-2.0, 1.0) > 1e-3, "an open aperture");
 }
 
 /// A lens averages sub-exposures, a pinhole widens ellipses. For a small motion of translucent Gaussians both agree.
