@@ -12,6 +12,7 @@ use splat_model::effects::depth::{self, DepthConfig};
 use splat_model::effects::exposure::ExposureConfig;
 use splat_model::effects::grid::GridConfig;
 use splat_model::effects::optics::OpticsConfig;
+use splat_model::effects::plan::slowness;
 use splat_model::effects::pose::{PoseConfig, anchors};
 use splat_model::effects::survey::depth_folder;
 use splat_model::effects::{EffectKind, Plan, Survey};
@@ -89,7 +90,10 @@ impl EffectsArg {
             self.text
         );
         let survey = self.auto.then(|| Survey::of_views(capture, train)).transpose()?;
-        let plan = survey.as_ref().map(|survey| Plan::of(survey, capture.mean_pixels(train, max_side)));
+        let plan = match &survey {
+            Some(survey) => Some(Plan::of(survey, capture.mean_pixels(train, max_side), slowness()?)),
+            None => None,
+        };
         let mut on = self.of(&plan.as_ref().map_or(Vec::new(), Plan::effects));
         if antialias && !on.contains(&EffectKind::Antialias) {
             on.push(EffectKind::Antialias);

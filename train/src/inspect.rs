@@ -6,7 +6,7 @@ use std::time::Instant;
 use anyhow::Result;
 use clap::value_parser;
 use serde::Serialize;
-use splat_model::effects::plan::{self, Cost, Decision, EffectVerdict, Plan};
+use splat_model::effects::plan::{self, Cost, Decision, EffectVerdict, Plan, slowness};
 use splat_model::effects::survey::{Survey, ViewExposure};
 
 use crate::report::metrics::seconds_since;
@@ -47,7 +47,7 @@ pub fn run(args: &InspectArgs) -> Result<()> {
     let capture = input::capture(&args.capture)?;
     let survey = Survey::of(&capture)?;
     let all: Vec<usize> = (0..capture.views.len()).collect();
-    let plan = Plan::of(&survey, capture.mean_pixels(&all, args.max_side));
+    let plan = Plan::of(&survey, capture.mean_pixels(&all, args.max_side), slowness()?);
     let seconds = seconds_since(start);
     if args.json {
         progress::say(&serde_json::to_string_pretty(&Report { survey: &survey, plan: &plan, seconds })?);

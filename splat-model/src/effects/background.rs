@@ -52,7 +52,7 @@ pub enum Backdrop {
 const RATE: Falling = Falling { from: 0.01, to: 0.001 };
 
 /// Memory for the values of the harmonics in each camera's pixels. Beyond it they are computed at each step.
-const CACHE_BYTES: usize = 256 << 20;
+pub(super) const CACHE_BYTES: usize = 256 << 20;
 
 /// A background in a file or on the command line.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -158,17 +158,21 @@ impl Background {
 /// `[(degree+1)², H, W]`: the values of the harmonics in the viewing directions of a camera's pixels.
 fn harmonics_of(camera: &Intrinsics, cam_from_world: &DAffine3, degree: usize, device: &Device) -> Tensor<3> {
     let (width, height, count) = (camera.width, camera.height, (degree + 1) * (degree + 1));
-    let world_from_cam = cam_from_world.matrix3.transpose();
-    let mut values = vec![0.0_f32; width * height * count];
-    values.par_chunks_mut(width * count).enumerate().for_each(|(y, row)| {
-        for (x, values) in row.chunks_exact_mut(count).enumerate() {
-            let direction = camera.cam_from_px(DVec2::new(x as f64 + 0.5, y as f64 + 0.5)).normalize();
+    let (projector, world_from_cam) = (camera.projector(), cam_from_world.matrix3.transpose());
+    let mut values = vec![0.0_f32; count * height * width];
+    // For each row of pixels its part of every plane.
+    let mut rows: Vec<Vec<&mut [f32]>> = (0..height).map(|_| Vec::with_capacity(count)).collect();
+    for plane in values.chunks_exact_mut(height * width) {
+        rows.iter_mut().zip(plane.chunks_exact_mut(width)).for_each(|(row, of_plane)| row.push(of_plane));
+    }
+    rows.into_par_iter().enumerate().for_each(|(y, mut planes)| {
+        for x in 0..width {
+            let direction = projector.cam_from_px(DVec2::new(x as f64 + 0.5, y as f64 + 0.5)).normalize();
             let all = harmonics((world_from_cam * direction).to_array(), degree);
-            values.iter_mut().zip(all).for_each(|(value, harmonic)| *value = harmonic as f32);
+            planes.iter_mut().zip(all).for_each(|(plane, value)| plane[x] = value as f32);
         }
     });
-    let by_pixel = Tensor::<2>::from_data(TensorData::new(values, [width * height, count]), device);
-    by_pixel.transpose().reshape([count, height, width])
+    Tensor::from_data(TensorData::new(values, [count, height, width]), device)
 }
 
 /// See [`environment::over`].

@@ -3,11 +3,14 @@
 //! `docs/EFFECTS.md` explains the thresholds by figures of captures with and without each effect.
 
 mod colour;
+mod slowness;
 
 use serde::Serialize;
 
 pub use self::colour::{BRIGHTNESS_STOPS, GRADED, PLACES_LEAVE, VIEW_DEPENDENT_SHARE, WHITE_BALANCE_STOPS};
+pub use self::slowness::slowness;
 use super::EffectKind;
+use super::background::CACHE_BYTES;
 use super::survey::{DepthEvidence, ObservationSource, PoseSource, ShutterEvidence, Survey};
 
 /// Threshold of the ratio between the largest and the smallest size of a point, exceeded by a twentieth of the points.
@@ -44,7 +47,7 @@ pub enum EffectVerdict {
     AsConfigured,
 }
 
-/// Expected cost of an effect, on top of a step without it, on two CPU cores (see `docs/EFFECTS.md`).
+/// Expected cost of an effect, on top of a step without it, on the CPU (see `docs/EFFECTS.md`).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Cost {
     /// Time of a step, ms.
@@ -98,9 +101,10 @@ impl Plan {
 }
 
 impl Plan {
-    /// The plan for training on photographs of `pixels_per_view` pixels on average, which decides what effects cost.
-    pub fn of(survey: &Survey, pixels_per_view: f64) -> Self {
-        let at = TrainedSize { megapixels: pixels_per_view / 1e6 };
+    /// The plan for training on photographs of `pixels_per_view` pixels on average, on a machine of this [`slowness`]: both decide what
+    /// effects cost.
+    pub fn of(survey: &Survey, pixels_per_view: f64, slowness: f64) -> Self {
+        let at = Conditions { megapixels: pixels_per_view / 1e6, slowness };
         let decisions = vec![
             colour::view_dependence(survey),
             antialias(survey, at),
@@ -121,36 +125,43 @@ impl Plan {
 }
 
 impl From<&Survey> for Plan {
-    /// The plan for training on photographs at full size.
+    /// The plan for training on photographs at full size, on the machine of `docs/EFFECTS.md`.
     fn from(survey: &Survey) -> Self {
-        Self::of(survey, survey.pixels_per_view)
+        Self::of(survey, survey.pixels_per_view, 1.0)
     }
 }
 
-/// The size of the photographs in training.
+/// What decides the cost of an effect: the size of the photographs in training, and the machine.
 #[derive(Clone, Copy)]
-struct TrainedSize {
+struct Conditions {
     megapixels: f64,
+    slowness: f64,
 }
 
-impl TrainedSize {
+impl Conditions {
     /// The time per step of an effect that takes `fixed` ms and `each` ms per megapixel (see `docs/EFFECTS.md`).
     fn ms(self, (fixed, each): (f64, f64)) -> f64 {
-        fixed + each * self.megapixels
+        (fixed + each * self.megapixels) * self.slowness
     }
 }
 
 /// Times per step: a constant part, ms, and a part per megapixel, ms, measured on the demo capture at 0.02 megapixels and on
 /// `fox_colmap` at 0.52 (see `docs/EFFECTS.md`).
-const ANTIALIAS_MS: (f64, f64) = (2.8, 4.0);
-const MASKS_MS: (f64, f64) = (0.1, 2.0);
-const ENVIRONMENT_MS: (f64, f64) = (0.6, 19.0);
-const ALPHA_MS: (f64, f64) = (0.6, 0.6);
-const POSE_MS: (f64, f64) = (1.7, 0.7);
-const DEPTH_MS: (f64, f64) = (0.6, 8.5);
-const MOTION_MS: (f64, f64) = (8.0, 2.5);
-const SHUTTER_MS: (f64, f64) = (8.8, 0.3);
-const DEFOCUS_MS: (f64, f64) = (70.0, 400.0);
+const ANTIALIAS_MS: (f64, f64) = (0.35, 0.0);
+const MASKS_MS: (f64, f64) = (0.0, 1.0);
+const ENVIRONMENT_MS: (f64, f64) = (0.1, 9.9);
+const ALPHA_MS: (f64, f64) = (0.2, 0.0);
+const POSE_MS: (f64, f64) = (0.5, 1.2);
+const DEPTH_MS: (f64, f64) = (0.2, 3.8);
+const MOTION_MS: (f64, f64) = (0.6, 2.5);
+const SHUTTER_MS: (f64, f64) = (0.75, 0.0);
+const DEFOCUS_MS: (f64, f64) = (14.0, 187.0);
+
+/// The part per megapixel of an environment's harmonics where they are computed anew in each step.
+const HARMONICS_MS: f64 = 14.0;
+
+/// Number of an environment's harmonics, of degree 2.
+const HARMONICS: usize = 9;
 
 const MIB: f64 = (1 << 20) as f64;
 
@@ -168,7 +179,7 @@ fn percent(share: f64) -> String {
     format!("{:.1}%", 100.0 * share)
 }
 
-fn antialias(survey: &Survey, at: TrainedSize) -> Decision {
+fn antialias(survey: &Survey, at: Conditions) -> Decision {
     let rule = format!("on if the sizes of a twentieth of the points differ by a factor above {FOOTPRINT_RATIO}");
     let (on, evidence) = known(&survey.footprint, "no point is visible in several photographs", |found| {
         let evidence = format!(
@@ -182,7 +193,7 @@ fn antialias(survey: &Survey, at: TrainedSize) -> Decision {
     decide(EffectKind::Antialias, on, evidence, rule, Some(cost))
 }
 
-fn alpha(survey: &Survey, at: TrainedSize) -> Decision {
+fn alpha(survey: &Survey, at: Conditions) -> Decision {
     let with = survey.files.with_alpha;
     let evidence = match with {
         0 => "every photograph is opaque".into(),
@@ -193,7 +204,7 @@ fn alpha(survey: &Survey, at: TrainedSize) -> Decision {
     decide(EffectKind::Alpha, with > 0, evidence, rule, Some(cost))
 }
 
-fn masks(survey: &Survey, at: TrainedSize) -> Decision {
+fn masks(survey: &Survey, at: Conditions) -> Decision {
     let files = &survey.files;
     let evidence = match files.with_mask {
         0 => "no folder `masks` or `mask` has a file for a photograph".into(),
@@ -232,7 +243,7 @@ fn rows_explain(survey: &Survey) -> bool {
     wrong && survey.shutter.as_ref().is_some_and(rows)
 }
 
-fn rolling_shutter(survey: &Survey, at: TrainedSize) -> Decision {
+fn rolling_shutter(survey: &Survey, at: Conditions) -> Decision {
     let rule = format!(
         "on if the mean reprojection error exceeds {POSE_PX} px, and camera motion during readout leaves less than {} of it and \
          less than other poses do",
@@ -248,7 +259,7 @@ fn rolling_shutter(survey: &Survey, at: TrainedSize) -> Decision {
     decide(EffectKind::RollingShutter, on, evidence, rule, Some(cost))
 }
 
-fn pose(survey: &Survey, at: TrainedSize) -> Decision {
+fn pose(survey: &Survey, at: Conditions) -> Decision {
     let rule = format!("on if the mean reprojection error exceeds {POSE_PX} px and no rolling shutter causes it");
     let (on, evidence) = known(&survey.pose, "no reprojection error", |pose| {
         let source = match pose.source {
@@ -265,7 +276,7 @@ fn pose(survey: &Survey, at: TrainedSize) -> Decision {
     decide(EffectKind::PoseRefinement, on, evidence, rule, Some(cost))
 }
 
-fn environment(survey: &Survey, at: TrainedSize) -> Decision {
+fn environment(survey: &Survey, at: Conditions) -> Decision {
     let rule = format!(
         "on if more than {} of the points are that far away and no photograph has transparent parts",
         percent(FAR_SHARE)
@@ -280,11 +291,16 @@ fn environment(survey: &Survey, at: TrainedSize) -> Decision {
         );
         (*far_share > FAR_SHARE && survey.files.with_alpha == 0, evidence)
     });
-    let cost = Cost { ms_per_step: at.ms(ENVIRONMENT_MS), mib: 0.0 };
+    // The harmonics of as many cameras as fit are kept.
+    let all_mib = at.megapixels * 1e6 * survey.lens.cameras as f64 * (HARMONICS * size_of::<f32>()) as f64 / MIB;
+    let mib = all_mib.min(CACHE_BYTES as f64 / MIB);
+    let computed = if all_mib > mib { 1.0 - mib / all_mib } else { 0.0 };
+    let (fixed, each) = ENVIRONMENT_MS;
+    let cost = Cost { ms_per_step: at.ms((fixed, each + HARMONICS_MS * computed)), mib };
     decide(EffectKind::Environment, on, evidence, rule, Some(cost))
 }
 
-fn depth(survey: &Survey, at: TrainedSize) -> Decision {
+fn depth(survey: &Survey, at: Conditions) -> Decision {
     let rule = format!("on if there is a folder of depth maps, or tracks and fewer than {FEW_VIEWS} photographs");
     let few = survey.views < FEW_VIEWS && survey.source == ObservationSource::Tracks;
     let evidence = match &survey.files.depth_maps {
@@ -295,7 +311,7 @@ fn depth(survey: &Survey, at: TrainedSize) -> Decision {
     decide(EffectKind::DepthSupervision, few || survey.files.depth_maps.is_some(), evidence, rule, Some(cost))
 }
 
-fn motion_blur(survey: &Survey, at: TrainedSize) -> Decision {
+fn motion_blur(survey: &Survey, at: Conditions) -> Decision {
     let rule = format!("on if the least sharp twentieth has less than {BLUR_RATIO} of the median sharpness");
     let blur = &survey.blur;
     let (on, evidence) = match (blur.median, blur.least) {
@@ -313,7 +329,7 @@ fn motion_blur(survey: &Survey, at: TrainedSize) -> Decision {
 }
 
 /// The decision on an effect that no evidence detects.
-fn by_name(effect: EffectKind, what: &str, at: TrainedSize) -> Decision {
+fn by_name(effect: EffectKind, what: &str, at: Conditions) -> Decision {
     let evidence = format!("not known: no measurement distinguishes {what} from other faults");
     let cost = Cost { ms_per_step: at.ms(DEFOCUS_MS), mib: 0.0 };
     decide(effect, false, evidence, "on by name only".into(), Some(cost))

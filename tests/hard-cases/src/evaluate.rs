@@ -144,3 +144,11 @@ pub fn culled(scene: &HardScene, device: &Device, dtype: DType) -> Vec<usize> {
     let depths = host(projected.ellipses().depth);
     depths.iter().enumerate().filter(|(_, depth)| **depth == 0.0).map(|(i, _)| i).collect()
 }
+
+/// The opacities after the projection, in f64: compensated, if the scene's options say so.
+pub fn compensated_opacities(scene: &HardScene) -> Vec<f64> {
+    let Leaves { splats, camera, .. } = leaves(scene, &Device::flex(), DType::F64);
+    let projected = project(&splats, &camera, &Extras::default(), &scene.options)
+        .unwrap_or_else(|error| panic!("{}: {error}", scene.label));
+    host(projected.ellipses().opacity)
+}

@@ -2,7 +2,7 @@
 
 use super::super::EffectKind;
 use super::super::survey::{GradingEvidence, Survey, ViewDependenceEvidence};
-use super::{Cost, Decision, EffectVerdict, MIB, TrainedSize, VIEW_DEPENDENCE, decide, known, percent};
+use super::{Conditions, Cost, Decision, EffectVerdict, MIB, VIEW_DEPENDENCE, decide, known, percent};
 
 /// Threshold of the brightness differences between photographs, stops of stored values (deviation). Surfaces also look
 /// brighter from some sides than from others, so a smaller difference may belong to the scene.
@@ -31,8 +31,8 @@ const FEWEST_COMPARED: usize = 500;
 const FEW_POINTS: &str = "too few points are visible in several photographs";
 
 /// Times per step: a constant part, ms, and a part per megapixel, ms.
-const EXPOSURE_MS: (f64, f64) = (0.1, 9.0);
-const GRID_MS: (f64, f64) = (0.9, 30.0);
+const EXPOSURE_MS: (f64, f64) = (0.05, 3.7);
+const GRID_MS: (f64, f64) = (0.7, 11.5);
 
 /// Decides on the degree of the spherical harmonics instead of an effect. Missing harmonics cost more than idle ones, so
 /// the threshold is close above the share that scenes without view-dependent colour show (`docs/EFFECTS.md`).
@@ -57,7 +57,7 @@ pub(super) fn view_dependence(survey: &Survey) -> Decision {
     Decision { name: VIEW_DEPENDENCE, effect: None, verdict, evidence, rule, predicted: None }
 }
 
-pub(super) fn exposure(survey: &Survey, at: TrainedSize) -> Decision {
+pub(super) fn exposure(survey: &Survey, at: Conditions) -> Decision {
     let rule = format!(
         "on if brightness differs by more than {BRIGHTNESS_STOPS} stops or white balance by more than {WHITE_BALANCE_STOPS}, \
          unless `bilateral-grid` is on"
@@ -85,7 +85,7 @@ fn is_graded(survey: &Survey) -> bool {
 }
 
 /// Decides on bilateral grids, which are the stronger form of exposures and replace them.
-pub(super) fn bilateral_grid(survey: &Survey, at: TrainedSize) -> Decision {
+pub(super) fn bilateral_grid(survey: &Survey, at: Conditions) -> Decision {
     let (on, evidence) = known(&survey.grading, FEW_POINTS, |found| {
         let evidence = format!(
             "one colour map for each photograph leaves a median difference of {:.4} (of 1), maps that vary within the \

@@ -14,6 +14,8 @@ const BORDER_PLACES: usize = 8;
 pub struct LensEvidence {
     /// Names of the camera models.
     pub models: Vec<String>,
+    /// Number of different cameras: photographs of one camera have the same intrinsics.
+    pub cameras: usize,
     /// Largest distance on the border of a picture between the image of a direction through the lens and through a pinhole,
     /// px. `None` if a picture shows directions that no pinhole can show, at a right angle from the axis or beyond.
     pub largest_displacement_px: Option<f64>,
@@ -21,15 +23,19 @@ pub struct LensEvidence {
 
 pub(super) fn evidence(capture: &Capture) -> LensEvidence {
     let mut models: Vec<String> = Vec::new();
+    let mut cameras: Vec<Intrinsics> = Vec::new();
     let mut largest_displacement_px = Some(0.0_f64);
     for view in &capture.views {
         let name = format!("{:?}", view.intrinsics.model).to_lowercase();
         if !models.contains(&name) {
             models.push(name);
         }
+        if !cameras.contains(&view.intrinsics) {
+            cameras.push(view.intrinsics);
+        }
         largest_displacement_px = largest_displacement_px.zip(displacement_px(&view.intrinsics)).map(|(a, b)| a.max(b));
     }
-    LensEvidence { models, largest_displacement_px }
+    LensEvidence { models, cameras: cameras.len(), largest_displacement_px }
 }
 
 fn displacement_px(camera: &Intrinsics) -> Option<f64> {

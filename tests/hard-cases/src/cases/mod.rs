@@ -13,6 +13,7 @@ pub mod poison;
 mod rays;
 mod rotations;
 mod sizes;
+mod storage;
 mod training;
 
 use crate::case::HardCase;
@@ -42,6 +43,7 @@ pub const GROUPS: &[CaseGroup] = &[
     CaseGroup { name: "far", title: "Far from the origin, and very small", cases: far::cases },
     CaseGroup { name: "poison", title: "Poison", cases: poison::cases },
     CaseGroup { name: "counts", title: "Numbers of Gaussians", cases: counts::cases },
+    CaseGroup { name: "storage", title: "Storage with fewer bits", cases: storage::cases },
     CaseGroup { name: "loss", title: "Loss and optimiser", cases: loss::cases },
     CaseGroup { name: "training", title: "Training", cases: training::cases },
 ];

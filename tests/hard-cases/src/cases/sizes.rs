@@ -1,7 +1,18 @@
 //! Sizes: from a millionth of a pixel to values whose squares overflow.
 
-use crate::case::HardCase;
+use burn::tensor::{DType, Device};
+use splat_op::RenderOptions;
+
+use crate::case::{CaseOutcome, HardCase, MeasuredDeviation, TestDevice};
+use crate::compare::relative_error;
+use crate::evaluate::{compensated_opacities, evaluate};
 use crate::scene::{HardScene, SMOOTH, Splat, TruthSource};
+
+/// The gradient of the standard deviations in [`crate::evaluate::GRADIENTS`].
+const SCALES: usize = 2;
+
+/// Largest error of a compensated gradient, relative to its largest element.
+const COMPENSATED_BOUND: f64 = 1e-5;
 
 pub fn cases() -> Vec<HardCase> {
     let antialiased = SMOOTH.with_antialias(true);
@@ -34,6 +45,12 @@ pub fn cases() -> Vec<HardCase> {
                 .into(),
         )
         .hardness("1e5 px"),
+        HardCase::check(
+            "the compensation's gradient, and detached",
+            "implementations that find it unstable treat the compensation as constant in the backward pass",
+            |place| judge_detached(place, &compensated()),
+        )
+        .hardness(detached_hardness()),
         HardCase::scenes(
             "larger than the screen",
             "it covers every tile, and moments over the picture are tiny beside its size",
@@ -81,4 +98,49 @@ fn logit(splat: Splat) -> Splat {
 fn stored(label: &str, log_scale: [f64; 3], truth: TruthSource) -> HardScene {
     let hard = Splat::at([12.3, 30.8], 3.0, 1.0).scale(log_scale).opacity(0.4);
     HardScene::new(label, &[hard]).stored().with_truth(truth)
+}
+
+/// Gaussians around the size at which the compensation matters, with the compensation.
+fn compensated() -> Vec<HardScene> {
+    let scene = |sigma_px: f64| {
+        let hard = Splat::at([12.3, 30.8], 3.0, sigma_px);
+        HardScene::new(format!("{sigma_px} px"), &[hard]).with_options(SMOOTH.with_antialias(true)).rounded()
+    };
+    [0.1, 0.3, 1.0, 3.0].map(scene).into()
+}
+
+/// Gradients of the standard deviations in f64, and without what flows through the compensation.
+fn with_and_without(scene: &HardScene) -> [Vec<f64>; 2] {
+    let (device, weights) = (Device::flex(), scene.weights());
+    let with = evaluate(scene, &weights, &device, DType::F64).gradients[SCALES].values.clone();
+    // The same picture from opacities that are compensated beforehand.
+    let compensation = compensated_opacities(scene);
+    let options = RenderOptions { antialias: false, ..scene.options };
+    let constant = HardScene { options, opacities: compensation, ..scene.clone() };
+    [with, evaluate(&constant, &weights, &device, DType::F64).gradients[SCALES].values.clone()]
+}
+
+fn detached_hardness() -> String {
+    let error = |scene: &HardScene| {
+        let [with, without] = with_and_without(scene);
+        format!("{:.0}% at {}", 100.0 * relative_error(&without, &with), scene.label)
+    };
+    let errors: Vec<String> = compensated().iter().map(error).collect();
+    format!("detached, the gradient of the sizes is off by {}", errors.join(", "))
+}
+
+fn judge_detached(place: &TestDevice, scenes: &[HardScene]) -> CaseOutcome {
+    let mut outcome = CaseOutcome::default();
+    let mut worst = MeasuredDeviation::default();
+    for scene in scenes {
+        let [expected, detached] = with_and_without(scene);
+        let found = evaluate(scene, &scene.weights(), &place.device, DType::F32);
+        let error = relative_error(&found.gradients[SCALES].values, &expected);
+        worst = worst.worst(MeasuredDeviation { error, used: error / COMPENSATED_BOUND });
+        outcome.require(error <= COMPENSATED_BOUND, || format!("{}: off by {error:.1e}", scene.label));
+        let lost = relative_error(&detached, &expected);
+        outcome.require(lost > 0.01, || format!("{}: detaching changes nothing ({lost:.1e})", scene.label));
+    }
+    outcome.gradient = Some(worst);
+    outcome
 }
