@@ -10,7 +10,6 @@ use burn::tensor::{Int, Tensor};
 
 use crate::activate::rule::Raw;
 use crate::bilateral::Sliced;
-use crate::colour_map::Mapped;
 use crate::environment::Sky;
 use crate::loss::taps::Compared;
 use crate::optics::Exposed;
@@ -137,10 +136,6 @@ pub type ExposedGrads<B> = Exposed<OptionalTensor<B>>;
 pub type SmoothTensors<B> = Smooth<InputTensor<B>>;
 /// Gradients of the inputs of `smoothed_opacities`.
 pub type SmoothGrads<B> = Smooth<OptionalTensor<B>>;
-/// Inputs of `colour_map`.
-pub type MappedTensors<B> = Mapped<InputTensor<B>>;
-/// Gradients of the inputs of `colour_map`.
-pub type MappedGrads<B> = Mapped<OptionalTensor<B>>;
 /// Inputs of `activated`.
 pub type RawTensors<B> = Raw<InputTensor<B>>;
 
@@ -180,7 +175,7 @@ macro_rules! crosses {
     )*};
 }
 
-crosses!(Geometry, Shading, Layers, RayLayers, Raw, Compared, Sliced, Sky, Exposed, Smooth, Mapped);
+crosses!(Geometry, Shading, Layers, RayLayers, Raw, Compared, Sliced, Sky, Exposed, Smooth);
 
 #[cfg(feature = "fusion")]
 mod fused {
@@ -263,5 +258,5 @@ mod fused {
         )*};
     }
 
-    crosses_later!(Geometry, Shading, Layers, RayLayers, Raw, Compared, Sliced, Sky, Exposed, Smooth, Mapped);
+    crosses_later!(Geometry, Shading, Layers, RayLayers, Raw, Compared, Sliced, Sky, Exposed, Smooth);
 }
