@@ -98,7 +98,7 @@ fn refinements(density: DensityConfig) -> Vec<Refinement> {
 
 #[test]
 fn gradual_growth_hardly_changes_the_picture() {
-    let gradual = refinements(AdaptiveConfig::gradual(STEPS).into());
+    let gradual = refinements(AdaptiveConfig::gradual().into());
     let added: usize = gradual.iter().map(|(.., added)| added).sum();
     println!("gradual: {gradual:?}");
     assert!(gradual.len() >= 8 && added > 300, "{} refinements, {added} added", gradual.len());

@@ -25,10 +25,10 @@ pub enum StrategyName {
 }
 
 impl StrategyName {
-    /// Returns its settings for a run of `steps`.
-    pub fn config(self, steps: usize) -> DensityConfig {
+    /// Returns its settings.
+    pub fn config(self) -> DensityConfig {
         match self {
-            Self::Gradual => AdaptiveConfig::gradual(steps).into(),
+            Self::Gradual => AdaptiveConfig::gradual().into(),
             Self::Adaptive => AdaptiveConfig::default().into(),
             Self::Absgrad => AdaptiveConfig::absgrad().into(),
             Self::Consistent => AdaptiveConfig::consistent().into(),

@@ -192,7 +192,7 @@ impl TrainArgs {
         let steps = self.time.map_or(self.steps.unwrap_or(config.steps), |_| GUESS);
         config = self.schedule(config, steps);
         config.sh_degree = self.sh_degree.unwrap_or(config.sh_degree);
-        config.density = self.strategy.config(steps).with_max_splats(self.max_splats);
+        config.density = self.strategy.config().with_max_splats(self.max_splats);
         config.dials = config.dials.and(&self.accuracy.accuracy.setting());
         if let Some(mb) = self.cache_mb {
             config.cache_mib = config.cache_mib.min(mb.saturating_mul(1_000_000) >> 20);

@@ -84,19 +84,26 @@ impl AdaptiveConfig {
         Self { absolute: true, grad_threshold: 8e-4, ..Self::default() }
     }
 
-    /// Growth by small shares from early on, for a run of `steps`: every chosen Gaussian becomes two halves, which hardly change
-    /// the picture. Opacities are not reset. Instead, a weight on the mean opacity in the loss ([`GRADUAL_OPACITY_WEIGHT`]) lets
+    /// Growth by small shares from early on: every chosen Gaussian becomes two halves, which hardly change the picture. Opacities are not reset. Instead, a weight on the mean opacity in the loss ([`GRADUAL_OPACITY_WEIGHT`]) lets
     /// Gaussians fade that no photograph needs. Without it, a capture without points may end behind one that is opaque.
-    pub fn gradual(steps: usize) -> Self {
-        let every = (steps / 40).clamp(50, 100);
+    pub fn gradual() -> Self {
         Self {
-            every,
+            every: 50,
             from: 100,
             grad_threshold: 3e-4,
             reset_every: 0,
             division: Division::LongAxis,
             growth: Some(0.1),
             ..Self::default()
+        }
+    }
+
+    /// The same options for a capture without points. With [`Self::growth`], the threshold is half of [`Self::gradual`]'s: Gaussians
+    /// begin at random places, and most of those that remain have to become many.
+    pub fn without_points(self) -> Self {
+        match self.growth {
+            Some(_) => Self { grad_threshold: 0.5 * Self::gradual().grad_threshold, ..self },
+            None => self,
         }
     }
 

@@ -50,6 +50,14 @@ impl DensityConfig {
         self
     }
 
+    /// The same options for a capture without points; see [`AdaptiveConfig::without_points`].
+    pub fn without_points(self) -> Self {
+        match self {
+            Self::Adaptive(config) => config.without_points().into(),
+            mcmc @ Self::Mcmc(_) => mcmc,
+        }
+    }
+
     /// The strategy for a run of `steps` on a scene of `extent` (see [`crate::optim::scene_extent`]).
     pub fn strategy(&self, extent: f64, steps: usize) -> Box<dyn Strategy> {
         match self {

@@ -114,14 +114,14 @@ impl TrainConfig {
         Self::default().with_steps(steps)
     }
 
-    /// The same options for a run of `steps`. Learning rates, the schedule of degrees, density control and the weight on opacity
-    /// are replaced by those for this length.
+    /// The same options for a run of `steps`. Learning rates and the schedule of degrees are replaced by those for this length, density
+    /// control and the weight on opacity by those of `splat train`.
     pub fn with_steps(self, steps: usize) -> Self {
         Self {
             steps,
             sh_every: sh_every_for(steps),
             learning_rates: LearningRates::for_steps(steps),
-            density: AdaptiveConfig::gradual(steps).into(),
+            density: AdaptiveConfig::gradual().into(),
             opacity_weight: GRADUAL_OPACITY_WEIGHT,
             ..self
         }

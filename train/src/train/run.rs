@@ -96,6 +96,9 @@ fn to_the_end(mut args: TrainArgs, kept: Option<SavedRun>, change: impl FnOnce(T
     let (seen, max_side) = (split.require_train()?, args.photos.max_side);
     let mut effects = args.effects.choose(&capture, seen, args.model.antialias, max_side)?;
     effects.configure(&mut config, args.background, args.sh_degree);
+    if capture.points.positions.is_empty() {
+        config.density = config.density.without_points();
+    }
     let available = budget::available();
     let cache = budget::cache(args.cache_mb, available);
     let (train, test) = photographs(&capture, &split, &photo_args, (&effects, cache))?;

@@ -409,9 +409,8 @@ fn growth_takes_a_share_and_meets_the_cap_at_the_last_refinement() {
 }
 
 #[test]
-fn gradual_growth_fits_the_length_of_a_run() {
-    assert_eq!(
-        [500, 2_000, 3_000, 7_000, 30_000].map(|steps| AdaptiveConfig::gradual(steps).every),
-        [50, 50, 75, 100, 100]
-    );
+fn only_gradual_growth_has_a_threshold_without_points() {
+    let without = AdaptiveConfig::gradual().without_points();
+    assert_eq!(without, AdaptiveConfig { grad_threshold: 1.5e-4, ..AdaptiveConfig::gradual() });
+    assert_eq!(AdaptiveConfig::default().without_points(), AdaptiveConfig::default());
 }
