@@ -113,8 +113,9 @@ fn each_effect_trains_as_on_the_cpu() {
         for (step, (found, expected)) in found.iter().zip(&expected).enumerate() {
             assert!((found - expected).abs() <= 2e-3 * expected, "{name}, step {step}: {found} instead of {expected}");
         }
-        // The effect changes the last step, which returns to photographs already trained on.
-        assert!((without[8] - expected[8]).abs() > 1e-6 * expected[8], "{name}: {} and {}", without[8], expected[8]);
+        // The effect changes a step: one that returns to photographs already trained on, if it starts as the identity.
+        let changed = without.iter().zip(&expected).any(|(without, with)| (without - with).abs() > 1e-6 * with);
+        assert!(changed, "{name}: {expected:?} and {without:?}");
     }
 }
 
