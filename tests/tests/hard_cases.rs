@@ -45,4 +45,4 @@ macro_rules! groups {
     };
 }
 
-groups!(needles, sizes, near, opacity, depth, rotations, cameras, colour, rays, far, poison, counts, loss, training);
+groups!(needles, sizes, near, opacity, depth, rotations, cameras, colour, rays, far, poison, counts, storage, loss, training);
