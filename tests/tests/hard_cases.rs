@@ -45,4 +45,7 @@ macro_rules! groups {
     };
 }
 
-groups!(needles, sizes, near, opacity, depth, rotations, cameras, colour, rays, far, poison, counts, storage, loss, training);
+groups!(
+    needles, sizes, near, opacity, depth, rotations, cameras, colour, rays, far, poison, counts, storage, loss,
+    training
+);
