@@ -2,11 +2,12 @@
 
 use rayon::prelude::*;
 
-use super::{DEPTH_SLOPE, EXTENT, LEAST, SLACK};
+use super::{DEPTH_SLOPE, EXTENT, LEAST, ROUNDING, SLACK};
 use crate::intersect::extent::whitened_limit;
 use crate::linalg::norm;
 use crate::project::{COLUMNS, Ellipse};
 use crate::rasterize::RasterizeSpec;
+use crate::rasterize_rays::WHITENED_MAX;
 use crate::simd::real::Real;
 
 /// Gaussians per task.
@@ -24,7 +25,8 @@ pub(crate) fn bounds_cpu<F: Real>(packed: &[F], depth_slopes: &[F], spec: &Raste
     bounds
 }
 
-/// Returns the bounds of a Gaussian from its packed ellipse and its depth slope.
+/// Returns the bounds of a Gaussian from its packed ellipse and its depth slope. The row of a Gaussian that shows nowhere in the
+/// picture has no opacity.
 pub(crate) fn bounding_ellipse<F: Real>(
     e: &Ellipse<F>,
     [depth_slope_u, depth_slope_v, thickness]: [F; DEPTH_SLOPE],
@@ -36,15 +38,22 @@ pub(crate) fn bounding_ellipse<F: Real>(
     }
     let camera = &spec.intrinsics;
     let reached = alpha_min * F::of((0.5 * EXTENT * EXTENT).exp());
-    let [width, height] = [camera.width, camera.height].map(|px| F::of(px as f64));
+    let half = [camera.width, camera.height].map(|px| F::of(0.5 * px as f64));
+    let width_and_height = F::of(2.0) * (half[0] + half[1]);
     let everywhere = Ellipse {
-        mean_px: [width * F::of(0.5), height * F::of(0.5)],
-        sigma_u: width + height,
+        mean_px: half,
+        sigma_u: width_and_height,
         shear: F::ZERO,
-        sigma_v: width + height,
+        sigma_v: width_and_height,
         depth: e.depth,
         opacity: if alpha_min > F::ZERO { reached } else { F::ONE },
     };
+    let hidden = Ellipse { opacity: F::ZERO, ..*e };
+    let slope = [depth_slope_u, depth_slope_v];
+    let seen = InPicture::new(e, slope, half);
+    if seen.most <= F::ZERO {
+        return hidden;
+    }
     let [relative, absolute] = SLACK.map(F::of);
     let tau = whitened_limit(e.opacity, alpha_min) * (F::ONE + relative) + absolute;
     let across = thickness * tau.sqrt();
@@ -52,29 +61,112 @@ pub(crate) fn bounding_ellipse<F: Real>(
     if !(alpha_min > F::ZERO && thin > F::of(LEAST)) {
         return everywhere;
     }
-    let c = (tau / thin).sqrt();
-    let length = norm([depth_slope_u, depth_slope_v, F::ZERO]);
+    let square = tau / thin;
+    let disc = match seen.disc(slope, square) {
+        Some(disc) if disc.scale < F::ZERO => return hidden,
+        disc => disc,
+    };
+    let ellipse = whole_ellipse(slope, square);
+    let smaller = match (ellipse, disc) {
+        (Some(ellipse), Some(disc)) if disc.area() < ellipse.area() => disc,
+        (Some(ellipse), _) => ellipse,
+        (None, Some(disc)) => disc,
+        (None, None) => return everywhere,
+    };
+    let row = smaller.row(e, reached);
+    if row.to_row().iter().all(|value| value.finite()) { row } else { everywhere }
+}
+
+/// An ellipse in whitened coordinates: the disc of the radius `EXTENT`, scaled, with an additional column of its factor.
+struct Whitened<F> {
+    middle: [F; 2],
+    column: [F; 2],
+    scale: F,
+}
+
+impl<F: Real> Whitened<F> {
+    /// Returns a number that grows with the area.
+    fn area(&self) -> F {
+        norm([F::ONE, self.column[0], self.column[1]]) * self.scale * self.scale
+    }
+
+    /// Returns the row of the Gaussian `e` whose extent is this ellipse.
+    fn row(&self, e: &Ellipse<F>, opacity: F) -> Ellipse<F> {
+        let (shift, [g_u, g_v]) = (self.middle, self.column);
+        let wide = F::ONE + g_u * g_u;
+        Ellipse {
+            mean_px: [
+                e.mean_px[0] + e.sigma_u * shift[0],
+                e.mean_px[1] + e.shear * e.sigma_u * shift[0] + e.sigma_v * shift[1],
+            ],
+            sigma_u: self.scale * e.sigma_u * wide.sqrt(),
+            shear: e.shear + e.sigma_v / e.sigma_u * (g_u * g_v / wide),
+            sigma_v: self.scale * e.sigma_v * ((wide + g_v * g_v) / wide).sqrt(),
+            depth: e.depth,
+            opacity,
+        }
+    }
+}
+
+/// Returns the visible region if it is an ellipse. `square` is `c²`.
+fn whole_ellipse<F: Real>(slope: [F; 2], square: F) -> Option<Whitened<F>> {
+    let c = square.sqrt();
+    let length = norm([slope[0], slope[1], F::ZERO]);
     let eccentricity = c * length;
     let rest = (F::ONE - eccentricity) * (F::ONE + eccentricity);
     if !(rest > F::of(LEAST)) {
-        return everywhere;
+        return None;
     }
     let along = if length > F::ZERO { eccentricity / length } else { F::ZERO };
-    // Offset from the focus to the middle, and the additional column, both in whitened coordinates.
-    let shift = [depth_slope_u, depth_slope_v].map(|depth_slope| -(along * depth_slope) * (c / rest));
-    let [g_u, g_v] = [depth_slope_u, depth_slope_v].map(|depth_slope| along * depth_slope / rest.sqrt());
-    let scale = c / (rest.sqrt() * F::of(EXTENT));
-    let wide = F::ONE + g_u * g_u;
-    let row = Ellipse {
-        mean_px: [
-            e.mean_px[0] + e.sigma_u * shift[0],
-            e.mean_px[1] + e.shear * e.sigma_u * shift[0] + e.sigma_v * shift[1],
-        ],
-        sigma_u: scale * e.sigma_u * wide.sqrt(),
-        shear: e.shear + e.sigma_v / e.sigma_u * (g_u * g_v / wide),
-        sigma_v: scale * e.sigma_v * ((wide + g_v * g_v) / wide).sqrt(),
-        depth: e.depth,
-        opacity: reached,
-    };
-    if row.to_row().iter().all(|value| value.finite()) { row } else { everywhere }
+    Some(Whitened {
+        middle: slope.map(|slope| -(along * slope) * (c / rest)),
+        column: slope.map(|slope| along * slope / rest.sqrt()),
+        scale: c / (rest.sqrt() * F::of(EXTENT)),
+    })
+}
+
+/// What the picture contains of a Gaussian's whitened plane.
+struct InPicture<F> {
+    /// Bounds of `s`, widened for rounding.
+    least: F,
+    most: F,
+    /// Bound of `|u| + |v|`, and of the terms of which `v` is the difference.
+    spread: F,
+}
+
+impl<F: Real> InPicture<F> {
+    /// Evaluates the linear `s` at the middle of the picture and at its farthest corners. `half` is half the picture's size, px.
+    fn new(e: &Ellipse<F>, [slope_u, slope_v]: [F; 2], half: [F; 2]) -> Self {
+        let [dx, dy] = [half[0] - e.mean_px[0], half[1] - e.mean_px[1]];
+        let [far_x, far_y] = [dx.abs() + half[0], dy.abs() + half[1]];
+        let [far_u, far_v] = [far_x / e.sigma_u, (far_y + e.shear.abs() * far_x) / e.sigma_v];
+        let [by_u, by_v] = [slope_u / e.sigma_u, slope_v / e.sigma_v];
+        let by_x = by_u - by_v * e.shear;
+        let middle = F::ONE - by_u * dx - by_v * (dy - e.shear * dx);
+        let terms = F::ONE + slope_u.abs() * far_u + slope_v.abs() * far_v;
+        let span = by_x.abs() * half[0] + by_v.abs() * half[1] + F::of(ROUNDING) * F::EPSILON * terms;
+        let (least, most) = ((middle - span).max_of(F::ZERO), middle + span);
+        let spread = far_u + far_v;
+        // Beyond these limits `rasterize_rays` clamps.
+        let known = spread < F::of(WHITENED_MAX) && terms < F::of(WHITENED_MAX * WHITENED_MAX);
+        if known { Self { least, most, spread } } else { Self { least: F::ZERO, most: F::MAX, spread } }
+    }
+
+    /// Returns a disc that holds the part of the visible region in the picture; with a negative scale if there is none.
+    fn disc(&self, slope: [F; 2], square: F) -> Option<Whitened<F>> {
+        if !(self.most < F::MAX) {
+            return None;
+        }
+        let (sum, product) = (self.least + self.most, self.least * self.most);
+        let middle = slope.map(|slope| F::of(-0.5) * square * sum * slope);
+        let away = middle[0] * middle[0] + middle[1] * middle[1];
+        let slack = F::of(ROUNDING) * F::EPSILON * (away + square * (sum + product));
+        let radius = away + square * (sum - product) + slack;
+        let scale = if radius < F::ZERO {
+            -F::ONE
+        } else {
+            (radius.sqrt() + F::of(ROUNDING) * F::EPSILON * self.spread) / F::of(EXTENT)
+        };
+        Some(Whitened { middle, column: [F::ZERO; 2], scale })
+    }
 }

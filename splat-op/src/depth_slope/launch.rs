@@ -2,7 +2,8 @@
 
 use super::DEPTH_SLOPE;
 use super::backward::depth_slope_backward_kernel;
-use super::forward::{bounds_kernel, depth_slope_forward_kernel};
+use super::bounds_kernel::bounds_kernel;
+use super::forward::depth_slope_forward_kernel;
 use crate::gpu::{Buffer, Gpu, elementwise};
 use crate::project::launch::{geometry_grads, lens};
 use crate::project::{COLUMNS, Geometry, ProjectSpec};

@@ -41,7 +41,18 @@
 //! ```
 //!
 //! the factor of `project` gains the column `L t e / √(1 − e²)` and is scaled. `intersect` reads the opacity of a row only for
-//! the extent, so the row gets the opacity for which the extent is `EXTENT`. Elsewhere a row covers the whole picture.
+//! the extent, so the row gets the opacity for which the extent is `EXTENT`.
+//!
+//! Beside the camera the conic is a branch of a hyperbola, or an ellipse far larger than the picture. There a bound takes the part
+//! in the picture. `s` is linear, so the corners of the picture bound it, `s₀ <= s <= s₁`, and `(s − s₀)(s₁ − s) >= 0` turns
+//! `u² + v² <= c² s²` into a disc with the middle `−½ c² (s₀ + s₁) depth_slope`:
+//!
+//! ```text
+//! u² + v² <= c² ((s₀ + s₁) s − s₀ s₁)        radius² = c² (s₀ + s₁ − s₀ s₁) + |middle|²
+//! ```
+//!
+//! Where `s₁ <= 0` or `radius² < 0`, the Gaussian shows nowhere in the picture, and its row has no opacity. Otherwise the
+//! row is the smaller of ellipse and disc. Only a Gaussian that holds the camera, `τ thickness² >= 1`, covers the whole picture.
 //!
 //! Shapes: inputs as in `project` → `[N, 3]`; packed ellipses `[N, 7]` and depth slopes `[N, 3]` → bounds `[N, 7]`, not
 //! differentiable, for `intersect` only. Rows of Gaussians that `project` culls are undefined and have no gradient.
@@ -49,6 +60,8 @@
 #[cfg(feature = "cube")]
 mod backward;
 mod bounds;
+#[cfg(feature = "cube")]
+mod bounds_kernel;
 pub(crate) mod cpu;
 #[cfg(feature = "cube")]
 mod forward;
@@ -73,6 +86,9 @@ pub(crate) const EXTENT: f64 = 2.0;
 
 /// Relative and absolute excess of the `τ` of bounds: more than the accumulated rounding errors.
 pub(crate) const SLACK: [f64; 2] = [1e-3, 1e-3];
+
+/// Rounding errors of the terms of a disc, in units of the last place: more than they accumulate.
+pub(crate) const ROUNDING: f64 = 64.0;
 
 /// Smallest `1 − e²` and `1 − τ thickness²` that keep enough digits after rounding.
 pub(crate) const LEAST: f64 = 1e-3;
