@@ -54,6 +54,7 @@ mod as_text;
 pub mod device;
 pub mod effects;
 pub mod input;
+mod live;
 pub mod lpips;
 pub mod memory;
 pub mod output;

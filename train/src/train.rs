@@ -23,6 +23,7 @@ use crate::accuracy::{AccuracyArgs, ModelArgs};
 use crate::background::TrainBackground;
 use crate::device::{self, DeviceName};
 use crate::effects::EffectsArg;
+use crate::live::LiveArgs;
 use crate::lpips::LpipsArgs;
 use crate::options::PhotoArgs;
 use crate::progress::VoiceArgs;
@@ -151,6 +152,10 @@ pub struct TrainArgs {
     #[command(flatten)]
     #[serde(skip)]
     pub voice: VoiceArgs,
+    /// View in the browser.
+    #[command(flatten)]
+    #[serde(skip)]
+    pub live: LiveArgs,
     /// Check the results of every stage of every step, and stop at the first stage that goes wrong; several times as
     /// slow
     #[arg(long)]
@@ -174,6 +179,9 @@ pub struct ResumeArgs {
     /// Amount of output.
     #[command(flatten)]
     pub voice: VoiceArgs,
+    /// View in the browser.
+    #[command(flatten)]
+    pub live: LiveArgs,
 }
 
 impl TrainArgs {

@@ -44,10 +44,14 @@ pub fn stays_inside(path: &Path) -> bool {
 /// # Errors
 /// If it cannot be written.
 pub fn write_comparison(comparison: &Comparison, file: &mut BufWriter<File>) -> Result<()> {
+    Ok(self::comparison(comparison).write_to(file, ImageFormat::Png)?)
+}
+
+/// Returns the picture that [`write_comparison`] writes.
+pub fn comparison(comparison: &Comparison) -> RgbImage {
     let [height, width, _] = comparison.image.dims();
     let (truth, render) = (values_of(comparison.truth.clone()), values_of(comparison.image.clone()));
-    let picture = side_by_side(&truth, &render, width, height);
-    Ok(picture.write_to(file, ImageFormat::Png)?)
+    side_by_side(&truth, &render, width, height)
 }
 
 /// Places two pictures `[height, width, 3]` in 0..1 and their error side by side.

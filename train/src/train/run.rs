@@ -24,6 +24,7 @@ use super::{OUT, ResumeArgs, TrainArgs};
 use crate::accuracy::RequestedAccuracy;
 use crate::effects::Chosen;
 use crate::input::PhotoSelection;
+use crate::live::Live;
 use crate::lpips::LpipsArgs;
 use crate::options::PhotoArgs;
 use crate::output::{self, OutputFolder};
@@ -75,12 +76,14 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
 /// If no checkpoint can be resumed from, and as for [`run`].
 pub fn resume(args: &ResumeArgs) -> Result<Metrics> {
     let kept = checkpoints::newest(&args.out)?;
-    let of_the_run = TrainArgs { out: Some(args.out.clone()), voice: args.voice, ..kept.args.clone() };
+    let of_the_run = TrainArgs { out: Some(args.out.clone()), voice: args.voice, live: args.live, ..kept.args.clone() };
     to_the_end(of_the_run, Some(kept), |trainer| trainer)
 }
 
 fn to_the_end(mut args: TrainArgs, kept: Option<SavedRun>, change: impl FnOnce(Trainer) -> Trainer) -> Result<Metrics> {
     let mut config = args.config()?;
+    // An unavailable port is found before the capture is read.
+    let server = args.live.listen()?;
     if let Some(steps) = kept.as_ref().and_then(|kept| kept.so_far.steps) {
         config = args.schedule(config, steps);
     }
@@ -159,6 +162,7 @@ fn to_the_end(mut args: TrainArgs, kept: Option<SavedRun>, change: impl FnOnce(T
         device: &device_name,
         version: env!("CARGO_PKG_VERSION"),
     });
+    let live = server.map(|server| Live::start(server, &trainer, &test, &device, out.path())).transpose()?;
     let choice = accuracy.filter(|_| !so_far.dials_chosen).map(|accuracy| (accuracy, shots));
     let steps = Steps {
         args: &args,
@@ -169,8 +173,9 @@ fn to_the_end(mut args: TrainArgs, kept: Option<SavedRun>, change: impl FnOnce(T
         lpips: lpips.as_ref(),
         snapshots: snapshots.as_ref(),
         checkpoints,
+        live,
     };
-    let Done { seconds: train, history, checkpoints } = steps.run(&mut trainer, so_far, choice)?;
+    let Done { seconds: train, history, checkpoints, live, stopped_at } = steps.run(&mut trainer, so_far, choice)?;
     // Dials and schedules may have changed since the start.
     config = trainer.config().clone();
     let background = trainer.background();
@@ -186,7 +191,7 @@ fn to_the_end(mut args: TrainArgs, kept: Option<SavedRun>, change: impl FnOnce(T
     let unusable = rows.unusable();
     progress::note_unusable(&out.join(SCENE), unusable, rows.len());
     let scene = ShownScene::new(&rows, page::SCENE_BYTES).ok();
-    drop(rows);
+    let last = live.map(|live| (live, rows));
     effects.measure(&mut trainer)?;
     // The scores need the memory of photographs and moments, which are no longer used.
     drop(trainer);
@@ -209,7 +214,7 @@ fn to_the_end(mut args: TrainArgs, kept: Option<SavedRun>, change: impl FnOnce(T
         steps: Some(config.steps),
         seconds: Seconds { load, train: Some(train), eval },
         peak_rss_mib: peak_rss_mib(),
-        device: device_name,
+        device: device_name.clone(),
         effects: Some(effects),
         seed: Some(config.seed),
         options: serde_json::to_value(options)?,
@@ -226,7 +231,16 @@ fn to_the_end(mut args: TrainArgs, kept: Option<SavedRun>, change: impl FnOnce(T
         antialias: config.antialias,
     };
     page.write(&out)?;
-    checkpoints.finish();
+    match stopped_at {
+        None => checkpoints.finish(),
+        Some(step) => progress::note(&format!(
+            "stopped in the browser after step {step}; `splat resume {}` continues from there",
+            out.path().display()
+        )),
+    }
+    if let Some((live, rows)) = last {
+        live.finish(rows, &metrics, &history);
+    }
     report::say(&metrics, SCENE, &out);
     progress::line(&LogLine::Done { out: out.path().display().to_string(), metrics: &metrics });
     Ok(metrics)

@@ -12,8 +12,9 @@ use super::TrainArgs;
 use super::checkpoints::{Checkpoints, SoFar};
 use super::results::keep_scene;
 use super::stop::{Interrupted, Stop};
-use super::time_limit::TimeLimit;
+use super::time_limit::{TimeLimit, set_steps};
 use crate::accuracy::RequestedAccuracy;
+use crate::live::Live;
 use crate::output::OutputFolder;
 use crate::pareto::MeasuredView;
 use crate::progress;
@@ -39,22 +40,27 @@ pub struct Steps<'a> {
     /// Snapshots of the evaluations, if asked for.
     pub snapshots: Option<&'a Snapshots<'a>>,
     pub checkpoints: Checkpoints,
+    /// View in the browser, if asked for.
+    pub live: Option<Live<'a>>,
 }
 
 /// Result of the steps, when all are done.
-pub struct Done {
+pub struct Done<'a> {
     /// Training time of all parts of the run, s.
     pub seconds: f64,
     pub history: History,
     pub checkpoints: Checkpoints,
+    pub live: Option<Live<'a>>,
+    /// The step at which the view's button ended the run before its last step. The checkpoint of that step is kept.
+    pub stopped_at: Option<usize>,
 }
 
-impl Steps<'_> {
+impl<'a> Steps<'a> {
     /// Runs all remaining steps.
     ///
     /// # Errors
     /// If a step fails; [`Interrupted`] if the run was asked to stop.
-    pub fn run(mut self, trainer: &mut Trainer, so_far: SoFar, mut choice: Option<PendingChoice>) -> Result<Done> {
+    pub fn run(mut self, trainer: &mut Trainer, so_far: SoFar, mut choice: Option<PendingChoice>) -> Result<Done<'a>> {
         let stop = Stop::listen().context("cannot listen for Ctrl-C")?;
         let mut time_limit = self.args.time.map(TimeLimit::new);
         let mut dials_chosen = so_far.dials_chosen;
@@ -64,6 +70,7 @@ impl Steps<'_> {
             self.checkpoints.write(trainer, self.args, &so_far)?;
         }
         let mut log = RunLog::new(trainer, so_far.history, so_far.seconds);
+        let mut stopped_at = None;
         while !trainer.is_done() {
             if let Some(signal) = stop.asked() {
                 let seconds = log.recorder.seconds();
@@ -93,6 +100,17 @@ impl Steps<'_> {
                 }
             }
             evaluated?;
+            if let Some(live) = &mut self.live {
+                live.step(trainer, &mut log)?;
+            }
+            if stopped_at.is_none() && !trainer.is_done() && self.live.as_ref().is_some_and(Live::stops) {
+                stopped_at = Some(trainer.steps_done());
+                time_limit = None;
+                let (seconds, history) = (log.recorder.seconds(), log.recorder.history.clone());
+                self.checkpoints.write(trainer, self.args, &self.so_far(trainer, seconds, dials_chosen, history))?;
+                // One more step, which waits for the device and finds its faults.
+                set_steps(trainer.steps_done() + 1, trainer, self.args, &mut log)?;
+            }
             if let Some(limit) = &mut time_limit {
                 limit.adjust(trainer, self.args, &mut log)?;
             }
@@ -107,7 +125,7 @@ impl Steps<'_> {
         if let Some(Err(error)) = self.snapshots.map(|snapshots| snapshots.keep_history(&history)) {
             progress::note(&format!("the last curves of the snapshots were not saved: {error:#}"));
         }
-        Ok(Done { seconds, history, checkpoints: self.checkpoints })
+        Ok(Done { seconds, history, checkpoints: self.checkpoints, live: self.live, stopped_at })
     }
 
     /// Returns the progress of the run besides its trainer.

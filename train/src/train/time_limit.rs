@@ -125,7 +125,11 @@ impl TimeLimit {
     }
 }
 
-fn set_steps(steps: usize, trainer: &mut Trainer, args: &TrainArgs, log: &mut RunLog) -> Result<(), TrainError> {
+/// Changes the number of steps of a run.
+///
+/// # Errors
+/// If the trainer refuses the number, for which there is no known reason.
+pub fn set_steps(steps: usize, trainer: &mut Trainer, args: &TrainArgs, log: &mut RunLog) -> Result<(), TrainError> {
     trainer.reschedule(&args.schedule(trainer.config().clone(), steps))?;
     log.reschedule(trainer);
     Ok(())

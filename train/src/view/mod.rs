@@ -34,11 +34,11 @@ pub struct ViewArgs {
 /// If the file is missing or is not a scene, or the port is not available.
 pub fn run(args: &ViewArgs) -> Result<()> {
     // An unavailable port is found before the scene is read, which may take long.
-    let server = Server::bind(args.port)?;
+    let server = Server::bind(args.port, "--port")?;
     let pages = pages(args)?;
     progress::say(&server.url());
     progress::note(&format!("serving {} on this machine only; Ctrl-C ends it", args.scene.display()));
-    server.serve(&pages)
+    server.serve(&pages[..])
 }
 
 /// Returns the pages to serve.

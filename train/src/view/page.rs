@@ -32,6 +32,8 @@ pub enum SceneSource {
     Page,
     /// At a URL of the same server.
     Url(&'static str),
+    /// There too, and changing: an event `splat-scene` of the page's window names the URL of each new one.
+    Live(&'static str),
 }
 
 /// A viewer of a scene.
@@ -78,11 +80,20 @@ impl Viewer<'_> {
                 )
             }
         };
-        let wheel = if self.source == SceneSource::Page { "wheel after a click" } else { "wheel" };
+        let wheel = if self.scrolls() { "wheel after a click" } else { "wheel" };
         let how = format!("drag to rotate, right button to pan, {wheel} to zoom");
         let (omissions, splats) = (self.scene.omissions(), self.scene.splats);
-        let shown = if omissions.is_empty() { format!("{splats} splats. ") } else { omissions };
+        let shown = match self.source {
+            SceneSource::Live(_) => String::new(),
+            _ if omissions.is_empty() => format!("{splats} splats. "),
+            _ => omissions,
+        };
         format!("<div id=\"viewer\"><p id=\"viewer-note\">{}{how}</p>{bar}</div>\n", escape(&shown))
+    }
+
+    /// Whether the viewer is part of a page that scrolls.
+    fn scrolls(&self) -> bool {
+        !matches!(self.source, SceneSource::Url(_))
     }
 
     /// Returns the scripts that must follow the element.
@@ -96,7 +107,7 @@ impl Viewer<'_> {
         let setup = Setup {
             url: match self.source {
                 SceneSource::Page => None,
-                SceneSource::Url(url) => Some(url),
+                SceneSource::Url(url) | SceneSource::Live(url) => Some(url),
             },
             centre: self.scene.extent.centre.to_array(),
             radius: self.scene.extent.radius,
@@ -106,7 +117,7 @@ impl Viewer<'_> {
             background: self.background,
             antialias: self.antialias,
             blur: RenderOptions::standard().blur,
-            wheel_after_click: self.source == SceneSource::Page,
+            wheel_after_click: self.scrolls(),
         };
         let mut text = format!("<!--\n{LICENSES}\n-->\n");
         writeln!(text, "<script type=\"application/json\" id=\"viewer-setup\">{}</script>", in_script(&setup)?)?;

@@ -67,9 +67,25 @@
     controls.addEventListener("change", () => { dirty = true; });
 
     const bytes = setup.url === null ? inlined() : await fetched(setup.url);
-    const mesh = new SplatMesh({ fileBytes: bytes, fileType: "ply" });
-    scene.add(mesh);
-    await mesh.initialized;
+    let mesh = null;
+    // Shows a scene in place of the one before. The camera stays.
+    const replace = async (bytes) => {
+      const next = new SplatMesh({ fileBytes: bytes, fileType: "ply" });
+      await next.initialized;
+      if (mesh) {
+        scene.remove(mesh);
+        mesh.dispose();
+      }
+      mesh = next;
+      scene.add(mesh);
+      dirty = true;
+    };
+    await replace(bytes);
+    // A page whose scene changes names each new one; one that cannot be had leaves the one before.
+    addEventListener("splat-scene", async ({ detail: url }) => {
+      await replace(await fetched(url));
+      root.dataset.scene = url;
+    });
 
     let visible = true;
     new IntersectionObserver((entries) => { visible = entries[entries.length - 1].isIntersecting; }).observe(holder);

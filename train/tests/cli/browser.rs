@@ -14,8 +14,8 @@ use std::time::{Duration, Instant};
 use image::RgbImage;
 
 use crate::run::{TRAINED, fresh};
-use crate::text;
 use crate::view::Serving;
+use crate::{live, text};
 
 /// Size of the browser's window, px.
 const WINDOW: (u32, u32) = (1100, 1000);
@@ -132,7 +132,9 @@ fn serve(gate: &TcpListener, harness: &str, page: &BrowserPage, stopped: &mpsc::
         let mut request = [0; 4096];
         let count = stream.read(&mut request).unwrap_or(0);
         let request = String::from_utf8_lossy(&request[..count]);
-        let answer = match (request.split(' ').nth(1), page) {
+        let mut words = request.split(' ');
+        let method = words.next().unwrap_or_default();
+        let answer = match (words.next(), page) {
             (Some("/held"), _) => {
                 held.push(stream);
                 continue;
@@ -145,7 +147,7 @@ fn serve(gate: &TcpListener, harness: &str, page: &BrowserPage, stopped: &mpsc::
                 let head = "HTTP/1.1 200 OK\r\nContent-Type: text/html; charset=utf-8\r\nConnection: close\r\n\r\n";
                 format!("{head}{harness}").into_bytes()
             }
-            (Some(path), BrowserPage::Served(server)) if path != "/favicon.ico" => server.ask(path),
+            (Some(path), BrowserPage::Served(server)) if path != "/favicon.ico" => server.ask(method, path),
             _ => EMPTY.to_vec(),
         };
         let _ = stream.write_all(&answer);
@@ -184,6 +186,55 @@ fn browsers_draw_a_scene_that_is_served() {
     let serving = Serving::start(&[text(&TRAINED.join("scene.ply"))]);
     let Some(seen) = look("view", BrowserPage::Served(serving), "") else { return };
     assert_drawn(&seen);
+}
+
+/// Looks at a run for two scenes, stops it, and waits for its results. `page.seen` holds the mean colours of both pictures.
+const WATCH: &str = r##"
+  const view = frame.contentWindow, root = page.documentElement;
+  const until = async (is) => { for (let i = 0; i < 600 && !is(); i++) await wait(100); };
+  const canvas = document.createElement("canvas");
+  [canvas.width, canvas.height] = [64, 64];
+  const brush = canvas.getContext("2d", { willReadFrequently: true });
+  // A picture can be read in the frame that draws it.
+  const grab = async () => {
+    for (let i = 0; i < 100; i++) {
+      page.getElementById("viewer-camera").dispatchEvent(new view.Event("change"));
+      await new Promise((go) => view.requestAnimationFrame(go));
+      brush.clearRect(0, 0, 64, 64);
+      brush.drawImage(page.querySelector("#viewer canvas"), 0, 0, 64, 64);
+      const values = brush.getImageData(0, 0, 64, 64).data;
+      const mean = values.reduce((sum, value, at) => sum + (at % 4 < 3 ? value : 0), 0) / (64 * 64 * 3);
+      if (mean > 1) return mean;
+    }
+    return 0;
+  };
+  await until(() => root.dataset.viewer);
+  page.seen = [await grab()];
+  const first = root.dataset.scene;
+  await until(() => root.dataset.scene && root.dataset.scene !== first && !page.getElementById("live-worst").hidden);
+  await wait(500);
+  page.seen.push(await grab());
+  page.getElementById("live-stop").click();
+  await until(() => root.dataset.live !== "training");
+  page.seen.push(root.dataset.live);
+"##;
+
+#[test]
+fn browsers_watch_a_run_and_stop_it() {
+    let out = fresh("live-browser");
+    let serving = live::start(&out, &["--eval-during", "50"]);
+    let Some(seen) = look("live", BrowserPage::Served(serving), WATCH) else { return };
+    assert_drawn(&seen);
+    let [before, after] = [0, 1].map(|at| seen.state["seen"][at].as_f64().unwrap());
+    assert!(before > 0.0 && after > 0.0 && (before - after).abs() > 1.0, "the picture stays: {}", seen.state);
+    assert_eq!(seen.state["seen"][2], "done");
+    let metrics: serde_json::Value = serde_json::from_slice(&fs::read(out.join("metrics.json")).unwrap()).unwrap();
+    let shown = |id: &str| seen.state["tiles"][id].as_str().unwrap().to_owned();
+    assert_eq!(shown("live-step"), metrics["steps"].to_string());
+    assert_eq!(shown("live-splats"), metrics["splats"].to_string());
+    assert_eq!(shown("live-psnr"), format!("{:.2} dB", metrics["test"]["psnr"].as_f64().unwrap()));
+    let lengths: Vec<u64> = serde_json::from_value(seen.state["curves"].clone()).unwrap();
+    assert!(lengths.iter().all(|length| *length > 20), "curves without points: {lengths:?}");
 }
 
 #[test]

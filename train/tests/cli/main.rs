@@ -6,6 +6,7 @@ mod convert;
 mod effects;
 mod errors;
 mod hard_cases;
+mod live;
 mod lpips;
 mod memory;
 mod non_finite;

@@ -23,27 +23,46 @@ impl Serving {
         Self { child, url: url.trim().to_owned() }
     }
 
-    /// Returns the whole answer to a path.
-    pub fn ask(&self, path: &str) -> Vec<u8> {
+    /// Takes over a program that serves at `url`.
+    pub fn of(child: Child, url: &str) -> Self {
+        Self { child, url: url.trim().to_owned() }
+    }
+
+    /// Returns the whole answer to a request.
+    pub fn ask(&self, method: &str, path: &str) -> Vec<u8> {
+        self.ask_as(method, path, "")
+    }
+
+    /// Returns the whole answer to a request with more headers, each with its line end.
+    pub fn ask_as(&self, method: &str, path: &str, headers: &str) -> Vec<u8> {
         let host = self.url.strip_prefix("http://").unwrap().trim_end_matches('/');
-        let mut stream = TcpStream::connect(host).unwrap();
-        write!(stream, "GET {path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\r\n").unwrap();
+        // A run that has ended serves nothing.
+        let Ok(mut stream) = TcpStream::connect(host) else { return Vec::new() };
+        write!(stream, "{method} {path} HTTP/1.1\r\nHost: {host}\r\n{headers}Connection: close\r\n\r\n").unwrap();
         let mut answer = Vec::new();
         stream.read_to_end(&mut answer).unwrap();
         answer
     }
 
     /// Returns the answer to a path without its headers.
-    fn get(&self, path: &str) -> Vec<u8> {
-        let mut answer = self.ask(path);
+    pub fn get(&self, path: &str) -> Vec<u8> {
+        let mut answer = self.ask("GET", path);
         let end = answer.windows(4).position(|four| four == b"\r\n\r\n").unwrap();
         answer.split_off(end + 4)
     }
 }
 
+impl Serving {
+    /// Waits until the program ends, and returns its exit code.
+    pub fn end(&mut self) -> Option<i32> {
+        self.child.wait().unwrap().code()
+    }
+}
+
 impl Drop for Serving {
     fn drop(&mut self) {
-        self.child.kill().unwrap();
+        // It may have ended.
+        let _ = self.child.kill();
         self.child.wait().unwrap();
     }
 }

@@ -54,11 +54,11 @@ impl ReportPage<'_> {
              <meta name=\"viewport\" content=\"width=device-width\">\n<title>{} – splat</title>\n<style>\n{}{STYLE}</style>\n\
              </head>\n<body>\n<main>\n<h1>{}</h1>\n",
             escape(&name),
-            include_str!("page.css"),
+            PAGE_STYLE,
             escape(&name),
         );
         html.push_str(&sections::summary(self.metrics));
-        html.push_str(include_str!("curves.html"));
+        html.push_str(CURVES);
         self.write_scene(&mut html)?;
         html.push_str(&sections::views(self.metrics.test.as_ref(), comparisons));
         html.push_str(&sections::effects(self.metrics.effects.as_ref()));
@@ -72,8 +72,7 @@ impl ReportPage<'_> {
         let data = in_script(&(self.history, last))?;
         write!(
             html,
-            "<script type=\"application/json\" id=\"history\">{data}</script>\n<script>{}</script>\n",
-            SCRIPT
+            "<script type=\"application/json\" id=\"history\">{data}</script>\n<script>{CURVES_SCRIPT}</script>\n<script>{SCRIPT}</script>\n"
         )?;
         Ok(html + "</body>\n</html>\n")
     }
@@ -99,6 +98,11 @@ impl ReportPage<'_> {
     }
 }
 
+/// Style sheet of the page, for other pages too.
+pub const PAGE_STYLE: &str = include_str!("page.css");
+/// Section of the curves, and the script that draws them.
+pub const CURVES: &str = include_str!("curves.html");
+pub const CURVES_SCRIPT: &str = include_str!("curves.js");
 const SCRIPT: &str = include_str!("page.js");
 
 #[cfg(test)]

@@ -6,10 +6,10 @@ use super::*;
 
 /// Starts a server with one page, on a thread that runs until the process ends.
 fn started() -> Arc<Server> {
-    let server = Arc::new(Server::bind(0).unwrap());
+    let server = Arc::new(Server::bind(0, "--port").unwrap());
     let serving = Arc::clone(&server);
     std::thread::spawn(move || {
-        serving.serve(&[ServedFile { path: "/", kind: "text/html", content: b"hello".to_vec() }]).unwrap();
+        serving.serve(&[ServedFile { path: "/", kind: "text/html", content: b"hello".to_vec() }][..]).unwrap();
     });
     server
 }
@@ -53,14 +53,14 @@ fn pages_of_others_cannot_read_what_is_served() {
 
 #[test]
 fn it_listens_on_this_machine_alone() {
-    let server = Server::bind(0).unwrap();
+    let server = Server::bind(0, "--port").unwrap();
     assert!(server.http.server_addr().to_ip().unwrap().ip().is_loopback());
 }
 
 #[test]
 fn a_port_that_is_taken_is_named() {
-    let server = Server::bind(0).unwrap();
-    let error = Server::bind(server.port).err().unwrap().to_string();
+    let server = Server::bind(0, "--port").unwrap();
+    let error = Server::bind(server.port, "--port").err().unwrap().to_string();
     for part in [&server.port.to_string(), "another program has it", "--port"] {
         assert!(error.contains(part), "{error}");
     }

@@ -1,0 +1,202 @@
+//! What the trainer's thread and the server's thread share.
+
+use std::borrow::Cow;
+use std::io::Cursor;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use image::RgbImage;
+use image::codecs::jpeg::JpegEncoder;
+use serde::Serialize;
+use splat_model::gaussians::GaussianRows;
+
+use crate::report::history::History;
+use crate::report::metrics::Metrics;
+use crate::report::page::SCENE_BYTES;
+use crate::view::scene::ShownScene;
+use crate::view::server::Site;
+
+/// The paths of the server.
+pub const SCENE: &str = "/scene.ply";
+const STATUS: &str = "/status.json";
+const WORST: &str = "/worst.jpg";
+const STOP: &str = "/stop";
+
+/// Time after the last request for the status for which somebody looks, ms. Browsers slow pages in the background down to a
+/// request a minute.
+const LOOKS_MS: u64 = 5_000;
+
+/// JPEG quality of the worst view.
+const QUALITY: u8 = 90;
+
+/// The numbers of a run, as `/status.json`.
+#[derive(Serialize)]
+pub struct Status<'a> {
+    /// Steps done, and steps of the whole run.
+    pub step: usize,
+    pub steps: usize,
+    pub splats: usize,
+    /// Training time so far, and the time left, s.
+    pub seconds: f64,
+    pub left_s: f64,
+    pub history: &'a History,
+    /// Step of the scene that `/scene.ply` gives.
+    pub scene: usize,
+    /// The worst test view; null if none has been scored.
+    pub worst: Option<&'a WorstView>,
+    /// Content of `metrics.json`; null until the run has ended.
+    pub metrics: Option<&'a Metrics>,
+}
+
+/// The test view with the lowest score.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct WorstView {
+    pub name: String,
+    /// PSNR, dB.
+    pub psnr: f64,
+    /// Step at which it was scored.
+    pub step: usize,
+}
+
+/// State that both threads share.
+pub struct Shared {
+    page: Vec<u8>,
+    started: Instant,
+    /// Time of the last request for the status since the start, ms plus one; 0 before the first.
+    looked_ms: AtomicU64,
+    stops: AtomicBool,
+    /// Time spent on encoding scenes since it was last taken, µs.
+    encoding_us: AtomicU64,
+    shown: Mutex<Shown>,
+}
+
+/// The latest state of the run.
+struct Shown {
+    status: Vec<u8>,
+    /// Step of the scene, and whether a browser has loaded it.
+    scene_step: usize,
+    is_loaded: bool,
+    /// Rows of the scene until it is asked for, and its file from then on.
+    rows: Option<GaussianRows>,
+    ply: Vec<u8>,
+    worst: Vec<u8>,
+}
+
+impl Shared {
+    /// The state before a run's next step, with the step and the file of its present scene.
+    pub fn new(page: String, (scene_step, ply): (usize, Vec<u8>)) -> Self {
+        let shown =
+            Shown { status: b"null".to_vec(), scene_step, is_loaded: false, rows: None, ply, worst: Vec::new() };
+        Self {
+            page: page.into_bytes(),
+            started: Instant::now(),
+            looked_ms: AtomicU64::new(0),
+            stops: AtomicBool::new(false),
+            encoding_us: AtomicU64::new(0),
+            shown: Mutex::new(shown),
+        }
+    }
+
+    /// Whether a browser has asked lately. Costs nothing.
+    pub fn is_watched(&self) -> bool {
+        let looked = self.looked_ms.load(Ordering::Relaxed);
+        looked > 0 && self.now_ms() <= looked + LOOKS_MS
+    }
+
+    pub fn stops(&self) -> bool {
+        self.stops.load(Ordering::Relaxed)
+    }
+
+    /// Replaces the numbers.
+    pub fn show(&self, status: &Status) {
+        // No value of a status fails to be written.
+        if let Ok(status) = serde_json::to_vec(status) {
+            self.lock().status = status;
+        }
+    }
+
+    /// Replaces the scene by that of a step.
+    pub fn show_scene(&self, step: usize, rows: GaussianRows) {
+        let mut shown = self.lock();
+        (shown.scene_step, shown.is_loaded, shown.rows) = (step, false, Some(rows));
+    }
+
+    /// Replaces the picture of the worst view.
+    pub fn show_worst(&self, picture: &RgbImage) {
+        let mut file = Cursor::new(Vec::new());
+        // Writing to memory does not fail.
+        if picture.write_with_encoder(JpegEncoder::new_with_quality(&mut file, QUALITY)).is_ok() {
+            self.lock().worst = file.into_inner();
+        }
+    }
+
+    /// Step of the scene that is shown.
+    pub fn scene_step(&self) -> usize {
+        self.lock().scene_step
+    }
+
+    /// Whether a browser has loaded the scene of a step.
+    pub fn is_taken(&self, step: usize) -> bool {
+        let shown = self.lock();
+        shown.scene_step == step && shown.is_loaded
+    }
+
+    /// Returns the time spent on encoding scenes since the last call.
+    pub fn take_encoding(&self) -> Duration {
+        Duration::from_micros(self.encoding_us.swap(0, Ordering::Relaxed))
+    }
+
+    /// Returns the file of the scene, which is encoded at the first request. The trainer does not wait meanwhile.
+    fn scene(&self) -> Vec<u8> {
+        let (step, rows) = {
+            let mut shown = self.lock();
+            (shown.scene_step, shown.rows.take())
+        };
+        if let Some(rows) = rows {
+            let begin = Instant::now();
+            // A scene of which nothing can be drawn leaves the one before.
+            let scene = ShownScene::new(&rows, SCENE_BYTES);
+            let spent = u64::try_from(begin.elapsed().as_micros()).unwrap_or(u64::MAX);
+            self.encoding_us.fetch_add(spent, Ordering::Relaxed);
+            if let Ok(scene) = scene {
+                self.lock().ply = scene.ply;
+            }
+        }
+        let mut shown = self.lock();
+        shown.is_loaded |= shown.scene_step == step;
+        shown.ply.clone()
+    }
+
+    fn now_ms(&self) -> u64 {
+        // Plus one, so that 0 is no time.
+        u64::try_from(self.started.elapsed().as_millis()).unwrap_or(u64::MAX - LOOKS_MS - 1) + 1
+    }
+
+    /// The latest state. No code panics while it holds the lock.
+    fn lock(&self) -> MutexGuard<'_, Shown> {
+        self.shown.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Site for Shared {
+    fn get(&self, path: &str) -> Option<(&'static str, Cow<'_, [u8]>)> {
+        Some(match path {
+            "/" => ("text/html; charset=utf-8", Cow::Borrowed(&self.page[..])),
+            STATUS => {
+                self.looked_ms.store(self.now_ms(), Ordering::Relaxed);
+                ("application/json", Cow::Owned(self.lock().status.clone()))
+            }
+            SCENE => ("application/octet-stream", Cow::Owned(self.scene())),
+            WORST => ("image/jpeg", Cow::Owned(self.lock().worst.clone())),
+            _ => return None,
+        })
+    }
+
+    fn act(&self, path: &str) -> bool {
+        if path == STOP {
+            self.stops.store(true, Ordering::Relaxed);
+        }
+        path == STOP
+    }
+}

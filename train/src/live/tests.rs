@@ -1,0 +1,67 @@
+use super::*;
+use crate::view::server::Site;
+
+fn shared() -> Shared {
+    Shared::new("page".into(), (3, b"first".to_vec()))
+}
+
+fn asked(shared: &Shared, path: &str) -> Vec<u8> {
+    shared.get(path).map(|(_, content)| content.into_owned()).unwrap()
+}
+
+/// One Gaussian that can be drawn, at `x`.
+fn rows(x: f32) -> GaussianRows {
+    GaussianRows {
+        means: vec![[x, 0.0, 0.0]],
+        rotations: vec![[1.0, 0.0, 0.0, 0.0]],
+        log_scales: vec![[0.0; 3]],
+        logit_opacities: vec![0.0],
+        sh_dc: vec![[0.0; 3]],
+        sh_rest: Vec::new(),
+        sh_degree: 0,
+    }
+}
+
+#[test]
+fn nobody_looks_until_the_numbers_are_asked_for() {
+    let shared = shared();
+    assert_eq!(asked(&shared, "/"), b"page");
+    assert_eq!(asked(&shared, "/scene.ply"), b"first");
+    assert!(!shared.is_watched());
+    assert_eq!(asked(&shared, "/status.json"), b"null");
+    assert!(shared.is_watched());
+    assert!(shared.get("/metrics.json").is_none());
+}
+
+#[test]
+fn a_scene_is_encoded_once_and_when_it_is_asked_for() {
+    let shared = shared();
+    assert!(!shared.is_taken(3));
+    assert_eq!(asked(&shared, "/scene.ply"), b"first");
+    assert!(shared.is_taken(3));
+    shared.show_scene(7, rows(1.0));
+    assert_eq!((shared.scene_step(), shared.is_taken(7), shared.take_encoding()), (7, false, Duration::ZERO));
+    let ply = asked(&shared, "/scene.ply");
+    assert!(ply.starts_with(b"ply") && shared.is_taken(7) && shared.take_encoding() > Duration::ZERO);
+    assert_eq!((asked(&shared, "/scene.ply"), shared.take_encoding()), (ply.clone(), Duration::ZERO));
+    // Nothing of this scene can be drawn.
+    shared.show_scene(8, rows(f32::NAN));
+    assert_eq!(asked(&shared, "/scene.ply"), ply);
+}
+
+#[test]
+fn only_the_button_stops() {
+    let shared = shared();
+    assert!(!shared.act("/") && !shared.act("/status.json") && !shared.stops());
+    assert!(shared.act("/stop") && shared.stops());
+}
+
+#[test]
+fn an_update_is_a_small_share_of_the_time() {
+    let mut pace = Pace::default();
+    assert!(pace.is_due());
+    pace.done(Duration::ZERO);
+    assert!(!pace.is_due() && pace.due.unwrap() <= Instant::now() + BETWEEN);
+    pace.done(Duration::from_millis(100));
+    assert!(pace.due.unwrap() > Instant::now() + Duration::from_secs(9));
+}
