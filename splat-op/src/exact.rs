@@ -72,13 +72,20 @@ struct Contribution<'a> {
     features: &'a [f64],
 }
 
+/// A picture of which single pixels can be rendered: the Gaussians as a camera sees them.
+pub struct ExactView<'a> {
+    ellipses: Vec<ExactEllipse<'a>>,
+    camera: Intrinsics,
+    options: RenderOptions,
+}
+
 /// Renders a picture with the reference renderer and returns its pixels row by row.
 ///
 /// `background` has as many channels as the features of each Gaussian. Equations: Zwicker et al. 2001, eq. 26 to 31, and Kerbl et
 /// al. 2023, eq. 5, for the projection; the maximum along the ray for [`Projection::RayMax`].
 ///
 /// # Panics
-/// If the camera is not a pinhole and `options` do not choose [`Projection::Affine`] with [`Order::CentreDepth`].
+/// As [`ExactView::new`].
 pub fn render_exact(
     gaussians: &[ExactGaussian],
     pose: &ExactPose,
@@ -86,18 +93,31 @@ pub fn render_exact(
     background: &[f64],
     options: &RenderOptions,
 ) -> Vec<ExactPixel> {
-    assert!(!options.along_rays() || camera.model == CameraModel::Pinhole, "a render along rays needs a pinhole");
-    let ellipses: Vec<ExactEllipse> = gaussians.iter().filter_map(|g| project(g, pose, camera, options)).collect();
-    let centres = (0..camera.height).flat_map(|y| (0..camera.width).map(move |x| (x, y)));
-    let see = |(x, y)| {
+    let view = ExactView::new(gaussians, pose, camera, options);
+    let pixels = (0..camera.height).flat_map(|y| (0..camera.width).map(move |x| [x, y]));
+    pixels.map(|pixel| view.pixel(pixel, background)).collect()
+}
+
+impl<'a> ExactView<'a> {
+    /// Projects the Gaussians once for all pixels.
+    ///
+    /// # Panics
+    /// If the camera is not a pinhole and `options` do not choose [`Projection::Affine`] with [`Order::CentreDepth`].
+    pub fn new(gaussians: &'a [ExactGaussian], pose: &ExactPose, camera: &Intrinsics, options: &RenderOptions) -> Self {
+        assert!(!options.along_rays() || camera.model == CameraModel::Pinhole, "a render along rays needs a pinhole");
+        let ellipses = gaussians.iter().filter_map(|g| project(g, pose, camera, options)).collect();
+        Self { ellipses, camera: *camera, options: *options }
+    }
+
+    /// Renders the pixel in column `x` and row `y` by visiting every Gaussian. `background` has a value for each feature.
+    pub fn pixel(&self, [x, y]: [usize; 2], background: &[f64]) -> ExactPixel {
         let centre_px = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
-        let mut seen: Vec<Contribution> =
-            ellipses.iter().map(|ellipse| ellipse.seen(centre_px, camera, options)).collect();
+        let seen = |ellipse: &ExactEllipse<'a>| ellipse.seen(centre_px, &self.camera, &self.options);
+        let mut seen: Vec<Contribution> = self.ellipses.iter().map(seen).collect();
         // The sort is stable: Gaussians at equal depths keep their order.
         seen.sort_by(|a, b| a.key.total_cmp(&b.key));
         pixel(&seen, background)
-    };
-    centres.map(see).collect()
+    }
 }
 
 impl<'a> ExactEllipse<'a> {

@@ -20,7 +20,7 @@ use crate::input;
 use crate::lpips::LpipsArgs;
 use crate::options::PhotoArgs;
 use crate::output::OutputFolder;
-use crate::pareto::MeasuredView;
+use crate::pareto::{MeasuredView, UnmeasuredScene};
 use crate::report::metrics::{Metrics, Seconds, peak_rss_mib, seconds_since};
 use crate::report::{self, METRICS, SCENE, VIEWS};
 
@@ -118,7 +118,14 @@ pub fn run(args: &EvalArgs) -> Result<Metrics> {
     let culled_non_finite = rows.unusable();
     let load = seconds_since(start);
 
-    let dials = accuracy.setting((&rows, shots), &base, (&device, &device_name), Workload::Render)?;
+    let dials = accuracy.setting(&UnmeasuredScene {
+        rows: &rows,
+        shots,
+        background: background.colour(),
+        base,
+        device: (&device, &device_name),
+        work: Workload::Render,
+    })?;
     let render_options = dials.apply(base);
     let photos: Vec<Photograph> = photos.into_iter().map(Photograph::from).collect();
     let start = Instant::now();

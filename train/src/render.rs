@@ -3,6 +3,7 @@
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::PathBuf;
+use std::time::Instant;
 
 use anyhow::{Context, Result, anyhow};
 use burn::tensor::{Device, Tensor};
@@ -18,7 +19,7 @@ use crate::accuracy::{AccuracyArgs, ModelArgs};
 use crate::background::ShownBackground;
 use crate::device::{self, DeviceName};
 use crate::output::OutputFolder;
-use crate::pareto::MeasuredView;
+use crate::pareto::{MeasuredView, UnmeasuredScene};
 use crate::report::pictures::{self, level};
 use crate::report::values_of;
 use crate::{input, progress};
@@ -101,17 +102,28 @@ pub fn run(args: &RenderArgs) -> Result<Vec<PathBuf>> {
         views.iter().map(|view| MeasuredView::unseen(&view.intrinsics, &view.cam_from_world)).collect();
     let accuracy = accuracy.on((&capture, Some(&rows), MeasuredView::pixels(&shots)), &base, Workload::Render)?;
     let out = OutputFolder::prepare(&args.out, &[], &[])?;
-    let options = accuracy.setting((&rows, shots), &base, (&device, &device_name), Workload::Render)?.apply(base);
+    let scene = UnmeasuredScene {
+        rows: &rows,
+        shots,
+        background: background.colour(),
+        base,
+        device: (&device, &device_name),
+        work: Workload::Render,
+    };
+    let options = accuracy.setting(&scene)?.apply(base);
     let splats = splats.stored(&options)?;
     let names = pictures::names(views.iter().map(|view| view.name.as_str()), args.format.extension());
     let counter = progress::counter("rendering", views.len());
+    let mut frames_ms = Vec::new();
     for (view, name) in views.iter().zip(&names) {
         let picture = Rgba::render(&splats, view, &background, &options, &device)
             .with_context(|| format!("cannot render the view {:?}", view.name))?;
+        frames_ms.push(picture.frame_ms);
         out.write(name, |file| picture.write(args.format, file))?;
         counter.inc(1);
     }
     counter.finish_and_clear();
+    args.accuracy.late(&frames_ms).iter().for_each(|said| progress::note(said));
     let paths: Vec<PathBuf> = names.iter().map(|name| out.join(name)).collect();
     for path in &paths {
         progress::say(&path.display().to_string());
@@ -139,6 +151,8 @@ struct Rgba {
     height: usize,
     /// `[height, width, 4]`: colour over the background, then alpha.
     values: Vec<f32>,
+    /// Time of the render, ms.
+    frame_ms: f64,
 }
 
 impl Rgba {
@@ -152,11 +166,15 @@ impl Rgba {
         let camera = Camera::new(view.intrinsics, &view.cam_from_world, device);
         let colour = Tensor::from_floats(background.colour(), device);
         let extras = Extras { background: Some(colour), ..Extras::default() };
+        device.sync()?;
+        let start = Instant::now();
         let picture = splat_op::render_view(splats, &camera, &extras, options)?;
+        device.sync()?;
+        let frame_ms = 1e3 * start.elapsed().as_secs_f64();
         let alpha = picture.alpha;
         let colour = background.behind(picture.colour, alpha.clone(), &view.intrinsics, &view.cam_from_world);
         let values = values_of(Tensor::cat(vec![colour, alpha], 2));
-        Ok(Self { width: view.intrinsics.width, height: view.intrinsics.height, values })
+        Ok(Self { width: view.intrinsics.width, height: view.intrinsics.height, values, frame_ms })
     }
 
     fn write(self, format: PictureFormat, file: &mut BufWriter<File>) -> Result<()> {

@@ -33,6 +33,11 @@ impl Spread {
         Some(Self { lower: at(0.25), median: at(0.5), upper: at(0.75) })
     }
 
+    /// The spread of measurements `factor` times as large, where `factor` is positive.
+    pub fn scaled(self, factor: f64) -> Self {
+        Self { lower: factor * self.lower, median: factor * self.median, upper: factor * self.upper }
+    }
+
     /// Whether the whole spread lies below the other: measurably different, and smaller.
     pub fn is_below(&self, other: &Self) -> bool {
         self.upper < other.lower

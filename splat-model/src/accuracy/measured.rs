@@ -33,10 +33,11 @@ pub struct Measured {
     pub error_db: f64,
     /// Largest error of any channel of any pixel, for colours in 0..1.
     pub max_error: f64,
-    /// Relative L2 error of the gradients against the exact ones, for the parameter with the largest error.
-    pub gradient_error: f64,
-    /// Cosine between the gradients and the exact ones, for the parameter with the smallest cosine.
-    pub gradient_cosine: f64,
+    /// Relative L2 error of the gradients against the exact ones, for the parameter with the largest error; `None` where only
+    /// pictures were compared.
+    pub gradient_error: Option<f64>,
+    /// Cosine between the gradients and the exact ones, for the parameter with the smallest cosine; `None` as above.
+    pub gradient_cosine: Option<f64>,
     /// Time of a render, ms per frame.
     pub forward_ms: Spread,
     /// Time of its backward pass, ms per frame.

@@ -8,29 +8,12 @@ use splat_model::accuracy::{DIALS, Dial, Frontier, Judge, Measured, Provenance, 
 use splat_op::RenderOptions;
 
 use super::dials::Candidate;
-use super::reference::{ReferenceRender, check_crops};
+use super::errors::{MeasuredError, PictureError, compare_gradients, same_bits, within_rounding};
+use super::reference::ReferenceRender;
 use super::subject::{DeviceScene, GradientSums, MeasuredView, PARAMETERS, host};
-use super::time::FrameTimes;
+use super::time::{Budget, FrameTimes};
 use crate::memory::peak_mib;
 use crate::progress;
-
-/// Parameters whose exact gradients are smaller than this fraction of the largest are not judged: such gradients are
-/// rounding noise, for example of the rotations of spheres.
-const NEGLIGIBLE: f64 = 1e-7;
-
-/// Deviation of a setting from the exact reference.
-#[derive(Clone, Debug, PartialEq)]
-pub struct MeasuredError {
-    /// Root mean square error over all values of all views.
-    pub rms: f64,
-    /// Largest error of a value.
-    pub max: f64,
-    /// Largest relative L2 error of a parameter's gradients; `worst` names the parameter.
-    pub gradient_error: f64,
-    pub worst: &'static str,
-    /// Smallest cosine between a parameter's gradients and the exact ones.
-    pub gradient_cosine: f64,
-}
 
 /// All measurements of one setting.
 #[derive(Clone, Debug)]
@@ -67,7 +50,7 @@ pub struct BenchOutcome {
     pub rows: Vec<SettingMeasurements>,
     /// Every measured value of every numerical dial.
     pub alone: Vec<Alone>,
-    /// Largest difference between the reference renderer and the exact renderer on crops.
+    /// Largest difference between the reference renderer and the exact renderer in the pixels that both rendered.
     pub reference: f64,
     pub rounds: usize,
 }
@@ -83,7 +66,6 @@ impl Bench<'_> {
         budget: Duration,
         score: impl Fn(&RenderOptions) -> Result<Option<(f64, f64)>>,
     ) -> Result<BenchOutcome> {
-        let reference = check_crops(&self.exact, &self.shots, &Dial::all_exact(self.base))?;
         let mut truths: Vec<(RenderOptions, ReferenceRender)> = Vec::new();
         let counter = progress::counter("checking settings", candidates.len());
         let mut checked = Vec::new();
@@ -98,9 +80,11 @@ impl Bench<'_> {
         counter.finish_and_clear();
         let alone = self.alone(&mut truths)?;
         let cotangents = self.cotangents(&mut truths)?;
+        let reference = truths.iter().map(|(_, truth)| truth.difference).fold(0.0, f64::max);
         drop(truths);
         let options: Vec<RenderOptions> = checked.iter().map(|(_, candidate)| candidate.options).collect();
-        let (times, rounds) = self.time(&options, &cotangents, budget)?;
+        let budget = Budget { time: budget, rounds: usize::MAX };
+        let (times, rounds) = self.time(&options, &(0..self.shots.len()), &cotangents, budget)?;
         let rows = checked.into_iter().zip(times).map(|(((accuracy, scores, memory_mib), candidate), times)| {
             SettingMeasurements { candidate, accuracy, scores, memory_mib, times }
         });
@@ -200,7 +184,7 @@ impl Bench<'_> {
 
     /// Renders and differentiates every view. Returns the deviations and the peak memory, MiB.
     fn compare(&self, options: &RenderOptions, truth: &ReferenceRender) -> Result<(MeasuredError, Option<f64>)> {
-        let (mut squares, mut count, mut max) = (0.0, 0, 0.0_f64);
+        let mut pictures = PictureError::default();
         let mut sums = GradientSums::default();
         let mut memory = None;
         for view in 0..self.shots.len() {
@@ -219,12 +203,7 @@ impl Bench<'_> {
             if let Some(at) = found.iter().position(|value| !value.is_finite()) {
                 bail!("value {at} of the picture of view {view} is {}", found[at]);
             }
-            for (found, exact) in found.iter().zip(&truth.pictures[view]) {
-                let difference = (found - exact).abs();
-                squares += difference * difference;
-                max = max.max(difference);
-            }
-            count += found.len();
+            pictures = pictures.and(PictureError::between(&found, &truth.pictures[view]));
         }
         if let Some(kind) = (0..sums.len()).find(|&kind| !sums[kind].iter().all(|value| value.is_finite())) {
             bail!("a gradient of {} is not finite", PARAMETERS[kind]);
@@ -232,40 +211,9 @@ impl Bench<'_> {
         let (gradient_error, worst, gradient_cosine) = compare_gradients(&sums, &truth.gradients);
         // The memory of the program says nothing about that of a GPU.
         let memory = memory.filter(|_| !splat_op::is_gpu(&self.place.device));
-        Ok((
-            MeasuredError { rms: (squares / count as f64).sqrt(), max, gradient_error, worst, gradient_cosine },
-            memory,
-        ))
+        let (rms, max) = (pictures.rms(), pictures.max);
+        Ok((MeasuredError { rms, max, gradient_error, worst, gradient_cosine }, memory))
     }
-}
-
-fn within_rounding(a: &[f64], b: &[f64]) -> bool {
-    a.len() == b.len() && a.iter().zip(b).all(|(a, b)| (a - b).abs() <= 1e-5)
-}
-
-fn same_bits(a: &[f64], b: &[f64]) -> bool {
-    a.len() == b.len() && a.iter().zip(b).all(|(a, b)| a.to_bits() == b.to_bits())
-}
-
-/// Returns the largest relative L2 error of a parameter's gradients, the parameter's name, and the smallest cosine.
-fn compare_gradients(found: &GradientSums, exact: &GradientSums) -> (f64, &'static str, f64) {
-    let norm = |values: &[f64]| values.iter().map(|value| value * value).sum::<f64>().sqrt();
-    let largest = exact.iter().map(|values| norm(values)).fold(0.0, f64::max);
-    let (mut error, mut worst, mut cosine) = (0.0, PARAMETERS[0], 1.0_f64);
-    for ((found, exact), name) in found.iter().zip(exact).zip(PARAMETERS) {
-        let (length, ours) = (norm(exact), norm(found));
-        if length <= NEGLIGIBLE * largest {
-            continue;
-        }
-        let difference: Vec<f64> = found.iter().zip(exact).map(|(found, exact)| found - exact).collect();
-        let relative = norm(&difference) / length;
-        if relative > error {
-            (error, worst) = (relative, name);
-        }
-        let product: f64 = found.iter().zip(exact).map(|(found, exact)| found * exact).sum();
-        cosine = cosine.min(if ours > 0.0 { product / (ours * length) } else { 0.0 });
-    }
-    (error, worst, cosine)
 }
 
 impl SettingMeasurements {
@@ -282,8 +230,8 @@ impl SettingMeasurements {
             turned: self.candidate.setting.clone(),
             error_db: decibels(accuracy.rms),
             max_error: accuracy.max,
-            gradient_error: accuracy.gradient_error,
-            gradient_cosine: accuracy.gradient_cosine,
+            gradient_error: Some(accuracy.gradient_error),
+            gradient_cosine: Some(accuracy.gradient_cosine),
             forward_ms: self.times.forward,
             backward_ms: self.times.backward,
             step_ms: self.times.step,
@@ -371,28 +319,5 @@ mod tests {
         let other = RenderOptions { alpha_min: 1.0 / 1024.0, ..bench.base };
         let error = bench.check_same_picture(&other, &bench.base).unwrap_err().to_string();
         assert!(error.contains("changes view 0"), "{error}");
-    }
-
-    #[test]
-    fn gradients_are_compared_parameter_by_parameter() {
-        let exact: GradientSums = [vec![3.0, 4.0], vec![1e-9, 0.0], vec![1.0, 0.0], vec![2.0], vec![5.0]];
-        assert_eq!(compare_gradients(&exact, &exact), (0.0, "means", 1.0));
-        let mut found = exact.clone();
-        // A parameter with negligible gradients may have any error.
-        found[1] = vec![-1e-9, 0.0];
-        assert_eq!(compare_gradients(&found, &exact).0, 0.0);
-        found[2] = vec![0.0, 1.0];
-        let (error, worst, cosine) = compare_gradients(&found, &exact);
-        assert!((error - 2.0_f64.sqrt()).abs() < 1e-12 && worst == "log_scales" && cosine == 0.0);
-        found[2] = vec![0.0, 0.0];
-        assert_eq!(compare_gradients(&found, &exact), (1.0, "log_scales", 0.0));
-    }
-
-    #[test]
-    fn the_same_numbers_are_the_same_bits() {
-        assert!(same_bits(&[0.0, 1.5], &[0.0, 1.5]));
-        assert!(!same_bits(&[0.0], &[-0.0]) && !same_bits(&[1.0], &[1.0, 2.0]));
-        assert!(within_rounding(&[0.5], &[0.500_001]) && !within_rounding(&[0.5], &[0.501]));
-        assert!(!within_rounding(&[f64::NAN], &[f64::NAN]) && !within_rounding(&[1.0], &[1.0, 2.0]));
     }
 }

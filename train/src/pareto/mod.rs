@@ -1,7 +1,10 @@
 //! `splat pareto`: measures the time and the error of every dial, on a given scene and device.
 
+mod brief;
 mod csv;
 mod dials;
+mod errors;
+mod formats;
 mod measure;
 mod page;
 pub mod plot;
@@ -18,14 +21,17 @@ use std::time::Duration;
 use anyhow::{Result, ensure};
 use burn::tensor::Device;
 use clap::builder::RangedU64ValueParser;
-use splat_model::accuracy::{ChosenSetting, FrontierPoint, Provenance, Spread, Target, Workload, decibels, frontier};
+use splat_model::accuracy::{FrontierPoint, Provenance, Spread, decibels, frontier};
 use splat_model::capture::{Capture, Photo, Split};
 use splat_model::evaluate::evaluate;
 use splat_model::gaussians::GaussianRows;
-use splat_op::{CameraModel, RenderOptions};
+use splat_op::{CameraModel, RenderOptions, Splats};
 
+pub use self::brief::{UnmeasuredScene, choose, error_db};
 use self::dials::{Role, candidates};
-use self::measure::{Bench, BenchOutcome, MeasuredError, SettingMeasurements};
+use self::errors::MeasuredError;
+use self::formats::StoredScene;
+use self::measure::{Bench, BenchOutcome, SettingMeasurements};
 use self::plot::{Chart, Dot, Mark};
 pub use self::subject::MeasuredView;
 use self::subject::{DeviceScene, off_the_clamp};
@@ -46,14 +52,10 @@ pub const TABLE: &str = "pareto.csv";
 pub const PAGE: &str = "pareto.md";
 /// Plot of time against error, as SVG and as PNG.
 pub const PLOT: [&str; 2] = ["pareto.svg", "pareto.png"];
+/// Plot of bytes a splat against error, as SVG and as PNG.
+pub const FORMATS_PLOT: [&str; 2] = ["pareto_formats.svg", "pareto_formats.png"];
 /// Plot of seconds of training against PSNR, as SVG and as PNG.
 pub const TRAIN_PLOT: [&str; 2] = ["pareto_train.svg", "pareto_train.png"];
-
-/// Duration of the measurement where a target is given without a frontier.
-const BRIEFLY: Duration = Duration::from_secs(8);
-
-/// Number of views in that measurement, at most.
-pub const VIEWS_BRIEFLY: usize = 2;
 
 /// Options of `splat pareto`.
 #[derive(Clone, Debug, clap::Args)]
@@ -114,10 +116,14 @@ pub fn run(args: &ParetoArgs) -> Result<()> {
     let bench = Bench::new(&rows, shots, background.colour(), base, &device)?;
     let all = candidates(&base, [splat_op::is_gpu(&device), bench.pinholes(), true]);
     progress::note(&format!("{} settings, {} views of {} splats", all.len(), photos.len(), rows.len()));
-    let outcome = bench.run(all, Duration::from_secs(args.budget), |options| {
-        let scores = evaluate(&bench.place.splats, &photos, &background, options, |_, _| ())?;
-        Ok(Some((scores.psnr, scores.ssim)))
-    })?;
+    let score = |splats: &Splats, options: &RenderOptions| -> Result<_> {
+        let scores = evaluate(splats, &photos, &background, options, |_, _| ())?;
+        Ok((scores.psnr, scores.ssim))
+    };
+    let outcome =
+        bench.run(all, Duration::from_secs(args.budget), |options| Ok(Some(score(&bench.place.splats, options)?)))?;
+    let trial = out.join(format!(".splat-trial-{}", std::process::id()));
+    let stored = formats::measure(&bench, &rows, &trial, |splats| score(splats, &base))?;
     let trained = if args.train { train(args, &capture, &split, &photos, &device)? } else { Vec::new() };
 
     let subject = page::PageSubject {
@@ -129,7 +135,7 @@ pub fn run(args: &ParetoArgs) -> Result<()> {
         size: photos.iter().map(|photo| (photo.intrinsics.width, photo.intrinsics.height)).max().unwrap_or_default(),
         base,
     };
-    write(&out, &subject, &outcome, &trained)?;
+    write(&out, &subject, (&outcome, &stored), &trained)?;
     let provenance = Provenance::new(&capture, &rows, &base);
     let json = outcome.frontier(&bench, &device_name, provenance).to_json()?;
     out.write(FRONTIER, |file| Ok(file.write_all(json.as_bytes())?))?;
@@ -149,7 +155,7 @@ fn spread(views: &[usize], count: usize) -> Vec<usize> {
 }
 
 fn prepare(args: &ParetoArgs) -> Result<OutputFolder> {
-    let mut files = vec![FRONTIER, TABLE, PAGE, PLOT[0], PLOT[1]];
+    let mut files = [&[FRONTIER, TABLE, PAGE], &PLOT[..], &FORMATS_PLOT].concat();
     files.extend(args.train.then_some(TRAIN_PLOT).into_iter().flatten());
     OutputFolder::prepare(&args.out, &files, &[])
 }
@@ -176,27 +182,6 @@ impl<'a> Bench<'a> {
         let place = DeviceScene::new(&rows, &shots, background, device)?;
         Ok(Self { place, exact: DeviceScene::in_f64(&rows, &shots, background)?, shots, base })
     }
-}
-
-/// Measures the numerical dials briefly, on a scene and at most two views of it, and chooses a setting.
-///
-/// # Errors
-/// If no measured setting meets the target, or measuring fails.
-pub fn choose_briefly(
-    rows: &GaussianRows,
-    shots: Vec<MeasuredView>,
-    base: &RenderOptions,
-    (device, device_name): (&Device, &str),
-    (target, work): (&Target, Workload),
-) -> Result<ChosenSetting> {
-    let shots: Vec<MeasuredView> =
-        spread(&(0..shots.len()).collect::<Vec<_>>(), VIEWS_BRIEFLY).iter().map(|&i| shots[i]).collect();
-    progress::note("measuring what accuracy costs here (`splat pareto` measures it thoroughly, for `--frontier`)");
-    let bench = Bench::new(rows, shots, [0.0; 3], *base, device)?;
-    let outcome =
-        bench.run(candidates(base, [splat_op::is_gpu(device), bench.pinholes(), false]), BRIEFLY, |_| Ok(None))?;
-    // The frontier is not saved, so that nobody can take it for another scene's.
-    Ok(outcome.frontier(&bench, device_name, Provenance::default()).choose(target, work)?)
 }
 
 fn train(
@@ -226,14 +211,19 @@ fn members(outcome: &BenchOutcome) -> [Vec<usize>; 2] {
 fn write(
     out: &OutputFolder,
     subject: &page::PageSubject,
-    outcome: &BenchOutcome,
+    (outcome, stored): (&BenchOutcome, &[StoredScene]),
     trained: &[TrainingResult],
 ) -> Result<()> {
     let [render, step] = members(outcome);
     let put = |name: &str, bytes: &[u8]| out.write(name, |file| Ok(file.write_all(bytes)?));
     put(TABLE, csv::text(&outcome.rows, &render).as_bytes())?;
-    put(PAGE, page::page(subject, outcome, [&render, &step], trained).as_bytes())?;
-    let charts = [(PLOT, Some(chart(subject, outcome, &render))), (TRAIN_PLOT, train_chart(trained))];
+    let (formats, title) = (formats::section(stored), format!("{} ({} splats)", subject.capture, subject.splats));
+    put(PAGE, page::page(subject, outcome, [&render, &step], &[&formats, &page::training(trained)]).as_bytes())?;
+    let charts = [
+        (PLOT, Some(chart(subject, outcome, &render))),
+        (FORMATS_PLOT, Some(formats::chart(stored, title))),
+        (TRAIN_PLOT, train_chart(trained)),
+    ];
     for ([svg, png], chart) in charts {
         match chart {
             Some(chart) => {
@@ -296,7 +286,7 @@ fn say(out: &OutputFolder, outcome: &BenchOutcome, trained: &[TrainingResult]) {
         let (db, ms) = (row.error_db().unwrap_or(f64::NAN), row.times.forward.median);
         progress::say(&format!("  {db:6.1} dB {ms:9.2} ms  {} ({})", row.candidate.name, row.candidate.setting));
     }
-    for name in [PAGE, TABLE, FRONTIER].into_iter().chain(PLOT).chain(TRAIN_PLOT) {
+    for name in [PAGE, TABLE, FRONTIER].into_iter().chain(PLOT).chain(FORMATS_PLOT).chain(TRAIN_PLOT) {
         if !trained.is_empty() || !TRAIN_PLOT.contains(&name) {
             progress::say(&out.join(name).display().to_string());
         }

@@ -25,13 +25,9 @@ pub struct PageSubject<'a> {
     pub base: RenderOptions,
 }
 
-/// Returns the page. `members` are the rows on the frontiers of renders and of training steps.
-pub fn page(
-    subject: &PageSubject,
-    outcome: &BenchOutcome,
-    members: [&[usize]; 2],
-    trained: &[TrainingResult],
-) -> String {
+/// Returns the page. `members` are the rows on the frontiers of renders and of training steps; `more` are the sections after
+/// the dials.
+pub fn page(subject: &PageSubject, outcome: &BenchOutcome, members: [&[usize]; 2], more: &[&str]) -> String {
     let mut text = intro(subject, outcome);
     text.push_str(&taken(subject, outcome, members));
     text.push_str("\n## Presets and combinations\n\n");
@@ -55,8 +51,7 @@ pub fn page(
         _ = write!(text, "\n### `{}`: {}\n\n", dial.name, dial.what);
         text.push_str(&table(outcome, values(dial, subject, outcome)));
     }
-    text.push_str(&training(trained));
-    text
+    text + &more.concat()
 }
 
 fn intro(subject: &PageSubject, outcome: &BenchOutcome) -> String {
@@ -71,8 +66,8 @@ fn intro(subject: &PageSubject, outcome: &BenchOutcome) -> String {
          `{scene}` ({splats} splats) on {device}, seen by {} views of `{capture}` ({names}) at up to {width} × {height} px. \
          Written by `splat pareto`, which measured every setting {rounds} times, in turns.{few}\n\n\
          ![Time of a frame against error](pareto.svg)\n\n\
-         Errors are against a render of the whole picture in float64 without any approximation, which in crops differed by at \
-         most {reference:.0e} from a renderer that visits every Gaussian in every pixel. *Error* is the PSNR of the pictures \
+         Errors are against a render of the whole picture in float64 without any approximation, which in pixels all over the views \
+         differed by at most {reference:.0e} from a renderer that visits every Gaussian in every pixel. *Error* is the PSNR of the pictures \
          against it, in dB, and *max* the largest error of a pixel's channel, of colours in 0..1. Gradients are those of L1 + \
          D-SSIM at the exact picture, of the parameter that fares worst. Times are medians with their quartiles, ms a frame; \
          settings whose quartiles overlap are *not told apart*, and not ranked. The verdict on a dial uses the \
@@ -203,7 +198,8 @@ fn pace(ours: &Spread, theirs: &Spread) -> String {
     }
 }
 
-fn training(trained: &[TrainingResult]) -> String {
+/// Returns the section on training dials; nothing without runs.
+pub fn training(trained: &[TrainingResult]) -> String {
     let Some(standard) = trained.first() else { return String::new() };
     let mut text = String::from(
         "\n## Training dials\n\n![Seconds of training against PSNR](pareto_train.svg)\n\nShort runs, with three seeds each, scored on \

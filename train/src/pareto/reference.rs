@@ -1,11 +1,17 @@
-//! Reference renders: whole pictures and their gradients in f64, checked on small crops against the renderer without
+//! Reference renders: whole pictures and their gradients in f64, checked in scattered pixels against the renderer without
 //! approximations.
+//!
+//! The reference renders whatever `splat_op` renders: it is the f64 instance of the CPU twins, with every threshold off. Nothing
+//! is believed of it: every picture, whatever its projection, order and lens, has to agree with [`ExactView`], which shares no
+//! arithmetic with the twins. A camera or a model choice that is added there needs nothing here.
 
 use anyhow::{Result, ensure};
 use burn::tensor::DType;
 use glam::{DMat3, DVec3};
-use splat_op::exact::{ExactGaussian, ExactPose, render_exact};
-use splat_op::{Camera, Intrinsics, RenderOptions, render_view};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use splat_op::exact::{ExactGaussian, ExactPose, ExactView};
+use splat_op::{Camera, Intrinsics, RenderOptions};
 
 use super::subject::{DeviceScene, GradientSums, MeasuredView, cotangent, host};
 
@@ -17,21 +23,28 @@ pub struct ReferenceRender {
     pub cotangents: Vec<Vec<f32>>,
     /// Gradients, summed over the views.
     pub gradients: GradientSums,
+    /// Largest difference from the exact renderer, from [`check`].
+    pub difference: f64,
 }
 
 impl ReferenceRender {
     /// Renders and differentiates every view of `place`, which must be in f64. Each numerical dial of `options` should
     /// have the value that approximates nothing. `done` is called after each view.
+    ///
+    /// # Errors
+    /// As [`check`], and if the operation refuses the scene.
     pub fn new(
         place: &DeviceScene,
         shots: &[MeasuredView],
         options: &RenderOptions,
         mut done: impl FnMut(),
     ) -> Result<Self> {
-        let mut truth = Self { pictures: Vec::new(), cotangents: Vec::new(), gradients: GradientSums::default() };
+        let (pictures, cotangents) = (Vec::new(), Vec::new());
+        let mut truth = Self { pictures, cotangents, gradients: GradientSums::default(), difference: 0.0 };
         for (view, shot) in shots.iter().enumerate() {
             let picture = place.tracked(view, options)?;
             let exact = host(picture.colour.clone().inner());
+            truth.difference = truth.difference.max(check(place, (view, shot), options, &exact)?);
             let cotangent = cotangent(shot, &exact, background(place));
             let gradients = place.backward(picture, place.picture(view, &cotangent));
             place.add_gradients(&gradients, &mut truth.gradients);
@@ -48,62 +61,51 @@ fn background(place: &DeviceScene) -> [f32; 3] {
     std::array::from_fn(|channel| values.get(channel).copied().unwrap_or_default() as f32)
 }
 
-/// Width and height of a crop, px.
-const CROP: usize = 12;
+/// Pixels of a picture that are checked, along each axis.
+const CHECKED: usize = 8;
 
 /// Largest allowed difference between the reference renderer and the exact renderer: the reference leaves out alphas
 /// below 1e-12, up to a thousand of them in a pixel, and both round in f64.
 const TOLERANCE: f64 = 1e-9;
 
-/// Renders crops of up to three views with the reference renderer and with [`render_exact`], which visits every
-/// Gaussian in every pixel. A crop is a camera of its own, with a shifted principal point; its Jacobians are clamped at
-/// least as far out as those of the whole picture. Returns the largest difference.
+/// Compares a picture of the reference renderer with [`ExactView`], which visits every Gaussian in every pixel, in a random
+/// pixel of each field of a grid of 8 × 8. Returns the largest difference.
 ///
 /// # Errors
 /// If the two differ by more than rounding: no error measured against the reference would mean anything.
-pub fn check_crops(place: &DeviceScene, shots: &[MeasuredView], options: &RenderOptions) -> Result<f64> {
+pub fn check(
+    place: &DeviceScene,
+    (view, shot): (usize, &MeasuredView),
+    options: &RenderOptions,
+    picture: &[f64],
+) -> Result<f64> {
+    let camera = &place.cameras[view];
+    let Intrinsics { width, height, .. } = camera.intrinsics;
+    let gaussians = gaussians(place, camera)?;
+    let exact = ExactView::new(&gaussians, &pose(camera), &camera.intrinsics, options);
+    let background = background(place).map(f64::from);
+    let mut random = ChaCha8Rng::seed_from_u64(view as u64);
+    let mut within = |field: usize, side: usize| {
+        let [start, end] = [field, field + 1].map(|border| border * side / CHECKED);
+        random.random_range(start..end.max(start + 1)).min(side - 1)
+    };
     let mut largest = 0.0_f64;
-    for (view, share) in (0..shots.len()).zip([(0.5, 0.5), (0.3, 0.6), (0.7, 0.4)]) {
-        let found = crop_difference(place, view, crop(&shots[view].intrinsics, share, options), options.to_owned())?;
-        let name = shots[view].photo.map_or(format!("view {view}"), |photo| photo.name.clone());
-        ensure!(
-            found <= TOLERANCE,
-            "the reference renderer is wrong: in a crop of {name} it differs from the exact renderer by {found:.1e}, which is more \
-             than the {TOLERANCE:.0e} of rounding; please report this with the scene"
-        );
-        largest = largest.max(found);
+    for field in 0..CHECKED * CHECKED {
+        let (x, y) = (within(field % CHECKED, width), within(field / CHECKED, height));
+        let found = &picture[3 * (y * width + x)..];
+        for (found, exact) in found.iter().zip(exact.pixel([x, y], &background).features) {
+            let difference = (found - exact).abs();
+            let name = || shot.photo.map_or(format!("view {view}"), |photo| photo.name.clone());
+            ensure!(
+                difference <= TOLERANCE,
+                "the reference renderer is wrong: in pixel {x}, {y} of {} it differs from the exact renderer by {difference:.1e}, \
+                 which is more than the {TOLERANCE:.0e} of rounding; please report this with the scene",
+                name()
+            );
+            largest = largest.max(difference);
+        }
     }
     Ok(largest)
-}
-
-/// Returns the camera of a crop whose middle is at `share` of the picture, and the margin at which its Jacobians are
-/// clamped.
-fn crop(full: &Intrinsics, share: (f64, f64), options: &RenderOptions) -> (Intrinsics, f64) {
-    let corner = |size: usize, share: f64| {
-        let side = CROP.min(size);
-        (side, ((size as f64 * share) as usize).saturating_sub(side / 2).min(size - side) as f64)
-    };
-    let ((width, x), (height, y)) = (corner(full.width, share.0), corner(full.height, share.1));
-    let camera = Intrinsics { width, height, cx: full.cx - x, cy: full.cy - y, ..*full };
-    let margin = |full: usize, crop: usize| (2.0 + options.jacobian_margin) * full as f64 / crop as f64;
-    (camera, margin(full.width, width).max(margin(full.height, height)))
-}
-
-fn crop_difference(
-    place: &DeviceScene,
-    view: usize,
-    (intrinsics, jacobian_margin): (Intrinsics, f64),
-    options: RenderOptions,
-) -> Result<f64> {
-    let options = RenderOptions { jacobian_margin, ..options };
-    let camera = Camera { intrinsics, ..place.cameras[view].clone() };
-    let found = host(render_view(&place.splats, &camera, &place.extras, &options)?.colour);
-    let background: Vec<f64> = background(place).map(f64::from).to_vec();
-    let exact = render_exact(&gaussians(place, &camera)?, &pose(&camera), &intrinsics, &background, &options);
-    let exact = exact.iter().flat_map(|pixel| &pixel.features);
-    let differences = found.iter().zip(exact).map(|(found, exact)| (found - exact).abs());
-    // `max` would ignore NaN.
-    Ok(differences.fold(0.0, |largest, difference| if difference <= largest { largest } else { difference }))
 }
 
 /// Returns the Gaussians that can be rendered, with their colours as seen by `camera`.
@@ -136,14 +138,15 @@ fn pose(camera: &Camera) -> ExactPose {
 #[cfg(test)]
 pub(super) mod tests {
     use glam::DAffine3;
-    use rand::{RngExt, SeedableRng};
-    use rand_chacha::ChaCha8Rng;
     use splat_model::accuracy::Dial;
     use splat_model::gaussians::GaussianRows;
+    use splat_op::{CameraModel, Order, Projection};
 
     use super::*;
 
     pub const CAMERA: Intrinsics = Intrinsics { cy: 17.0, ..Intrinsics::centred(40, 30, 36.0) };
+
+    const DISTORTION: [f64; 8] = [0.1, -0.03, 0.002, -0.001, 0.0, 0.0, 0.0, 0.0];
 
     /// Gaussians in front of [`CAMERA`] at the origin; one of them is too large to be rendered.
     pub fn rows(count: usize) -> GaussianRows {
@@ -174,25 +177,50 @@ pub(super) mod tests {
         vec![shot(0.0), shot(0.3)]
     }
 
+    fn rendered(options: &RenderOptions, shots: &[MeasuredView]) -> Result<f64> {
+        let place = DeviceScene::in_f64(&rows(80), shots, [0.1, 0.2, 0.3])?;
+        Ok(ReferenceRender::new(&place, shots, options, || ())?.difference)
+    }
+
     #[test]
     fn the_reference_is_the_exact_renderer() {
-        let place = DeviceScene::in_f64(&rows(80), &shots(), [0.1, 0.2, 0.3]).unwrap();
-        let options = Dial::all_exact(RenderOptions::standard());
-        let found = check_crops(&place, &shots(), &options).unwrap();
-        assert!(found < TOLERANCE, "{found:.1e}");
+        let exact = Dial::all_exact(RenderOptions::standard());
+        for projection in [Projection::Affine, Projection::RayMax] {
+            for order in [Order::CentreDepth, Order::PerPixelSort] {
+                let options = exact.with_projection(projection).with_order(order).with_antialias(true);
+                let found = rendered(&options, &shots()).unwrap();
+                assert!(found > 0.0 && found < TOLERANCE, "{projection:?}, {order:?}: {found:.1e}");
+            }
+        }
+        let mut through_lenses = shots();
+        through_lenses[0].intrinsics = Intrinsics { model: CameraModel::OpenCv, distortion: DISTORTION, ..CAMERA };
+        through_lenses[1].intrinsics = Intrinsics { model: CameraModel::Fisheye, distortion: DISTORTION, ..CAMERA };
+        let found = rendered(&exact, &through_lenses).unwrap();
+        assert!(found > 0.0 && found < TOLERANCE, "{found:.1e}");
     }
 
     #[test]
     fn a_reference_that_approximates_is_refused() {
-        let place = DeviceScene::in_f64(&rows(80), &shots(), [0.0; 3]).unwrap();
         let exact = Dial::all_exact(RenderOptions::standard());
         for (options, what) in [
             (RenderOptions { alpha_max: 0.99, ..exact }, "alpha_max"),
             (RenderOptions { alpha_min: 1.0 / 255.0, ..exact }, "alpha_min"),
             (RenderOptions { transmittance_min: 1e-2, ..exact }, "transmittance_min"),
         ] {
-            let error = check_crops(&place, &shots(), &options).expect_err(what).to_string();
-            assert!(error.contains("the reference renderer is wrong: in a crop of view 0"), "{what}: {error}");
+            let error = rendered(&options, &shots()).expect_err(what).to_string();
+            assert!(error.contains("the reference renderer is wrong: in pixel"), "{what}: {error}");
+        }
+    }
+
+    /// A picture in another order or projection than the one asked for is not taken for the truth.
+    #[test]
+    fn a_reference_of_another_function_is_refused() {
+        let (shots, exact) = (shots(), Dial::all_exact(RenderOptions::standard()));
+        let place = DeviceScene::in_f64(&rows(80), &shots, [0.0; 3]).unwrap();
+        let plain = host(place.render(0, &exact).unwrap().colour);
+        check(&place, (0, &shots[0]), &exact, &plain).unwrap();
+        for other in [exact.with_projection(Projection::RayMax), exact.with_order(Order::PerPixelSort)] {
+            assert!(check(&place, (0, &shots[0]), &other, &plain).is_err(), "{other:?}");
         }
     }
 

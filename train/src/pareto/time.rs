@@ -1,5 +1,6 @@
 //! Times of all settings, measured in turns.
 
+use std::ops::Range;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
@@ -12,6 +13,15 @@ use super::measure::Bench;
 /// Minimum number of rounds: fewer have no spread.
 pub const ROUNDS_MIN: usize = 3;
 
+/// Duration of a measurement.
+#[derive(Clone, Copy, Debug)]
+pub struct Budget {
+    /// The time after which no round begins, unless there are fewer than [`ROUNDS_MIN`].
+    pub time: Duration,
+    /// Number of rounds, at most.
+    pub rounds: usize,
+}
+
 /// Times of a frame, ms.
 #[derive(Clone, Copy, Debug)]
 pub struct FrameTimes {
@@ -21,21 +31,23 @@ pub struct FrameTimes {
 }
 
 impl Bench<'_> {
-    /// Times all settings in turns, so that other load on the machine affects all alike. Every setting has run before,
-    /// in its check, so kernels are compiled. Returns the times and the number of rounds.
+    /// Times all settings on some views in turns, so that other load on the machine affects all alike. Every setting has
+    /// run before, in its check, so kernels are compiled. Without cotangents, which are those of the views, no backward pass
+    /// runs. Returns the times and the number of rounds.
     pub(super) fn time(
         &self,
         all: &[RenderOptions],
+        views: &Range<usize>,
         cotangents: &[Tensor<3>],
-        budget: Duration,
+        budget: Budget,
     ) -> Result<(Vec<FrameTimes>, usize)> {
         let begin = Instant::now();
         let mut samples = vec![[const { Vec::new() }; 3]; all.len()];
         let mut rounds = 0;
-        while rounds < ROUNDS_MIN || begin.elapsed() < budget {
+        while rounds < ROUNDS_MIN || (begin.elapsed() < budget.time && rounds < budget.rounds) {
             for (options, samples) in all.iter().zip(&mut samples) {
-                let forward = self.time_forward(options)?;
-                let backward = self.time_backward(options, cotangents)?;
+                let forward = self.time_forward(options, views)?;
+                let backward = self.time_backward(options, views, cotangents)?;
                 for (samples, ms) in samples.iter_mut().zip([forward, backward, forward + backward]) {
                     samples.push(ms);
                 }
@@ -50,22 +62,21 @@ impl Bench<'_> {
     }
 
     /// Time of a frame, ms.
-    fn time_forward(&self, options: &RenderOptions) -> Result<f64> {
+    fn time_forward(&self, options: &RenderOptions, views: &Range<usize>) -> Result<f64> {
         self.place.device.sync()?;
         let start = Instant::now();
         // Kept until they are computed: a result that nobody waits for may never be computed.
-        let pictures: Vec<_> =
-            (0..self.shots.len()).map(|view| self.place.render(view, options)).collect::<Result<_>>()?;
+        let pictures: Vec<_> = views.clone().map(|view| self.place.render(view, options)).collect::<Result<_>>()?;
         self.place.device.sync()?;
         let elapsed = start.elapsed();
         drop(pictures);
-        Ok(1e3 * elapsed.as_secs_f64() / self.shots.len() as f64)
+        Ok(1e3 * elapsed.as_secs_f64() / views.len() as f64)
     }
 
     /// Time of a frame's backward pass, ms.
-    fn time_backward(&self, options: &RenderOptions, cotangents: &[Tensor<3>]) -> Result<f64> {
+    fn time_backward(&self, options: &RenderOptions, views: &Range<usize>, cotangents: &[Tensor<3>]) -> Result<f64> {
         let mut elapsed = Duration::ZERO;
-        for (view, cotangent) in cotangents.iter().enumerate() {
+        for (view, cotangent) in views.clone().zip(cotangents) {
             let picture = self.place.tracked(view, options)?;
             self.place.device.sync()?;
             let start = Instant::now();
@@ -74,6 +85,6 @@ impl Bench<'_> {
             elapsed += start.elapsed();
             drop(gradients);
         }
-        Ok(1e3 * elapsed.as_secs_f64() / self.shots.len() as f64)
+        Ok(1e3 * elapsed.as_secs_f64() / views.len() as f64)
     }
 }

@@ -21,14 +21,14 @@ use super::checkpoints::{self, Checkpoints, SavedRun, SoFar};
 use super::results::write_learnt;
 use super::steps::{Done, Steps};
 use super::{OUT, ResumeArgs, TrainArgs};
-use crate::accuracy::RequestedAccuracy;
+use crate::accuracy::{self, RequestedAccuracy};
 use crate::effects::Chosen;
 use crate::input::PhotoSelection;
 use crate::live::Live;
 use crate::lpips::LpipsArgs;
 use crate::options::PhotoArgs;
 use crate::output::{self, OutputFolder};
-use crate::pareto::MeasuredView;
+use crate::pareto::{MeasuredView, UnmeasuredScene};
 use crate::progress;
 use crate::report::log::LogLine;
 use crate::report::metrics::{Metrics, Seconds, peak_rss_mib, seconds_since};
@@ -163,7 +163,7 @@ fn to_the_end(mut args: TrainArgs, kept: Option<SavedRun>, change: impl FnOnce(T
         version: env!("CARGO_PKG_VERSION"),
     });
     let live = server.map(|server| Live::start(server, &trainer, &test, &device, out.path())).transpose()?;
-    let choice = accuracy.filter(|_| !so_far.dials_chosen).map(|accuracy| (accuracy, shots));
+    let choice = accuracy.filter(|_| !so_far.dials_chosen).map(|accuracy| (accuracy, shots.clone()));
     let steps = Steps {
         args: &args,
         capture: &capture,
@@ -191,6 +191,11 @@ fn to_the_end(mut args: TrainArgs, kept: Option<SavedRun>, change: impl FnOnce(T
     let unusable = rows.unusable();
     progress::note_unusable(&out.join(SCENE), unusable, rows.len());
     let scene = ShownScene::new(&rows, page::SCENE_BYTES).ok();
+    if let Some(target_db) = args.accuracy.target_error {
+        let (background, device) = (background.colour(), (&device, device_name.as_str()));
+        let (rows, base, work) = (&rows, render_options, Workload::Train);
+        accuracy::note_reached(target_db, &UnmeasuredScene { rows, shots, background, base, device, work })?;
+    }
     let last = live.map(|live| (live, rows));
     effects.measure(&mut trainer)?;
     // The scores need the memory of photographs and moments, which are no longer used.

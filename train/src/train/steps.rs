@@ -16,7 +16,7 @@ use super::time_limit::{TimeLimit, set_steps};
 use crate::accuracy::RequestedAccuracy;
 use crate::live::Live;
 use crate::output::OutputFolder;
-use crate::pareto::MeasuredView;
+use crate::pareto::{MeasuredView, UnmeasuredScene};
 use crate::progress;
 use crate::report::history::History;
 use crate::report::log::RunLog;
@@ -82,7 +82,10 @@ impl<'a> Steps<'a> {
                 && let Some((accuracy, shots)) = choice.take()
             {
                 let (rows, base) = (trainer.rows(), trainer.render_options());
-                let dials = accuracy.setting((&rows, shots), &base, self.device, Workload::Train)?;
+                let background = trainer.background().colour();
+                let (device, work) = (self.device, Workload::Train);
+                let dials =
+                    accuracy.setting(&UnmeasuredScene { rows: &rows, shots, background, base, device, work })?;
                 trainer.turn(&dials);
                 dials_chosen = true;
             }

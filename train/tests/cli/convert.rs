@@ -169,7 +169,8 @@ fn every_command_takes_every_format() {
         succeed(splat(&render).args(["--out", text(&pictures)]));
         let serving = Serving::start(&[text(&path)]);
         assert!(
-            String::from_utf8_lossy(&serving.ask("GET", "/")).contains(&format!("<title>converted{}", format.extension()))
+            String::from_utf8_lossy(&serving.ask("GET", "/"))
+                .contains(&format!("<title>converted{}", format.extension()))
         );
     }
 }

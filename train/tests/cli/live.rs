@@ -75,10 +75,7 @@ fn a_run_is_shown_and_stopped_and_goes_on() {
     let mut child = command.arg(&out).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
     let lines = BufReader::new(child.stderr.take().unwrap()).lines().map(Result::unwrap);
     let said: Vec<String> = lines.take_while(|line| !line.starts_with("live: ")).collect();
-    assert!(
-        said.iter().any(|line| line.ends_with(&format!("resuming from step {} of 200000", steps - 1))),
-        "{said:?}"
-    );
+    assert!(said.iter().any(|line| line.ends_with(&format!("resuming from step {} of 200000", steps - 1))), "{said:?}");
     child.kill().unwrap();
     child.wait().unwrap();
 }

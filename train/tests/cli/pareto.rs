@@ -56,7 +56,8 @@ fn number(row: &std::collections::BTreeMap<String, String>, column: &str) -> f64
 fn every_setting_is_measured_and_drawn() {
     let out = MEASURED.as_path();
     let expected = ["pareto.csv", "pareto.json", "pareto.md", "pareto.png", "pareto.svg"];
-    assert_eq!(files(out), expected.map(String::from).into());
+    let formats = ["pareto_formats.png", "pareto_formats.svg"];
+    assert_eq!(files(out), expected.into_iter().chain(formats).map(String::from).collect());
     let rows = rows(out);
     let named = |name: &str| rows.iter().find(|row| row["name"] == name).unwrap_or_else(|| panic!("no {name}"));
     for row in &rows {
@@ -94,6 +95,8 @@ fn the_page_says_what_was_measured() {
         "![Time of a frame against error](pareto.svg)",
         "The frontier of renders",
         "Alone, with every other numerical dial at its most accurate:",
+        "## Formats",
+        "| **SPZ** | ",
     ] {
         assert!(page.contains(part), "{part:?} is not in {page}");
     }
@@ -102,7 +105,7 @@ fn the_page_says_what_was_measured() {
     let tables = page.lines().filter(|line| line.starts_with('|'));
     let cells = |line: &str| line.matches(" | ").count();
     for line in tables.filter(|line| !line.starts_with("|---")) {
-        assert!([4, 10].contains(&cells(line)), "{line}");
+        assert!([4, 6, 10].contains(&cells(line)), "{line}");
     }
 }
 
@@ -135,8 +138,10 @@ fn targets_choose_from_what_was_measured() {
     assert_eq!(both.code, Some(2), "{}", both.stderr);
 }
 
+/// A frontier is used for the scene, the size and the model choices that it was measured with. Otherwise the program
+/// measures, or refuses.
 #[test]
-fn a_frontier_of_something_else_is_refused() {
+fn a_frontier_of_something_else_is_not_used() {
     let (frontier, folder) = (MEASURED.join("pareto.json"), tempfile::tempdir().unwrap());
     let (scene, out) = (TRAINED.join("scene.ply"), folder.path().join("out"));
     let with = |capture: &Path, scene: &Path, options: &[&str]| {
@@ -144,31 +149,36 @@ fn a_frontier_of_something_else_is_refused() {
         eval.args(["--frontier", text(&frontier), "--target-error", "10"]).args(options);
         eval
     };
+    refuse(
+        &mut with(&DEMO, &scene, &["--antialias"]),
+        &["pareto.json", "nothing turned", "antialias on", "--antialias"],
+    );
+    refuse(&mut with(&DEMO, &scene, &["--projection", "ray-max"]), &["projection ray-max"]);
+    assert!(!out.exists(), "no folder is made for a run that cannot start");
+    let measures = |mut command: std::process::Command, why: &str| {
+        let said = succeed(&mut command).stderr;
+        for part in
+            [&format!("pareto.json was measured on {why}, and is not used"), "measuring what accuracy costs here"]
+        {
+            assert!(said.contains(part), "{part:?} is not in {said}");
+        }
+    };
     // One value of one splat differs.
     let other = folder.path().join("other.ply");
     let mut bytes = fs::read(&scene).unwrap();
     let last = bytes.len() - 4;
     bytes[last..].copy_from_slice(&0.125_f32.to_le_bytes());
     fs::write(&other, bytes).unwrap();
-    refuse(&mut with(&DEMO, &other, &[]), &["pareto.json", "another scene", "splat pareto"]);
-    refuse(
-        &mut with(&DEMO, &scene, &["--antialias"]),
-        &["pareto.json", "nothing turned", "antialias on", "--antialias"],
-    );
-    refuse(&mut with(&DEMO, &scene, &["--projection", "ray-max"]), &["projection ray-max"]);
+    measures(with(&DEMO, &other, &[]), "another scene");
+    measures(with(&DEMO, &scene, &["--max-side", "32"]), "frames of 3072 pixels, and these have 768");
     let capture = fresh("another-capture");
     let size = ["--views", "8", "--width", "65", "--height", "48"];
     succeed(splat(&["demo", "--out"]).arg(&capture).args(size));
-    refuse(&mut with(&capture, &scene, &[]), &["pareto.json", "another capture", text(&capture)]);
-    assert!(!out.exists(), "no folder is made for a run that cannot start");
-    let train = ["train", text(&capture), "--steps", "2", "--frontier", text(&frontier), "--target-error", "10"];
-    refuse(splat(&train).args(["--out", text(&out)]), &["another capture"]);
+    measures(with(&capture, &scene, &[]), "another capture");
     // A scene that is yet to be trained is not another scene.
     let train = ["train", text(&DEMO), "--steps", "2", "--frontier", text(&frontier), "--target-error", "10"];
     let ended = succeed(splat(&train).args(["--effects", "none", "--out", text(&out)]));
-    assert!(ended.stderr.contains("accuracy: "), "{}", ended.stderr);
-    let ended = succeed(&mut with(&DEMO, &scene, &["--max-side", "32"]));
-    assert!(ended.stderr.contains("frames of 3072 pixels, and these have 768"), "{}", ended.stderr);
+    assert!(ended.stderr.contains("accuracy: ") && !ended.stderr.contains("is not used"), "{}", ended.stderr);
     // Files from before the provenance was written.
     let mut old = json(&frontier);
     old.as_object_mut().unwrap().remove("provenance");
@@ -176,6 +186,33 @@ fn a_frontier_of_something_else_is_refused() {
     fs::write(&path, old.to_string()).unwrap();
     let mut eval = splat(&["eval", text(&DEMO), "--scene", text(&scene), "--out", text(&out), "--target-ms", "5"]);
     refuse(eval.args(["--frontier", text(&path)]), &["old.json", "provenance", "measure again"]);
+}
+
+/// What a target promises on a scene that was not measured, `splat pareto` finds when it measures every view.
+#[test]
+fn a_target_is_held_to_on_a_scene_that_was_not_measured() {
+    let (folder, scene, capture) = (tempfile::tempdir().unwrap(), TRAINED.join("scene.ply"), fresh("many-views"));
+    let size = ["--views", "24", "--width", "48", "--height", "36", "--seed", "5"];
+    succeed(splat(&["demo", "--out"]).arg(&capture).args(size));
+    let out = folder.path().join("pareto");
+    let pareto = ["pareto", text(&capture), "--scene", text(&scene), "--budget", "0", "--background", "white"];
+    succeed(splat(&pareto).args(["--eval-every", "1", "--views", "24", "--out", text(&out)]));
+    let truth = rows(&out);
+    for target in [35.0, 45.0, 60.0, 80.0] {
+        let render = ["render", "--capture", text(&capture), "--scene", text(&scene), "--view", "all"];
+        let target_db = format!("{target}");
+        let options = ["--background", "white", "--target-error", &target_db, "--out", text(folder.path())];
+        let said = succeed(splat(&render).args(options)).stderr;
+        // `accuracy: NAME (DIALS): X dB against the exact render, ...`
+        let choice = said.lines().find_map(|line| line.split_once("accuracy: ")).unwrap_or_else(|| panic!("{said}")).1;
+        assert!(choice.contains("8 of 24 views were measured"), "{choice}");
+        let turned = choice.split_once(" (").unwrap().1.split_once("): ").unwrap();
+        let promised: f64 = turned.1.split_once(" dB").unwrap().0.parse().unwrap();
+        let found = truth.iter().find(|row| row["turned"] == turned.0).unwrap_or_else(|| panic!("{choice}"));
+        let reached = number(found, "error_db");
+        assert!(promised >= target - 0.05, "{choice}");
+        assert!((reached - promised).abs() <= 3.0, "{reached:.1} dB instead of {choice}");
+    }
 }
 
 #[test]
@@ -210,7 +247,9 @@ fn training_turns_dials_too() {
     let standard = scene();
     assert_ne!(fast, standard, "the steps took no notice");
     let (said, metrics) = train(&["--target-error", "15"]);
-    assert!(said.contains("ms for a frame with its backward pass"), "{said}");
+    for part in ["ms for a frame with its backward pass", "accuracy: the finished scene has ", "at least the 15 dB"] {
+        assert!(said.contains(part), "{part:?} is not in {said}");
+    }
     assert!(metrics["options"]["dials"].is_object());
     train(&[]);
     assert_eq!(scene(), standard, "it is what is taken without being asked");

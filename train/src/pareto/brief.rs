@@ -1,0 +1,251 @@
+//! Choice of a setting for a scene that nobody measured.
+
+use std::ops::Range;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result};
+use burn::tensor::{Device, Tensor};
+use splat_model::accuracy::{ChosenSetting, Dial, Frontier, Measured, Provenance, Spread, Target, Workload, decibels};
+use splat_model::gaussians::GaussianRows;
+use splat_op::RenderOptions;
+
+use super::dials::{Candidate, candidates};
+use super::errors::PictureError;
+use super::measure::Bench;
+use super::reference::check;
+use super::spread;
+use super::subject::{MeasuredView, cotangent, host};
+use super::time::{Budget, FrameTimes};
+use crate::progress;
+
+/// Number of views on which errors are measured, at most.
+const VIEWS: usize = 8;
+
+/// Number of views on which all settings are timed, at most.
+const VIEWS_TIMED: usize = 2;
+
+/// Time after which no further view is rendered exactly.
+const EXACT_TIME: Duration = Duration::from_secs(10);
+
+/// Duration of the timing of all settings, and of each setting that is timed again.
+const BUDGET: Budget = Budget { time: Duration::from_secs(8), rounds: 20 };
+
+/// Difference between the error that is promised and the error over all views that breaks a promise, dB.
+const KEPT_DB: f64 = 3.0;
+
+/// A scene and the views of it that are going to be rendered.
+pub struct UnmeasuredScene<'a> {
+    pub rows: &'a GaussianRows,
+    pub shots: Vec<MeasuredView<'a>>,
+    pub background: [f32; 3],
+    /// The standard with the scene's model choices.
+    pub base: RenderOptions,
+    /// The device and its name.
+    pub device: (&'a Device, &'a str),
+    pub work: Workload,
+}
+
+/// Some views of a scene with their exact pictures.
+struct ExactViews<'a> {
+    bench: Bench<'a>,
+    pictures: Vec<Vec<f64>>,
+    /// Cotangents of the pictures where training is timed.
+    cotangents: Vec<Tensor<3>>,
+    /// Number of views that some were taken from.
+    of: usize,
+}
+
+/// Chooses a setting. `why` says on how many views it was measured and how much they differ.
+///
+/// Errors are those of all views at hand. Times are those of the first two; where a time is asked for, the chosen setting is
+/// timed again on all views, until it stays the choice.
+///
+/// # Errors
+/// If no measured setting meets the target, or measuring fails.
+pub fn choose(scene: &UnmeasuredScene, target: &Target) -> Result<ChosenSetting> {
+    progress::note("measuring what accuracy costs here (`splat pareto` measures it thoroughly, for `--frontier`)");
+    let views = ExactViews::new(scene)?;
+    let gpu = splat_op::is_gpu(scene.device.0);
+    let candidates = candidates(&scene.base, [gpu, views.bench.pinholes(), false]);
+    let (first, every) = (0..VIEWS_TIMED.min(views.pictures.len()), 0..views.pictures.len());
+    let counter = progress::counter("checking settings", candidates.len());
+    let mut errors = Vec::new();
+    for candidate in &candidates {
+        errors.push(views.errors(&candidate.options)?);
+        counter.inc(1);
+    }
+    counter.finish_and_clear();
+    let options: Vec<RenderOptions> = candidates.iter().map(|candidate| candidate.options).collect();
+    let rows = candidates.iter().zip(&errors).zip(views.time(&options, &first)?);
+    let mut frontier = Frontier {
+        device: scene.device.1.into(),
+        // The frontier is not saved, so that nobody can take it for another scene's.
+        provenance: Provenance::default(),
+        splats: scene.rows.len(),
+        pixels: MeasuredView::pixels(&scene.shots),
+        settings: rows.map(|((candidate, errors), times)| measured(candidate, errors, times)).collect(),
+    };
+    let mut timed = vec![first == every || target.ms.is_none(); candidates.len()];
+    loop {
+        let mut choice = frontier.choose(target, scene.work)?;
+        let name = &choice.measured.name;
+        let at = candidates.iter().position(|candidate| candidate.name == *name).context("a setting without a name")?;
+        if timed[at] {
+            choice.why.push_str(&views.seen(&errors[at]));
+            return Ok(choice);
+        }
+        let again = measured(&candidates[at], &errors[at], views.time(&options[at..=at], &every)?.remove(0));
+        let factor = scene.work.time(&again).median / scene.work.time(&choice.measured).median;
+        // The other views take the other settings longer, too.
+        for (setting, _) in frontier.settings.iter_mut().zip(&timed).filter(|(_, timed)| !**timed) {
+            for spread in [&mut setting.forward_ms, &mut setting.backward_ms, &mut setting.step_ms] {
+                *spread = spread.scaled(factor);
+            }
+        }
+        (frontier.settings[at], timed[at]) = (again, true);
+    }
+}
+
+/// Returns the PSNR of a setting against the exact render on some views of a scene, dB.
+///
+/// # Errors
+/// If a view cannot be rendered.
+pub fn error_db(scene: &UnmeasuredScene, options: &RenderOptions) -> Result<f64> {
+    let views = ExactViews::new(scene)?;
+    Ok(decibels(total(&views.errors(options)?).rms()))
+}
+
+fn total(errors: &[PictureError]) -> PictureError {
+    errors.iter().fold(PictureError::default(), |all, error| all.and(*error))
+}
+
+fn measured(candidate: &Candidate, errors: &[PictureError], times: FrameTimes) -> Measured {
+    let error = total(errors);
+    Measured {
+        name: candidate.name.clone(),
+        turned: candidate.setting.clone(),
+        error_db: decibels(error.rms()),
+        max_error: error.max,
+        gradient_error: None,
+        gradient_cosine: None,
+        forward_ms: times.forward,
+        backward_ms: times.backward,
+        step_ms: times.step,
+    }
+}
+
+impl<'a> ExactViews<'a> {
+    /// Takes views evenly, those on which all settings are timed first, and renders them exactly.
+    fn new(scene: &UnmeasuredScene<'a>) -> Result<Self> {
+        let all: Vec<usize> = (0..scene.shots.len()).collect();
+        let taken = spread(&all, VIEWS);
+        let mut order = spread(&taken, VIEWS_TIMED);
+        order.extend(taken.iter().filter(|view| !order.contains(view)).collect::<Vec<_>>());
+        let shots = order.iter().map(|&view| scene.shots[view]).collect();
+        let bench = Bench::new(scene.rows, shots, scene.background, scene.base, scene.device.0)?;
+        let exact = Dial::all_exact(scene.base);
+        let (mut pictures, mut cotangents) = (Vec::new(), Vec::new());
+        let (counter, begin) = (progress::counter("rendering exactly", bench.shots.len()), Instant::now());
+        for (view, shot) in bench.shots.iter().enumerate() {
+            if view >= VIEWS_TIMED && begin.elapsed() > EXACT_TIME {
+                break;
+            }
+            let picture = host(bench.exact.render(view, &exact)?.colour);
+            check(&bench.exact, (view, shot), &exact, &picture)?;
+            if scene.work == Workload::Train {
+                cotangents.push(bench.place.picture(view, &cotangent(shot, &picture, scene.background)));
+            }
+            pictures.push(picture);
+            counter.inc(1);
+        }
+        counter.finish_and_clear();
+        Ok(Self { bench, pictures, cotangents, of: all.len() })
+    }
+
+    /// The deviation of each view.
+    fn errors(&self, options: &RenderOptions) -> Result<Vec<PictureError>> {
+        let error = |(view, exact): (usize, &Vec<f64>)| {
+            Ok(PictureError::between(&host(self.bench.place.render(view, options)?.colour), exact))
+        };
+        self.pictures.iter().enumerate().map(error).collect()
+    }
+
+    fn time(&self, options: &[RenderOptions], views: &Range<usize>) -> Result<Vec<FrameTimes>> {
+        let cotangents = self.cotangents.get(views.clone()).unwrap_or_default();
+        Ok(self.bench.time(options, views, cotangents, BUDGET)?.0)
+    }
+
+    /// Describes the views that a setting was checked on, and says where they do not allow a promise for the others.
+    fn seen(&self, errors: &[PictureError]) -> String {
+        let each = Spread::of(&errors.iter().map(|error| decibels(error.rms())).collect::<Vec<_>>());
+        let (count, of) = (errors.len(), self.of);
+        let mut said = match each.filter(|_| of > 1) {
+            Some(Spread { lower, upper, .. }) => {
+                format!(" ({count} of {of} views were measured, half of them with {lower:.1} to {upper:.1} dB)")
+            }
+            None => String::new(),
+        };
+        let squares: Vec<f64> = errors.iter().map(|error| error.rms().powi(2)).collect();
+        if let Some(more_db) = unseen_db(&squares, of).filter(|more_db| *more_db > KEPT_DB) {
+            said.push_str(&format!(
+                "; no promise for all views, because these differ: the error over all may be {more_db:.0} dB larger"
+            ));
+        }
+        said
+    }
+}
+
+/// By how many dB the error over `of` views may be larger than that over some of them, from the mean squares of these: two
+/// standard errors of a mean over a sample without replacement. `None` for a single view.
+fn unseen_db(squares: &[f64], of: usize) -> Option<f64> {
+    let count = squares.len() as f64;
+    let mean = squares.iter().sum::<f64>() / count;
+    let variance = squares.iter().map(|square| (square - mean).powi(2)).sum::<f64>() / (count - 1.0);
+    let error = (variance / count * (1.0 - count / of as f64)).sqrt();
+    (squares.len() > 1).then(|| 10.0 * (1.0 + 2.0 * error / mean).log10())
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::{DAffine3, DVec3};
+
+    use super::super::reference::tests::{CAMERA, rows};
+    use super::*;
+
+    #[test]
+    fn what_other_views_may_add_falls_with_their_number() {
+        let alike = [1e-6; 8];
+        assert_eq!(unseen_db(&alike, 100), Some(0.0));
+        let mut differing = alike;
+        differing[3] = 1e-4;
+        let more_db = unseen_db(&differing, 100).unwrap();
+        assert!(more_db > KEPT_DB && more_db < 6.0, "{more_db}");
+        assert_eq!(unseen_db(&differing, 8), Some(0.0), "every view was measured");
+        assert!(unseen_db(&differing, 9).unwrap() < more_db);
+        assert_eq!(unseen_db(&alike[..1], 9), None);
+    }
+
+    /// The first views see little of the scene, and so have smaller errors than the others.
+    #[test]
+    fn a_choice_holds_on_views_that_show_more_than_the_first() {
+        let (rows, device) = (rows(60), Device::flex());
+        let shot = |x: f64| {
+            let cam_from_world = DAffine3::from_translation(DVec3::new(x, 0.0, 0.1));
+            MeasuredView { intrinsics: CAMERA, cam_from_world, photo: None }
+        };
+        let shots: Vec<_> = (0..8).map(|view| shot(if view % 4 == 0 { 3.0 } else { 0.1 * f64::from(view) })).collect();
+        let base = RenderOptions::standard();
+        let (background, device, work) = ([0.0; 3], (&device, "flex"), Workload::Render);
+        let scene = UnmeasuredScene { rows: &rows, shots, background, base, device, work };
+        let first = UnmeasuredScene { shots: vec![scene.shots[0], scene.shots[4]], ..scene };
+        let target = Target { error_db: Some(50.0), ms: None };
+        let choice = choose(&scene, &target).unwrap();
+        let on = |scene: &UnmeasuredScene, choice: &ChosenSetting| {
+            error_db(scene, &choice.measured.turned.apply(base)).unwrap()
+        };
+        assert!(on(&scene, &choice) >= 50.0 && (on(&scene, &choice) - choice.measured.error_db).abs() < 1e-9);
+        assert!(choice.why.contains("(8 of 8 views were measured, half of them with "), "{}", choice.why);
+        let blind = choose(&first, &target).unwrap();
+        assert!(on(&scene, &blind) < 50.0 && on(&first, &blind) >= 50.0, "{}", blind.why);
+    }
+}
