@@ -63,31 +63,41 @@ pub struct DemoArgs {
     /// Write an exact depth map for each photograph: 16-bit PNG, 0.001 scene units a level
     #[arg(long)]
     pub depth: bool,
+    /// Photograph a town of 400 m instead: streets, houses that hide each other, trees; without effects. For captures
+    /// that are trained in blocks
+    #[arg(long)]
+    pub town: bool,
     /// Number of photographs
-    #[arg(long, value_name = "N", default_value_t = DemoOptions::default().views)]
-    pub views: usize,
+    #[arg(long, value_name = "N", help = usual("Number of photographs", |options| options.views))]
+    pub views: Option<usize>,
     /// Number of sparse points
-    #[arg(long, value_name = "N", default_value_t = DemoOptions::default().points)]
-    pub points: usize,
+    #[arg(long, value_name = "N", help = usual("Number of sparse points", |options| options.points))]
+    pub points: Option<usize>,
     /// Width of the photographs, px
-    #[arg(long, value_name = "PX", default_value_t = DemoOptions::default().width)]
-    pub width: usize,
+    #[arg(long, value_name = "PX", help = usual("Width of the photographs, px", |options| options.width))]
+    pub width: Option<usize>,
     /// Height of the photographs, px
-    #[arg(long, value_name = "PX", default_value_t = DemoOptions::default().height)]
-    pub height: usize,
+    #[arg(long, value_name = "PX", help = usual("Height of the photographs, px", |options| options.height))]
+    pub height: Option<usize>,
     /// Seed of the cameras, the choice of sparse points, and the random draws of each effect
     #[arg(long, value_name = "S", default_value_t = DemoOptions::default().seed)]
     pub seed: u64,
 }
 
+/// Help on an option whose default depends on `--town`.
+fn usual(what: &str, of: fn(&DemoOptions) -> usize) -> String {
+    format!("{what} [default: {}; with --town {}]", of(&DemoOptions::PLAIN), of(&DemoOptions::TOWN))
+}
+
 impl DemoArgs {
     /// Returns the options in the library's type.
     pub fn options(&self) -> DemoOptions {
+        let usual = if self.town { DemoOptions::TOWN } else { DemoOptions::PLAIN };
         DemoOptions {
-            width: self.width,
-            height: self.height,
-            views: self.views,
-            points: self.points,
+            width: self.width.unwrap_or(usual.width),
+            height: self.height.unwrap_or(usual.height),
+            views: self.views.unwrap_or(usual.views),
+            points: self.points.unwrap_or(usual.points),
             glossy: self.glossy,
             exposure: self.exposure,
             graded: self.graded,
@@ -102,6 +112,7 @@ impl DemoArgs {
             rolling: self.rolling,
             defocus: self.defocus,
             depth: self.depth,
+            town: self.town,
             seed: self.seed,
         }
     }
@@ -267,8 +278,9 @@ mod tests {
             .filter(|(_, value)| value.is_boolean())
             .map(|(name, _)| name.clone())
             .collect();
-        assert_eq!(flags.len(), 14);
-        for flag in flags {
+        assert_eq!(flags.len(), 15);
+        assert_eq!(marked(&["--town"]), mark(&DemoOptions::TOWN));
+        for flag in flags.into_iter().filter(|flag| flag != "town") {
             let mut expected = plain.clone();
             expected[&flag] = true.into();
             assert_eq!(marked(&[&format!("--{flag}")]), expected);

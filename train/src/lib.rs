@@ -36,6 +36,7 @@
 pub mod options;
 
 pub mod background;
+pub mod blocks;
 pub mod convert;
 pub mod demo;
 pub mod devices;
@@ -75,7 +76,7 @@ pub fn run(command: &Command) -> Result<()> {
     match command {
         Command::Train(args) => {
             args.voice.apply();
-            train::run(args).map(drop)
+            train::run_or_resume(args)
         }
         Command::Resume(args) => {
             args.voice.apply();
@@ -83,6 +84,7 @@ pub fn run(command: &Command) -> Result<()> {
         }
         Command::Eval(args) => eval::run(args).map(drop),
         Command::Render(args) => render::run(args).map(drop),
+        Command::Blocks(args) => blocks::run(args),
         Command::Demo(args) => demo::run(args),
         Command::View(args) => view::run(args),
         Command::Convert(args) => convert::run(args),

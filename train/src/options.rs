@@ -5,6 +5,7 @@ use clap::{Parser, Subcommand, value_parser};
 use serde::{Deserialize, Serialize};
 use splat_model::capture::{Capture, Split};
 
+use crate::blocks::BlocksArgs;
 use crate::convert::ConvertArgs;
 use crate::demo::DemoArgs;
 use crate::effects_bench::EffectsBenchArgs;
@@ -52,6 +53,8 @@ pub enum Command {
     Convert(ConvertArgs),
     /// Report what a capture shows, which effects it calls for, and what they would cost
     Inspect(InspectArgs),
+    /// Train a capture in blocks, on any number of machines: plan, status, merge
+    Blocks(BlocksArgs),
     /// Write the demo capture: a small ray-traced scene as a COLMAP folder
     Demo(DemoArgs),
     /// Measure the gain and the cost of each effect on demo captures, and write the page

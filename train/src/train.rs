@@ -16,7 +16,8 @@ use serde::{Deserialize, Serialize};
 use splat_model::optim::sh_every_for;
 use splat_model::trainer::{Resolution, TrainConfig, TrainError};
 
-pub use self::run::{resume, run, run_with};
+pub use self::checkpoints::{RunState, state_of};
+pub use self::run::{resume, run, run_or_resume, run_with};
 pub use self::stop::Interrupted;
 use self::time_limit::{GUESS, TrainingTime};
 use crate::accuracy::{AccuracyArgs, ModelArgs};
@@ -168,6 +169,11 @@ pub struct TrainArgs {
     /// Ctrl-C or SIGTERM
     #[arg(long, value_name = "K", default_value_t = CHECKPOINT_EVERY)]
     pub checkpoint_every: usize,
+    /// Resume the run in `--out` where it was stopped, with its own options; begin it where there is none, and leave a finished
+    /// one as it is. The same line can then be run again and again
+    #[arg(long, requires = "out")]
+    #[serde(skip)]
+    pub resume: bool,
 }
 
 /// Options of `splat resume`.

@@ -1,5 +1,6 @@
 //! Captures: photographs with their cameras and, where there is one, a sparse point cloud. One file per format.
 
+pub mod blocks;
 pub mod image;
 
 mod colmap;
@@ -20,6 +21,8 @@ use std::path::{Path, PathBuf};
 
 use glam::{DAffine3, DVec3, Vec3};
 use splat_op::Intrinsics;
+
+use crate::density::Focus;
 
 pub use colmap::{write_binary, write_binary_with_tracks};
 pub use error::CaptureError;
@@ -47,6 +50,8 @@ pub struct Capture {
     /// Mask files that the capture itself names, one entry per view, or empty; see
     /// [`masks::find`](crate::effects::masks::find).
     pub masks: Vec<Option<PathBuf>>,
+    /// The part of the scene on which the capture focuses, if it is a block of another; see [`blocks`].
+    pub focus: Option<Focus>,
     /// Notes for the user about how the files were read.
     pub remarks: Vec<String>,
 }
@@ -61,6 +66,9 @@ impl Capture {
     /// 3. nerfstudio and instant-ngp: `transforms.json`. Its `train_filenames`, `val_filenames` and `test_filenames` make the
     ///    capture's own split, its `ply_file_path` is the point cloud, and its frames may name masks.
     ///
+    /// Before them comes a block: `block.json`, which names a capture in one of these formats and a part of it (see [`blocks`]). The
+    /// folder of the result is that of the whole capture, and so are its origin, masks and depth maps.
+    ///
     /// Pictures are not opened, except for the sizes in their headers where a JSON file lacks them. A picture in
     /// JSON is named by its path below the folder, with its extension.
     ///
@@ -72,6 +80,9 @@ impl Capture {
     /// A [`CaptureError`] if there is neither a COLMAP model nor one of the JSON files, or if any file is cut short,
     /// contradicts another, or holds what no capture can have.
     pub fn load(folder: &Path) -> Result<Self, CaptureError> {
+        if blocks::is_there(folder) {
+            return blocks::load(folder);
+        }
         match transforms::is_there(folder) && !colmap::is_there(folder) {
             true => transforms::load(folder),
             false => colmap::load(folder),
@@ -87,8 +98,8 @@ impl Capture {
         }
         let positions = positions.iter().map(|&position| (position - origin).as_vec3().to_array()).collect();
         let points = PointCloud { positions, colours };
-        let (tracks, split, masks, remarks) = Default::default();
-        Self { folder: folder.to_owned(), views, points, tracks, origin, split, masks, remarks }
+        let (tracks, split, masks, focus, remarks) = Default::default();
+        Self { folder: folder.to_owned(), views, points, tracks, origin, split, masks, focus, remarks }
     }
 
     /// The position of a sparse point, world frame.

@@ -10,7 +10,8 @@ use splat_op::tally::{self, Tally};
 
 pub use self::division::Division;
 use self::division::{push_halves, push_parts};
-use super::consistency::{Agreed, Agreement, ConsistencyConfig};
+use super::consistency::{Agreement, ConsistencyConfig};
+use super::focus::Focus;
 use super::order::morton_order;
 use super::outlook;
 use super::rows::{RowEdit, Trained};
@@ -55,6 +56,8 @@ pub struct AdaptiveConfig {
     /// Largest ratio of a Gaussian's largest standard deviation to its middle one: 30. Needles far longer than wide show as
     /// streaks in views outside the training set. (Not in the original.)
     pub max_elongation: f64,
+    /// The part of the scene that Gaussians are added to: all of it.
+    pub focus: Option<Focus>,
 }
 
 impl Default for AdaptiveConfig {
@@ -74,6 +77,7 @@ impl Default for AdaptiveConfig {
             division: Division::CloneOrSplit,
             growth: None,
             max_elongation: 30.0,
+            focus: None,
         }
     }
 }
@@ -176,7 +180,10 @@ impl Adaptive {
         let hardly_shows = |i: usize| agreed.as_ref().is_some_and(|agreed| agreed[i].hardly_shows);
         let doomed: Vec<bool> =
             (0..rows.len()).map(|i| self.is_doomed(&rows, i, keep_largest) || hardly_shows(i)).collect();
-        let (chosen, threshold) = self.choose(&gradients, &doomed, agreed.as_deref(), step);
+        let is_wrong = |i: usize| agreed.as_ref().is_none_or(|agreed| agreed[i].is_wrong);
+        let wanted = |i: &usize| !doomed[*i] && f64::from(gradients[*i]) > self.config.grad_threshold && is_wrong(*i);
+        let wanted = self.focused((0..rows.len()).filter(wanted).collect(), (&rows, &doomed), &gradients, step);
+        let (chosen, threshold) = self.choose(wanted, &gradients, &doomed, step);
         let split_above = (self.config.split_scale * self.extent) as f32;
 
         let mut report = RefineReport { threshold, ..Default::default() };
@@ -222,17 +229,34 @@ impl Adaptive {
         !(sound && (keep_largest || largest <= self.config.prune_scale * self.extent))
     }
 
-    /// Selects the rows to copy or split, in order, and returns the threshold of the selection.
-    fn choose(&self, gradients: &[f32], doomed: &[bool], agreed: Option<&[Agreed]>, step: usize) -> (Vec<usize>, f64) {
-        let is_wrong = |i: usize| agreed.is_none_or(|agreed| agreed[i].is_wrong);
-        let wanted = |i: &usize| !doomed[*i] && f64::from(gradients[*i]) > self.config.grad_threshold && is_wrong(*i);
-        let mut chosen: Vec<usize> = (0..gradients.len()).filter(wanted).collect();
+    /// The rows to copy or split of those that are wanted, in order: beyond the focus only as many as still fit into its share, those
+    /// with the largest gradients.
+    fn focused(
+        &self,
+        mut wanted: Vec<usize>,
+        (rows, doomed): (&GaussianRows, &[bool]),
+        gradients: &[f32],
+        step: usize,
+    ) -> Vec<usize> {
+        let Some(focus) = self.config.focus else { return wanted };
+        let surviving = (0..rows.len()).filter(|&i| !doomed[i] && focus.is_beyond(rows, i)).count();
+        let most = (focus.beyond_share * self.config.max_splats as f64) as usize;
+        let room = self.paced(most.saturating_sub(surviving), surviving, step);
+        let mut beyond: Vec<usize> = wanted.extract_if(.., |i| focus.is_beyond(rows, *i)).collect();
+        by_gradient(&mut beyond, gradients);
+        wanted.extend(beyond.into_iter().take(room));
+        wanted.sort_unstable();
+        wanted
+    }
+
+    /// Selects the rows to copy or split of those that are wanted, in order, and returns the threshold of the selection.
+    fn choose(&self, mut chosen: Vec<usize>, gradients: &[f32], doomed: &[bool], step: usize) -> (Vec<usize>, f64) {
         let surviving = doomed.iter().filter(|&&gone| !gone).count();
         let room = self.room(surviving, step);
         if chosen.len() <= room {
             return (chosen, self.config.grad_threshold);
         }
-        chosen.sort_by(|&a, &b| gradients[b].total_cmp(&gradients[a]).then(a.cmp(&b)));
+        by_gradient(&mut chosen, gradients);
         let threshold = f64::from(gradients[chosen[room]]);
         chosen.truncate(room);
         chosen.sort_unstable();
@@ -241,7 +265,11 @@ impl Adaptive {
 
     /// Number of rows that the refinement at `step` may add to `count`. Copying and splitting add one row each.
     fn room(&self, count: usize, step: usize) -> usize {
-        let room = self.config.max_splats.saturating_sub(count);
+        self.paced(self.config.max_splats.saturating_sub(count), count, step)
+    }
+
+    /// The part of the `room` left for more than `count` rows that the refinement at `step` may use.
+    fn paced(&self, room: usize, count: usize, step: usize) -> usize {
         let Some(growth) = self.config.growth else { return room };
         let every = self.config.every.max(1);
         let end = (self.config.until_share * self.steps as f64).ceil() as usize;
@@ -366,6 +394,11 @@ fn tallied(tally: Option<Tally>, grad: Tensor<2>, per_axis: [f32; 2]) -> Tally {
         Some(Tally { sums, counts }) => Tally { sums: sums + norms, counts: counts + shown },
         None => Tally { sums: norms, counts: shown },
     }
+}
+
+/// Sorts rows by falling gradient.
+fn by_gradient(rows: &mut [usize], gradients: &[f32]) {
+    rows.sort_by(|&a, &b| gradients[b].total_cmp(&gradients[a]).then(a.cmp(&b)));
 }
 
 fn largest_scale(rows: &GaussianRows, i: usize) -> f32 {

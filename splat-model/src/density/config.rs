@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{Adaptive, AdaptiveConfig, Mcmc, McmcConfig, Strategy};
+use super::{Adaptive, AdaptiveConfig, Focus, Mcmc, McmcConfig, Strategy};
 
 /// A strategy and its options.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -54,6 +54,14 @@ impl DensityConfig {
     pub fn without_points(self) -> Self {
         match self {
             Self::Adaptive(config) => config.without_points().into(),
+            mcmc @ Self::Mcmc(_) => mcmc,
+        }
+    }
+
+    /// The same options with growth in a part of the scene only. MCMC draws by opacity, not by place, and stays as it is.
+    pub fn focused(self, focus: Option<Focus>) -> Self {
+        match self {
+            Self::Adaptive(config) => AdaptiveConfig { focus, ..config }.into(),
             mcmc @ Self::Mcmc(_) => mcmc,
         }
     }

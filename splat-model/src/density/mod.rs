@@ -5,6 +5,7 @@
 mod adaptive;
 mod config;
 mod consistency;
+mod focus;
 mod mcmc;
 mod noise;
 mod order;
@@ -15,6 +16,7 @@ mod strategy;
 pub use adaptive::{Adaptive, AdaptiveConfig, Division, GRADUAL_OPACITY_WEIGHT};
 pub use config::DensityConfig;
 pub use consistency::ConsistencyConfig;
+pub use focus::Focus;
 pub use mcmc::{Mcmc, McmcConfig};
 pub use order::morton_order;
 pub use strategy::{Observed, RefineReport, Signals, Strategy, StrategyContext};

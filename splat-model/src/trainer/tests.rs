@@ -31,6 +31,7 @@ const EVENTFUL: AdaptiveConfig = AdaptiveConfig {
     division: Division::CloneOrSplit,
     growth: None,
     max_elongation: 30.0,
+    focus: None,
 };
 
 /// A run with all events: the degree of the harmonics rises, Gaussians are added and removed, opacities are reset.

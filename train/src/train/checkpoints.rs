@@ -5,6 +5,8 @@
 
 use std::fs::{self, File, TryLockError};
 use std::path::{Path, PathBuf};
+use std::thread;
+use std::time::Duration;
 
 use anyhow::{Context, Result, bail, ensure};
 use splat_model::state::State;
@@ -54,6 +56,40 @@ pub struct SoFar {
     pub history: History,
 }
 
+/// How far the run of a folder is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RunState {
+    /// There is no run, or none that has a checkpoint.
+    New,
+    /// A process trains; its last checkpoint is of this step.
+    Running {
+        /// Step, counted from 1; 0 before the first.
+        step: usize,
+    },
+    /// It can be resumed from this step.
+    Stopped {
+        /// Step, counted from 1; 0 before the first.
+        step: usize,
+    },
+    /// Its results are complete.
+    Finished,
+}
+
+/// Returns how far the run is that writes to `out`.
+pub fn state_of(out: &Path) -> RunState {
+    let newest = steps_in(&out.join(FOLDER)).pop().map(|(step, _)| step);
+    let locked = || {
+        let lock = File::open(out.join(LOCK)).ok()?;
+        Some(matches!(lock.try_lock(), Err(TryLockError::WouldBlock)))
+    };
+    match newest {
+        _ if locked() == Some(true) => RunState::Running { step: newest.unwrap_or(0) },
+        Some(step) => RunState::Stopped { step },
+        None if out.join(METRICS).is_file() => RunState::Finished,
+        None => RunState::New,
+    }
+}
+
 /// Checkpoints of a run in progress.
 pub struct Checkpoints {
     folder: PathBuf,
@@ -74,7 +110,7 @@ impl Checkpoints {
         fs::create_dir_all(&folder).with_context(cannot)?;
         // Beside the checkpoints, because their folder may be renamed.
         let lock = File::create(out.join(LOCK)).with_context(cannot)?;
-        match lock.try_lock() {
+        match locked(&lock) {
             Err(TryLockError::WouldBlock) => {
                 bail!("another `splat train` is writing to {}: wait for it, or choose another `--out`", out.display())
             }
@@ -146,6 +182,17 @@ impl Checkpoints {
         }
         let _ = fs::remove_dir_all(&self.folder);
     }
+}
+
+/// Locks a file. [`state_of`] holds the lock for a moment, which is no run.
+fn locked(lock: &File) -> Result<(), TryLockError> {
+    for _ in 0..10 {
+        match lock.try_lock() {
+            Err(TryLockError::WouldBlock) => thread::sleep(Duration::from_millis(20)),
+            other => return other,
+        }
+    }
+    lock.try_lock()
 }
 
 /// Reads the newest checkpoint of the run that wrote to `out`.

@@ -17,7 +17,7 @@ use splat_model::ply;
 use splat_model::trainer::{TrainConfig, Trainer};
 
 use super::budget::{self, MemoryEstimate};
-use super::checkpoints::{self, Checkpoints, SavedRun, SoFar};
+use super::checkpoints::{self, Checkpoints, RunState, SavedRun, SoFar};
 use super::results::write_learnt;
 use super::steps::{Done, Steps};
 use super::{OUT, ResumeArgs, TrainArgs};
@@ -70,6 +70,28 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
     to_the_end(args.clone(), None, change)
 }
 
+/// Runs as [`run`] does. With `--resume`, an unfinished run of the output folder is resumed instead, and a finished one is left
+/// alone.
+///
+/// # Errors
+/// Those of [`run`] and [`resume`].
+pub fn run_or_resume(args: &TrainArgs) -> Result<()> {
+    if let Some(out) = args.out.as_ref().filter(|_| args.resume) {
+        match checkpoints::state_of(out) {
+            RunState::Finished => {
+                progress::note(&format!("the run in {} is finished", out.display()));
+                return Ok(());
+            }
+            RunState::Stopped { .. } => {
+                return resume(&ResumeArgs { out: out.clone(), voice: args.voice }).map(drop);
+            }
+            // A run that is under way is refused by its lock.
+            RunState::New | RunState::Running { .. } => {}
+        }
+    }
+    run(args).map(drop)
+}
+
 /// Resumes a run from its newest checkpoint, with its original options.
 ///
 /// # Errors
@@ -99,6 +121,7 @@ fn to_the_end(mut args: TrainArgs, kept: Option<SavedRun>, change: impl FnOnce(T
     let (seen, max_side) = (split.require_train()?, args.photos.max_side);
     let mut effects = args.effects.choose(&capture, seen, args.model.antialias, max_side)?;
     effects.configure(&mut config, args.background, args.sh_degree);
+    config.density = config.density.focused(capture.focus);
     if capture.points.positions.is_empty() {
         config.density = config.density.without_points();
     }

@@ -1,5 +1,6 @@
 //! The program from end to end, on a demo capture so small that a run takes a moment.
 
+mod blocks;
 mod browser;
 mod choices;
 mod convert;

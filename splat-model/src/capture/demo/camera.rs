@@ -43,8 +43,8 @@ pub(super) struct DemoCamera {
 }
 
 impl DemoCamera {
-    /// An upright camera. It must not look straight up or down; the rings do not.
-    fn looking(intrinsics: Intrinsics, centre_world: DVec3, target_world: DVec3) -> Self {
+    /// An upright camera. It must not look straight up or down.
+    pub fn looking(intrinsics: Intrinsics, centre_world: DVec3, target_world: DVec3) -> Self {
         let forward = (target_world - centre_world).normalize();
         let right = forward.cross(DVec3::Z).normalize();
         let down = forward.cross(right);

@@ -1,8 +1,8 @@
-//! The demo capture: a ray-traced still life, photographed from three rings of cameras.
+//! The demo capture: a ray-traced still life, photographed from three rings of cameras; or a [town](DemoOptions::town).
 //!
 //! Its geometry, light and cameras are known, nothing has to be downloaded, and equal options give the
 //! same bytes. Its photographs show only the effects that [`DemoOptions`] asks for. Surfaces are matte, so that splats of
-//! degree 0 can represent them. World frame: z up, the round platform has radius 1.95 and its top at z = 0, and everything lies
+//! degree 0 can represent them. World frame of the still life: z up, the round platform has radius 1.95 and its top at z = 0, and everything lies
 //! within a dome of radius 8.
 
 mod camera;
@@ -20,6 +20,7 @@ mod shot;
 mod tests;
 mod texture;
 mod torus;
+mod town;
 mod truth;
 
 use std::io;
@@ -93,6 +94,9 @@ pub enum DemoError {
 /// file cannot be written.
 pub fn write(folder: &Path, options: &DemoOptions) -> Result<(), DemoError> {
     options.check()?;
+    if options.town {
+        return town::write(folder, options);
+    }
     let scene = LitScene::new(DemoScene::still_life(options));
     let shots = shot::shots(options);
     let poses = pose::written(&shots, options);

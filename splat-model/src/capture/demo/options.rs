@@ -74,6 +74,9 @@ pub struct DemoOptions {
     pub defocus: bool,
     /// Each photograph has an exact depth map, `depth/<name>`; see [`super::write`].
     pub depth: bool,
+    /// A town of 400 m instead of the still life, in metres, z up: streets every 100 m, houses around courtyards, trees. Four of
+    /// five photographs are taken from the streets, one from above the roofs. It excludes all effects.
+    pub town: bool,
     /// Varies the cameras, the choice of points, and what each effect draws by lot.
     pub seed: u64,
 }
@@ -99,8 +102,12 @@ impl DemoOptions {
         rolling: false,
         defocus: false,
         depth: false,
+        town: false,
         seed: 0,
     };
+
+    /// The town: 240 photographs of 160 × 120 px, a street photograph every 21 m.
+    pub const TOWN: Self = Self { town: true, width: 160, height: 120, views: 240, points: 20_000, ..Self::PLAIN };
 
     /// Largest deviation of a gain from one, stops of light.
     pub const EXPOSURE_STOPS: f64 = 0.75;
@@ -176,6 +183,25 @@ impl DemoOptions {
             _ => Ok(()),
         };
         apart([("lens", self.lens), ("fisheye", self.fisheye)], "a photograph is taken through one lens")?;
+        let effects = [
+            ("glossy", self.glossy),
+            ("exposure", self.exposure),
+            ("graded", self.graded),
+            ("lens", self.lens),
+            ("fisheye", self.fisheye),
+            ("masks", self.masks),
+            ("alpha", self.alpha),
+            ("zoom", self.zoom),
+            ("poses", self.poses),
+            ("far", self.far),
+            ("motion", self.motion),
+            ("rolling", self.rolling),
+            ("defocus", self.defocus),
+            ("depth", self.depth),
+        ];
+        for effect in effects {
+            apart([("town", self.town), effect], "the town has plain photographs")?;
+        }
         apart([("far", self.far), ("alpha", self.alpha)], "the surroundings cannot be far away and transparent")
     }
 }
@@ -197,4 +223,5 @@ pub(super) enum Stream {
     Motion = 5,
     Rolling = 6,
     Grades = 7,
+    Town = 8,
 }

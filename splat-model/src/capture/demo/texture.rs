@@ -79,23 +79,23 @@ pub(super) const fn srgb(hex: u32) -> DVec3 {
     DVec3::new(channel(hex >> 16), channel(hex >> 8), channel(hex))
 }
 
-fn mix(colours: [DVec3; 2], share: f64) -> DVec3 {
+pub(super) fn mix(colours: [DVec3; 2], share: f64) -> DVec3 {
     colours[0].lerp(colours[1], share)
 }
 
 /// 0 to 1 as `value` goes from `low` to `high`, flat at both ends.
-fn smoothstep(low: f64, high: f64, value: f64) -> f64 {
+pub(super) fn smoothstep(low: f64, high: f64, value: f64) -> f64 {
     let x = ((value - low) / (high - low)).clamp(0.0, 1.0);
     x * x * (3.0 - 2.0 * x)
 }
 
 /// A soft step at zero.
-fn edge(value: f64, width: f64) -> f64 {
+pub(super) fn edge(value: f64, width: f64) -> f64 {
     smoothstep(-width, width, value)
 }
 
 /// A number from 0 to 1 for each corner of the lattice.
-fn lattice(x: i64, y: i64, z: i64) -> f64 {
+pub(super) fn lattice(x: i64, y: i64, z: i64) -> f64 {
     let mut bits = (x as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15);
     bits ^= (y as u64).wrapping_mul(0xc2b2_ae3d_27d4_eb4f);
     bits ^= (z as u64).wrapping_mul(0x1656_67b1_9e37_79f9);
@@ -124,7 +124,7 @@ fn noise(p: DVec3) -> f64 {
 }
 
 /// Two octaves of [`noise`].
-fn rough(p: DVec3) -> f64 {
+pub(super) fn rough(p: DVec3) -> f64 {
     // The odd factor and the shift keep the lattices of the octaves apart.
     (2.0 * noise(p) + noise(2.03 * p + DVec3::splat(17.3))) / 3.0
 }

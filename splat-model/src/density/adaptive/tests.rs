@@ -414,3 +414,27 @@ fn only_gradual_growth_has_a_threshold_without_points() {
     assert_eq!(without, AdaptiveConfig { grad_threshold: 1.5e-4, ..AdaptiveConfig::gradual() });
     assert_eq!(AdaptiveConfig::default().without_points(), AdaptiveConfig::default());
 }
+
+/// Beyond the focus as many rows are added as its share of the cap has room for; within it nothing changes.
+#[test]
+fn growth_beyond_the_focus_ends_at_its_share() {
+    use crate::capture::blocks::Bounds;
+    let count = 100;
+    let rows = round(&vec![(SMALL, 0.5); count]);
+    let lengths: Vec<f32> = (0..count).map(|i| 1.0 + i as f32).collect();
+    // Rows 0 to 59 lie within, rows 60 to 99, whose gradients are the largest, beyond.
+    let bounds = Bounds { high: [Some(60.0), None, None], ..Bounds::everything(glam::DMat3::IDENTITY) };
+    for (beyond_share, added) in [(0.0, 0), (0.2, 0), (0.25, 10), (1.0, 40)] {
+        let config = AdaptiveConfig {
+            max_splats: 200,
+            focus: Some(Focus { bounds, beyond_share }),
+            ..AdaptiveConfig::default()
+        };
+        let (report, after) = refine(config, &rows, &lengths, 500);
+        let beyond = after.means.iter().filter(|mean| mean[0] >= 60.0).count();
+        assert_eq!((report.unwrap().cloned, beyond), (60 + added, 40 + added), "{beyond_share}");
+        // The largest gradients come first.
+        let copies = after.means[count..].iter().filter(|mean| mean[0] >= 60.0).map(|mean| mean[0] as usize);
+        assert_eq!(copies.min().unwrap_or(count), count - added, "{beyond_share}");
+    }
+}

@@ -101,6 +101,7 @@ fn both_conventions_are_found_and_read() {
         origin: glam::DVec3::ZERO,
         split: None,
         masks: Vec::new(),
+        focus: None,
         remarks: Vec::new(),
     };
     assert_eq!(find(&capture), [const { None }; 4]);

@@ -112,6 +112,7 @@ mod tests {
             origin: DVec3::ZERO,
             split: None,
             masks: Vec::new(),
+            focus: None,
             remarks: Vec::new(),
         }
     }

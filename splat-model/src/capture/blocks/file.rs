@@ -1,0 +1,163 @@
+//! The folder of a block: `block.json`, which names a capture and the part of it that the block is.
+
+use std::collections::HashMap;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use super::{Block, Bounds};
+use crate::capture::read::{Place, PlaceInFile, quoted, read, regular_size, unreadable};
+use crate::capture::{Capture, CaptureError, PointCloud, Split, Tracks};
+use crate::density::Focus;
+use crate::replace::{Refused, replace};
+
+/// The file's name.
+pub const BLOCK: &str = "block.json";
+
+/// The largest accepted file. A point takes at most 9 bytes.
+const MAX_BYTES: u64 = 1 << 30;
+
+const FIX: &str = "Plan the blocks again with `splat blocks plan`";
+
+/// The contents of `block.json`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct BlockFile {
+    /// The capture's folder, absolute or relative to the folder of this file.
+    pub capture: PathBuf,
+    /// Numbers of photographs and of points that the capture had when it was cut.
+    pub counts: [usize; 2],
+    /// The part that is kept after training; positions are relative to the capture's origin.
+    pub cell: Bounds,
+    /// The cell with its margin.
+    pub region: Bounds,
+    /// Names of the photographs to train on.
+    pub train: Vec<String>,
+    /// Names of the photographs that are held out.
+    pub test: Vec<String>,
+    /// Indices of the points.
+    pub points: Vec<u32>,
+}
+
+impl BlockFile {
+    /// The file for a block of `capture`, which the file names as `path`.
+    pub fn of(capture: &Capture, path: PathBuf, block: &Block) -> Self {
+        let names = |views: &[usize]| views.iter().map(|&view| capture.views[view].name.clone()).collect();
+        Self {
+            capture: path,
+            counts: [capture.views.len(), capture.points.positions.len()],
+            cell: block.cell,
+            region: block.region,
+            train: names(&block.train),
+            test: names(&block.test),
+            // There are fewer than 2³² points.
+            points: block.points.iter().map(|&point| point as u32).collect(),
+        }
+    }
+
+    /// Writes the file into `folder`, which exists.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn write(&self, folder: &Path) -> Result<(), CaptureError> {
+        let file = folder.join(BLOCK);
+        let write = |out: &mut dyn Write| Ok(serde_json::to_writer(out, self)?);
+        replace(&file, |out| write(out)).map_err(|Refused { source: reason, .. }| CaptureError::Write { file, reason })
+    }
+
+    /// Reads the file of a block's folder.
+    ///
+    /// # Errors
+    /// If it is missing, too large, or not such a file.
+    pub fn read(folder: &Path) -> Result<Self, CaptureError> {
+        let file = folder.join(BLOCK);
+        let bytes = regular_size(&file).map_err(|reason| unreadable(&file, reason))?;
+        let place = Place::new(&file, PlaceInFile::Whole);
+        if bytes > MAX_BYTES {
+            return Err(place.refuse_with("text", format!("{bytes} bytes long"), "at most 1 GiB", FIX));
+        }
+        let refuse = |error: serde_json::Error| place.refuse_with("text", quoted(&error.to_string()), "a block", FIX);
+        serde_json::from_slice(&read(&file)?).map_err(refuse)
+    }
+
+    /// The folder of the capture, for a file that lies in `folder`.
+    pub fn capture_folder(&self, folder: &Path) -> PathBuf {
+        folder.join(&self.capture)
+    }
+
+    /// The part of `capture` that the block is. `file` is named in errors.
+    fn part(&self, file: &Path, capture: Capture) -> Result<Capture, CaptureError> {
+        let place = Place::new(file, PlaceInFile::Whole);
+        let refuse = |field, found: String, expected: &str| Err(place.refuse_with(field, found, expected, FIX));
+        let counts = [capture.views.len(), capture.points.positions.len()];
+        if counts != self.counts {
+            let found = format!("{} photographs and {} points", self.counts[0], self.counts[1]);
+            return refuse("counts", found, &format!("{} and {}, as the capture has now", counts[0], counts[1]));
+        }
+        let by_name: HashMap<&str, usize> =
+            capture.views.iter().enumerate().map(|(i, view)| (view.name.as_str(), i)).collect();
+        // For each view of the capture whether the block has it, and whether it is held out.
+        let mut chosen = vec![None; capture.views.len()];
+        for (field, names, held_out) in [("train", &self.train, false), ("test", &self.test, true)] {
+            for name in names {
+                match by_name.get(name.as_str()) {
+                    Some(&view) if chosen[view].is_none() => chosen[view] = Some(held_out),
+                    Some(_) => return refuse(field, format!("{} again", quoted(name)), "each photograph once"),
+                    None => return refuse(field, quoted(name), "names of the capture's photographs"),
+                }
+            }
+        }
+        if let Some(point) = self.points.iter().find(|point| **point as usize >= counts[1]) {
+            return refuse("points", point.to_string(), "indices of the capture's points");
+        }
+        let axes = self.region.box_from_world.as_flattened();
+        if !axes.iter().all(|value| value.is_finite()) {
+            return refuse("region", format!("{axes:?}"), "finite axes");
+        }
+        Ok(self.cut_out(capture, &chosen))
+    }
+
+    fn cut_out(&self, capture: Capture, chosen: &[Option<bool>]) -> Capture {
+        let (mut split, mut place) = (Split::default(), vec![None; chosen.len()]);
+        let views = (0..chosen.len()).filter(|&view| chosen[view].is_some());
+        for (now, view) in views.clone().enumerate() {
+            place[view] = Some(now);
+            if chosen[view] == Some(true) { &mut split.test } else { &mut split.train }.push(now);
+        }
+        let (mut points, mut tracks) = (PointCloud::default(), Tracks::default());
+        for point in self.points.iter().map(|&point| point as usize) {
+            points.positions.push(capture.points.positions[point]);
+            points.colours.push(capture.points.colours[point]);
+            let of_block = capture.tracks.of(point).iter().filter_map(|seen| {
+                let view = place[seen.view]?;
+                Some(Some(super::super::Observation { view, ..*seen }))
+            });
+            tracks.push(of_block, capture.tracks.stated_error_px(point).map_or(-1.0, f64::from));
+        }
+        let masks = match capture.masks.is_empty() {
+            true => Vec::new(),
+            false => views.clone().map(|view| capture.masks[view].clone()).collect(),
+        };
+        let views = views.map(|view| capture.views[view].clone()).collect();
+        let focus = Some(Focus::on(self.region));
+        Capture { views, points, tracks, masks, split: Some(split), focus, ..capture }
+    }
+}
+
+/// Whether the folder is a block's.
+pub(in crate::capture) fn is_there(folder: &Path) -> bool {
+    folder.join(BLOCK).is_file()
+}
+
+/// See [`Capture::load`].
+pub(in crate::capture) fn load(folder: &Path) -> Result<Capture, CaptureError> {
+    let block = BlockFile::read(folder)?;
+    let (file, whole) = (folder.join(BLOCK), block.capture_folder(folder));
+    if is_there(&whole) {
+        let place = Place::new(&file, PlaceInFile::Whole);
+        let found = format!("{}, which is a block", whole.display());
+        return Err(place.refuse_with("capture", found, "a whole capture", FIX));
+    }
+    block.part(&file, Capture::load(&whole)?)
+}

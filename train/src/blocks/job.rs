@@ -1,0 +1,124 @@
+//! The lines that train blocks, for a POSIX shell.
+
+use std::path::Path;
+
+use anyhow::{Context, Result, bail, ensure};
+use clap::Parser;
+
+use crate::background::TrainBackground;
+use crate::options::{Cli, Command};
+use crate::strategy::StrategyName;
+use crate::train::TrainArgs;
+
+/// Options of `splat train` that a plan replaces by its own.
+pub const REPLACED: [&str; 4] = ["--effects", "--sh-degree", "--max-splats", "--eval-every"];
+
+/// Reads options of `splat train`, as they follow `--`.
+///
+/// # Errors
+/// If `splat train` refuses them, or blocks cannot be trained with them.
+pub fn training(capture: &Path, options: &[String]) -> Result<TrainArgs> {
+    let capture = utf8(capture)?;
+    let line = ["splat", "train", capture].into_iter().chain(options.iter().map(String::as_str));
+    let parsed = Cli::try_parse_from(line);
+    let args = match parsed.map(|cli| cli.command) {
+        Ok(Command::Train(args)) => args,
+        Ok(_) => bail!("the options after `--` are not those of `splat train`"),
+        Err(error) => bail!("the options after `--` are for `splat train`, which refuses them: {}", error.render()),
+    };
+    ensure!(
+        args.out.is_none() && !args.resume,
+        "after `--`: the plan sets `--out` and `--resume` itself: leave them out"
+    );
+    ensure!(
+        args.strategy != StrategyName::Mcmc,
+        "after `--`: `--strategy mcmc` adds splats by opacity and not by place, so that a block would spend them on its \
+         surroundings: choose another strategy"
+    );
+    ensure!(
+        !matches!(args.background, Some(TrainBackground::Learned | TrainBackground::Environment { .. })),
+        "after `--`: each block would learn a background of its own, and a scene has one: choose a colour or `random`"
+    );
+    Ok(args)
+}
+
+/// The words without some options and their values.
+pub fn without(words: &[String], options: &[&str]) -> Vec<String> {
+    let mut left = Vec::new();
+    let mut words = words.iter();
+    while let Some(word) = words.next() {
+        if options.contains(&word.as_str()) {
+            words.next();
+        } else if !options.iter().any(|option| word.strip_prefix(option).is_some_and(|rest| rest.starts_with('='))) {
+            left.push(word.clone());
+        }
+    }
+    left
+}
+
+/// A line of words, each quoted where the shell would change it.
+///
+/// # Errors
+/// If a word has a line feed: a line is a job.
+pub fn line(words: &[&str]) -> Result<String> {
+    let plain = |c: char| c.is_ascii_alphanumeric() || "_./=,:@%+-".contains(c);
+    let quoted = |word: &&str| {
+        ensure!(!word.contains(['\n', '\r']), "{word:?} has a line feed, and each job is a line: rename the folder");
+        Ok(match !word.is_empty() && word.chars().all(plain) {
+            true => (*word).to_owned(),
+            false => format!("'{}'", word.replace('\'', r"'\''")),
+        })
+    };
+    Ok(words.iter().map(quoted).collect::<Result<Vec<_>>>()?.join(" "))
+}
+
+/// A path as text.
+///
+/// # Errors
+/// If it is not UTF-8.
+pub fn utf8(path: &Path) -> Result<&str> {
+    path.to_str().with_context(|| format!("the path {} is not UTF-8: rename it", path.display()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn words(text: &str) -> Vec<String> {
+        text.split_whitespace().map(String::from).collect()
+    }
+
+    #[test]
+    fn words_survive_the_shell() {
+        let given = ["train", "/a b/c", "it's", "--effects=-masks", "$HOME", "", "x;y", "*"];
+        let shown = line(&given).unwrap();
+        assert_eq!(shown, r"train '/a b/c' 'it'\''s' --effects=-masks '$HOME' '' 'x;y' '*'");
+        if cfg!(unix) {
+            let script = format!("printf '%s|' {shown}");
+            let output = std::process::Command::new("sh").args(["-c", &script]).output().unwrap();
+            assert_eq!(String::from_utf8(output.stdout).unwrap(), given.join("|") + "|");
+        }
+        assert!(line(&["a\nb"]).unwrap_err().to_string().contains("line feed"));
+    }
+
+    #[test]
+    fn replaced_options_go_with_their_values() {
+        let given = words("--steps 7 --effects -masks --max-splats=9 --max-side 200 --sh-degree 2");
+        assert_eq!(without(&given, &REPLACED), words("--steps 7 --max-side 200"));
+    }
+
+    #[test]
+    fn options_that_no_merge_could_keep_are_refused() {
+        let refused = |text: &str| training(Path::new("c"), &words(text)).unwrap_err().to_string();
+        for (text, part) in [
+            ("--steps x", "--steps"),
+            ("--out a", "leave them out"),
+            ("--strategy mcmc", "mcmc"),
+            ("--background learned", "background"),
+            ("another", "another"),
+        ] {
+            assert!(refused(text).contains(part), "{text}: {}", refused(text));
+        }
+        assert_eq!(training(Path::new("c"), &words("--steps 7")).unwrap().steps, Some(7));
+    }
+}

@@ -1,0 +1,102 @@
+//! `splat blocks merge`: one scene of the blocks' cells.
+
+use std::path::PathBuf;
+
+use anyhow::{Context, Result, bail, ensure};
+use glam::Vec3;
+use splat_model::capture::Capture;
+use splat_model::capture::blocks::{BlockFile, Bounds};
+use splat_model::formats::{self, Format, SceneFile};
+use splat_model::gaussians::GaussianRows;
+
+use super::job;
+use super::planned::PlanFolder;
+use super::seams::Seams;
+use crate::device::{self, DeviceName};
+use crate::report::SCENE;
+use crate::train::{RunState, state_of};
+use crate::{input, progress};
+
+/// Options of `splat blocks merge`.
+#[derive(Clone, Debug, clap::Args)]
+pub struct MergeArgs {
+    /// Folder of the plan
+    #[arg(value_name = "DIR")]
+    pub plan: PathBuf,
+    /// Scene to write: .ply, .compressed.ply or .spz
+    #[arg(long, value_name = "FILE")]
+    pub out: PathBuf,
+    /// Held-out photographs of each block on which the merged scene is compared with the block; 0 for none
+    #[arg(long, value_name = "N", default_value_t = 4)]
+    pub views: usize,
+    /// Device to compute on
+    #[arg(long, value_name = "NAME", default_value_t, help = device::help())]
+    pub device: DeviceName,
+}
+
+/// Writes the scene, then compares it with its blocks and prints the differences.
+///
+/// # Errors
+/// If a block is not finished, the blocks do not fit together, or the scene cannot be written.
+pub fn merge(args: &MergeArgs) -> Result<()> {
+    let folder = PlanFolder::open(&args.plan)?;
+    let format = Format::of_name(&args.out)
+        .with_context(|| format!("{}: expected a name that ends in .ply or .spz", args.out.display()))?;
+    let waiting: Vec<&str> = (folder.plan.blocks.iter())
+        .filter(|name| state_of(&folder.run(name)) != RunState::Finished)
+        .map(String::as_str)
+        .collect();
+    if !waiting.is_empty() {
+        bail!(
+            "{} of {} blocks are not finished ({}): run their lines of jobs.txt; `splat blocks status {}` shows how far they are",
+            waiting.len(),
+            folder.plan.blocks.len(),
+            waiting.join(", "),
+            args.plan.display()
+        );
+    }
+    let files = folder.files()?;
+    let capture = folder.capture(&files)?;
+    let merged = merged(&folder, &files, &capture)?;
+    ensure!(!merged.is_empty(), "no block has a splat in its cell: train the blocks again");
+    ensure!(
+        format.holds_origin() || capture.origin == glam::DVec3::ZERO,
+        "{}: the format holds no origin, and the capture lies far from zero: merge to .ply",
+        args.out.display()
+    );
+    let antialiased = job::training(&capture.folder, &folder.plan.options)?.model.antialias
+        || folder.plan.options.iter().any(|option| option.starts_with("--effects=") && option.contains("antialias"));
+    let scene = SceneFile { rows: merged, origin: capture.origin, antialiased };
+    formats::write(&args.out, &scene, format)?;
+    progress::say(&format!("scene: {} ({} splats)", args.out.display(), scene.rows.len()));
+    if args.views == 0 {
+        return Ok(());
+    }
+    let (device, _) = args.device.resolve()?;
+    let seams = Seams::new(&capture, &folder.plan.options, &scene.rows, antialiased, &device)?;
+    seams.check(&folder, &files, args.views)
+}
+
+/// The rows of all blocks in their cells, block by block, relative to the capture's origin.
+fn merged(folder: &PlanFolder, files: &[BlockFile], capture: &Capture) -> Result<GaussianRows> {
+    let mut merged: Option<GaussianRows> = None;
+    for (name, file) in folder.plan.blocks.iter().zip(files) {
+        let rows = input::rows(&folder.run(name).join(SCENE), capture)?;
+        let all = merged.get_or_insert_with(|| GaussianRows { sh_degree: rows.sh_degree, ..GaussianRows::default() });
+        ensure!(
+            rows.sh_degree == all.sh_degree,
+            "{name} has harmonics of degree {} and those before it of degree {}: train all with the lines of jobs.txt",
+            rows.sh_degree,
+            all.sh_degree
+        );
+        let before = all.len();
+        (0..rows.len()).filter(|&row| holds(&file.cell, &rows, row)).for_each(|row| all.push(&rows, row));
+        progress::note(&format!("{name}: {} of {} splats lie in its cell", all.len() - before, rows.len()));
+    }
+    Ok(merged.unwrap_or_default())
+}
+
+/// Whether a row's centre lies in a cell.
+pub fn holds(cell: &Bounds, rows: &GaussianRows, row: usize) -> bool {
+    cell.contains(Vec3::from(rows.means[row]).as_dvec3())
+}

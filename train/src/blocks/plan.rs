@@ -1,0 +1,203 @@
+//! `splat blocks plan`: cuts a capture into blocks.
+
+use std::env;
+use std::fs;
+use std::path::{Component, Path, PathBuf};
+
+use anyhow::{Context, Result, ensure};
+use clap::builder::RangedU64ValueParser;
+use splat_model::capture::blocks::{self, Block, BlockFile, BlockOptions};
+use splat_model::effects::EffectKind;
+
+use super::job;
+use super::planned::{JOBS, PLAN, Plan, PlanFolder};
+use crate::train::TrainArgs;
+use crate::{input, progress};
+
+/// The splats that a block may have, relative to its share of the scene's: some of them lie in its margin or beyond, and are not
+/// kept.
+const ALLOWANCE: f64 = 1.3;
+
+/// Options of `splat blocks plan`.
+#[derive(Clone, Debug, clap::Args)]
+pub struct PlanArgs {
+    /// Capture folder
+    pub capture: PathBuf,
+    /// Folder for the plan and its blocks
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Number of blocks
+    #[arg(long, value_name = "N", required_unless_present = "splats_per_block", conflicts_with = "splats_per_block",
+        value_parser = RangedU64ValueParser::<usize>::new().range(1..))]
+    pub blocks: Option<usize>,
+    /// Splats that a block may have, which decide its memory; there are as many blocks as `--max-splats` after `--`, the
+    /// splats of the whole scene, asks for
+    #[arg(long, value_name = "N", value_parser = RangedU64ValueParser::<usize>::new().range(1..))]
+    pub splats_per_block: Option<usize>,
+    /// Width of the margin around a block in which it trains with all detail, as a share of the block's size
+    #[arg(long, value_name = "SHARE", default_value_t = BlockOptions::default().margin, value_parser = share)]
+    pub margin: f64,
+    /// Give a block the photographs that see at least this share of its points, or at least this share of whose points
+    /// lie in it
+    #[arg(long, value_name = "SHARE", default_value_t = BlockOptions::default().min_share, value_parser = share)]
+    pub min_share: f64,
+    /// After `--`: options of `splat train` for all blocks. `--max-splats` is for the whole scene; `--effects auto` is decided on
+    /// the whole capture
+    #[arg(last = true, value_name = "OPTION")]
+    pub options: Vec<String>,
+}
+
+fn share(text: &str) -> Result<f64, String> {
+    let value: f64 = text.parse().map_err(|_| "expected a number from 0 to 1".to_owned())?;
+    if (0.0..=1.0).contains(&value) { Ok(value) } else { Err("expected a number from 0 to 1".into()) }
+}
+
+/// Writes the plan and prints its blocks.
+///
+/// # Errors
+/// If the capture cannot be read or cut, an option is refused, or the folder holds a plan already.
+pub fn plan(args: &PlanArgs) -> Result<()> {
+    let training = job::training(&args.capture, &args.options)?;
+    training.config()?;
+    let capture = input::capture(&args.capture)?;
+    ensure!(
+        capture.focus.is_none(),
+        "{} is a block already: plan the capture that it is a part of",
+        args.capture.display()
+    );
+    let (split, _) = training.photos.split(&capture);
+    split.require_train()?;
+    let (count, splats) = counts(args, training.max_splats);
+    let options = BlockOptions { blocks: count, margin: args.margin, min_share: args.min_share };
+    let planned = blocks::plan(&capture, &split, &options)
+        .with_context(|| format!("cannot cut {} into blocks", args.capture.display()))?;
+    let common = common_options(args, &training, &capture, splats)?;
+
+    let width = (count - 1).max(1).ilog10() as usize + 1;
+    let names: Vec<String> = (0..count).map(|block| format!("block-{block:0width$}")).collect();
+    let folder = prepare(&args.out, &names)?;
+    let program = env::current_exe().context("cannot tell the path of this program")?;
+    let mut lines = Vec::with_capacity(count);
+    for (name, block) in names.iter().zip(&planned) {
+        let path = folder.join(name);
+        fs::create_dir_all(&path).with_context(|| format!("cannot make {}", path.display()))?;
+        BlockFile::of(&capture, path_from(&path, &args.capture)?, block).write(&path)?;
+    }
+    let plan = Plan { version: env!("CARGO_PKG_VERSION").into(), blocks: names.clone(), options: common };
+    let planned_folder = PlanFolder { path: folder.clone(), plan };
+    for (name, block) in names.iter().zip(&planned) {
+        let (path, run) = (folder.join(name), planned_folder.run(name));
+        let own = [job::utf8(&program)?, "train", job::utf8(&path)?, "--out", job::utf8(&run)?, "--resume"];
+        let held_out = if block.test.is_empty() { &["--eval-every", "0"][..] } else { &[] };
+        let common = planned_folder.plan.options.iter().map(String::as_str);
+        lines.push(job::line(&own.into_iter().chain(held_out.iter().copied()).chain(common).collect::<Vec<_>>())?);
+    }
+    planned_folder.write(&lines)?;
+    say(&names, &planned);
+    progress::say(&format!("each block may have {splats} splats"));
+    progress::say(&format!("jobs: {}", folder.join(JOBS).display()));
+    Ok(())
+}
+
+/// Number of blocks, and of splats that each may have.
+fn counts(args: &PlanArgs, total: usize) -> (usize, usize) {
+    let allowed = ALLOWANCE * total as f64;
+    match (args.blocks, args.splats_per_block) {
+        (_, Some(most)) if most < total => ((allowed / most as f64).ceil() as usize, most),
+        (None | Some(1), _) => (1, total),
+        (Some(blocks), _) => (blocks, (allowed / blocks as f64).ceil() as usize),
+    }
+}
+
+/// The options that all lines share. What depends on the capture is decided now, on the whole of it, so that all blocks agree.
+fn common_options(
+    args: &PlanArgs,
+    training: &TrainArgs,
+    capture: &splat_model::capture::Capture,
+    splats: usize,
+) -> Result<Vec<String>> {
+    let (split, _) = training.photos.split(capture);
+    let chosen = training.effects.choose(capture, &split.train, training.model.antialias, training.photos.max_side)?;
+    let apart = [EffectKind::Environment, EffectKind::PoseRefinement];
+    for effect in apart.iter().filter(|effect| chosen.has(**effect)) {
+        progress::note(&format!(
+            "without `{}`: each block would find its own, and a merged scene has one",
+            effect.name()
+        ));
+    }
+    let mut config = training.config()?;
+    chosen.configure(&mut config, training.background, training.sh_degree);
+    let names: Vec<&str> =
+        chosen.on.iter().filter(|effect| !apart.contains(effect)).map(|effect| effect.name()).collect();
+    let effects = if names.is_empty() { "none".into() } else { names.join(",") };
+    let mut common = vec![
+        format!("--max-splats={splats}"),
+        format!("--effects={effects}"),
+        format!("--sh-degree={}", config.sh_degree),
+    ];
+    common.extend(job::without(&args.options, &job::REPLACED));
+    Ok(common)
+}
+
+/// Makes the folder, which must not hold a plan.
+fn prepare(out: &Path, names: &[String]) -> Result<PathBuf> {
+    fs::create_dir_all(out).with_context(|| format!("cannot make {}: choose another `--out`", out.display()))?;
+    let taken = [PLAN, JOBS].into_iter().chain(names.iter().map(String::as_str));
+    if let Some(taken) = taken.map(|name| out.join(name)).find(|path| path.exists()) {
+        anyhow::bail!(
+            "{} already exists: a new plan would lose what was trained by the old one; choose another `--out`, or remove it",
+            taken.display()
+        );
+    }
+    out.canonicalize().with_context(|| format!("cannot find {}", out.display()))
+}
+
+/// The path that leads from a folder to another: relative where both lie below one folder that is not the root, so that they can be moved together; otherwise absolute.
+fn path_from(folder: &Path, to: &Path) -> Result<PathBuf> {
+    let canonical = |path: &Path| path.canonicalize().with_context(|| format!("cannot find {}", path.display()));
+    let (from, to) = (canonical(folder)?, canonical(to)?);
+    let same = from.components().zip(to.components()).take_while(|(a, b)| a == b).count();
+    if !from.components().take(same).any(|part| matches!(part, Component::Normal(_))) {
+        return Ok(to);
+    }
+    let up = from.components().skip(same).map(|_| Component::ParentDir);
+    Ok(up.chain(to.components().skip(same)).collect())
+}
+
+fn say(names: &[String], planned: &[Block]) {
+    progress::say(&format!("{:<12}{:>12}{:>10}{:>10}{:>10}", "block", "photographs", "held out", "points", "in cell"));
+    for (name, block) in names.iter().zip(planned) {
+        let (train, test, points) = (block.train.len(), block.test.len(), block.points.len());
+        progress::say(&format!("{name:<12}{train:>12}{test:>10}{points:>10}{:>10}", block.points_in_cell));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn args(blocks: Option<usize>, splats_per_block: Option<usize>) -> PlanArgs {
+        let (capture, out, options) = Default::default();
+        PlanArgs { capture, out, blocks, splats_per_block, margin: 0.1, min_share: 0.1, options }
+    }
+
+    #[test]
+    fn blocks_have_room_for_what_is_not_kept() {
+        assert_eq!(counts(&args(Some(1), None), 1000), (1, 1000));
+        assert_eq!(counts(&args(Some(2), None), 1000), (2, 650));
+        assert_eq!(counts(&args(None, Some(650)), 1000), (2, 650));
+        assert_eq!(counts(&args(None, Some(649)), 1000), (3, 649));
+        assert_eq!(counts(&args(None, Some(1000)), 1000), (1, 1000));
+    }
+
+    #[test]
+    fn a_path_leads_from_a_block_to_its_capture() {
+        let folder = tempfile::tempdir().unwrap();
+        let (block, capture) = (folder.path().join("plan/block-0"), folder.path().join("my capture"));
+        fs::create_dir_all(&block).unwrap();
+        fs::create_dir_all(&capture).unwrap();
+        let path = path_from(&block, &capture).unwrap();
+        assert_eq!(path, Path::new("../../my capture"));
+        assert_eq!(block.join(path).canonicalize().unwrap(), capture.canonicalize().unwrap());
+    }
+}

@@ -1,0 +1,100 @@
+//! The folder of a plan: `plan.json`, `jobs.txt`, and a folder for each block.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result};
+use serde::{Deserialize, Serialize};
+use splat_model::capture::blocks::{BLOCK, BlockFile};
+
+use crate::input;
+use crate::output;
+use splat_model::capture::Capture;
+
+/// The plan's file.
+pub const PLAN: &str = "plan.json";
+
+/// The file of lines that train the blocks.
+pub const JOBS: &str = "jobs.txt";
+
+/// The output folder of a block's run, in the block's folder.
+const RUN: &str = "run";
+
+/// A plan, as its file holds it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Plan {
+    /// Version of the program that wrote it.
+    pub version: String,
+    /// Folders of the blocks, beside the plan.
+    pub blocks: Vec<String>,
+    /// Options of `splat train` that all lines share.
+    pub options: Vec<String>,
+}
+
+/// A plan and its folder.
+pub struct PlanFolder {
+    /// The folder.
+    pub path: PathBuf,
+    /// The plan.
+    pub plan: Plan,
+}
+
+impl PlanFolder {
+    /// Reads a plan.
+    ///
+    /// # Errors
+    /// If the folder holds none.
+    pub fn open(path: &Path) -> Result<Self> {
+        let file = path.join(PLAN);
+        let shown = file.display();
+        let cannot = || format!("cannot read {shown}: give the `--out` of `splat blocks plan`");
+        let text = fs::read(&file).with_context(cannot)?;
+        let plan: Plan = serde_json::from_slice(&text).with_context(cannot)?;
+        Ok(Self { path: path.to_owned(), plan })
+    }
+
+    /// Writes the plan and its lines.
+    ///
+    /// # Errors
+    /// If a file cannot be written.
+    pub fn write(&self, lines: &[String]) -> Result<()> {
+        use std::io::Write;
+        output::write(&self.path.join(JOBS), |file| {
+            lines.iter().try_for_each(|line| writeln!(file, "{line}")).map_err(Into::into)
+        })?;
+        output::write(&self.path.join(PLAN), |file| Ok(serde_json::to_writer_pretty(file, &self.plan)?))
+    }
+
+    /// Folder of a block.
+    pub fn block(&self, name: &str) -> PathBuf {
+        self.path.join(name)
+    }
+
+    /// Output folder of a block's run.
+    pub fn run(&self, name: &str) -> PathBuf {
+        self.block(name).join(RUN)
+    }
+
+    /// The blocks' files, in order.
+    ///
+    /// # Errors
+    /// If one cannot be read.
+    pub fn files(&self) -> Result<Vec<BlockFile>> {
+        let file = |name: &String| {
+            let folder = self.block(name);
+            BlockFile::read(&folder).with_context(|| format!("the plan lists {}", folder.join(BLOCK).display()))
+        };
+        self.plan.blocks.iter().map(file).collect()
+    }
+
+    /// The capture that was cut.
+    ///
+    /// # Errors
+    /// If it cannot be read.
+    pub fn capture(&self, files: &[BlockFile]) -> Result<Capture> {
+        let (name, file) =
+            self.plan.blocks.iter().zip(files).next().with_context(|| format!("{PLAN} lists no block"))?;
+        input::capture(&file.capture_folder(&self.block(name)))
+    }
+}
