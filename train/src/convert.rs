@@ -100,6 +100,9 @@ pub fn run(args: &ConvertArgs) -> Result<()> {
 
     progress::say(&line(&args.scene, found, scene.rows.len(), of_degree)?);
     progress::say(&line(&args.out, format, read.rows.len(), read.rows.sh_degree)?);
+    if let Some(metres) = scene.metres_per_unit {
+        progress::say(&format!("a scene unit is {metres} m"));
+    }
     let mut lost = dropped(&scene, format, written.left_out, of_degree, read.rows.sh_degree);
     if !format.is_exact() {
         lost.extend(table(&loss, read.rows.sh_degree));
@@ -132,6 +135,9 @@ fn dropped(scene: &SceneFile, format: Format, left_out: usize, of_degree: usize,
     if scene.origin.to_array() != [0.0; 3] && !format.holds_origin() {
         let [x, y, z] = scene.origin.to_array();
         lost.push(format!("the origin {x} {y} {z}, which positions were relative to: they are stored without it"));
+    }
+    if let Some(metres) = scene.metres_per_unit.filter(|_| !format.holds_scale()) {
+        lost.push(format!("the size of a unit, {metres} m"));
     }
     if scene.antialiased && !format.holds_antialiasing() {
         lost.push("the mark that it was trained with antialiasing: show it with `--antialias`".into());

@@ -12,7 +12,7 @@ use splat_model::formats;
 use splat_model::gaussians::GaussianRows;
 use splat_model::optim::scene_extent;
 
-use crate::progress;
+use crate::{progress, reconstruct};
 
 /// Largest number of photographs in memory at once while all are checked.
 const AT_ONCE: usize = 64;
@@ -24,10 +24,11 @@ const AT_ONCE: usize = 64;
 pub fn capture(folder: &Path) -> Result<Capture> {
     ensure!(
         folder.is_dir(),
-        "there is no capture folder {}: name the folder that holds `images/` and `sparse/0/`, or `transforms.json`",
+        "there is no capture folder {}: name the folder that holds `images/` and `sparse/0/`, or `transforms.json`, or make one \
+         with `splat reconstruct`",
         folder.display()
     );
-    let capture = Capture::load(folder)?;
+    let capture = Capture::load(folder).map_err(|error| reconstruct::advice(folder, error))?;
     capture.remarks.iter().for_each(|remark| progress::note(&format!("{}: {remark}", folder.display())));
     Ok(capture)
 }
@@ -140,7 +141,7 @@ fn made_opaque(photo: Photo, opaque: bool) -> Photo {
 /// If the file is missing, is not a scene, or holds no Gaussian.
 pub fn rows(path: &Path, capture: &Capture) -> Result<GaussianRows> {
     let (scene, _) = formats::read(path).context("cannot read the scene that `--scene` names")?;
-    let formats::SceneFile { mut rows, origin, antialiased } = scene;
+    let formats::SceneFile { mut rows, origin, antialiased, .. } = scene;
     ensure!(!rows.is_empty(), "{} holds no Gaussian: name a scene that was trained with `--scene`", path.display());
     move_means(&mut rows, (origin - capture.origin).to_array());
     progress::note_unusable(path, rows.unusable(), rows.len());

@@ -6,9 +6,11 @@ use std::time::Instant;
 use anyhow::Result;
 use clap::value_parser;
 use serde::Serialize;
+use splat_model::capture::Scale;
 use splat_model::effects::plan::{self, Cost, Decision, EffectVerdict, Plan, slowness};
 use splat_model::effects::survey::{Survey, ViewExposure};
 
+use crate::reconstruct::scale_said;
 use crate::report::metrics::seconds_since;
 use crate::{input, progress};
 
@@ -33,6 +35,8 @@ pub struct InspectArgs {
 
 #[derive(Serialize)]
 struct Report<'a> {
+    #[serde(skip_serializing_if = "Option::is_none")]
+    scale: Option<&'a Scale>,
     survey: &'a Survey,
     plan: &'a Plan,
     seconds: f64,
@@ -50,10 +54,16 @@ pub fn run(args: &InspectArgs) -> Result<()> {
     let plan = Plan::of(&survey, capture.mean_pixels(&all, args.max_side), slowness()?);
     let seconds = seconds_since(start);
     if args.json {
-        progress::say(&serde_json::to_string_pretty(&Report { survey: &survey, plan: &plan, seconds })?);
+        progress::say(&serde_json::to_string_pretty(&Report {
+            scale: capture.scale.as_ref(),
+            survey: &survey,
+            plan: &plan,
+            seconds,
+        })?);
         return Ok(());
     }
-    progress::say(&format!("{}: {seconds:.1} s\n{}", args.capture.display(), text(&survey, &plan)));
+    let scale = capture.scale.as_ref().map(|scale| format!("{}\n", scale_said(scale))).unwrap_or_default();
+    progress::say(&format!("{}: {seconds:.1} s\n{scale}{}", args.capture.display(), text(&survey, &plan)));
     Ok(())
 }
 

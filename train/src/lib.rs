@@ -46,6 +46,7 @@ pub mod hard_cases;
 pub mod inspect;
 pub mod manual;
 pub mod pareto;
+pub mod reconstruct;
 pub mod render;
 pub mod train;
 pub mod view;
@@ -81,6 +82,10 @@ pub fn run(command: &Command) -> Result<()> {
         Command::Resume(args) => {
             args.voice.apply();
             train::resume(args).map(drop)
+        }
+        Command::Reconstruct(args) => {
+            args.voice.apply();
+            reconstruct::run(args)
         }
         Command::Eval(args) => eval::run(args).map(drop),
         Command::Render(args) => render::run(args).map(drop),

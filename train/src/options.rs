@@ -14,6 +14,7 @@ use crate::hard_cases::HardCasesArgs;
 use crate::inspect::InspectArgs;
 use crate::manual::{CompletionsArgs, ManArgs};
 use crate::pareto::ParetoArgs;
+use crate::reconstruct::ReconstructArgs;
 use crate::render::RenderArgs;
 use crate::train::{ResumeArgs, TrainArgs};
 use crate::view::ViewArgs;
@@ -43,6 +44,8 @@ pub enum Command {
     Train(TrainArgs),
     /// Resume a training run that was stopped or killed, with its original options
     Resume(ResumeArgs),
+    /// Find the cameras of photographs or a video with the installed COLMAP
+    Reconstruct(ReconstructArgs),
     /// Score a scene on the held-out photographs of a capture
     Eval(EvalArgs),
     /// Render a scene from the cameras of a capture

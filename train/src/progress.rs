@@ -105,6 +105,65 @@ fn style(template: &str) -> ProgressStyle {
     ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar())
 }
 
+/// Progress of a program that counts what it has done: a bar on a terminal, a line now and then elsewhere.
+pub struct Counted {
+    what: &'static str,
+    bar: Option<ProgressBar>,
+    started: Instant,
+    shown: Instant,
+    /// Number done, of how many if that is known.
+    done: (usize, Option<usize>),
+}
+
+impl Counted {
+    /// Begins with nothing done.
+    pub fn new(what: &'static str, total: Option<usize>) -> Self {
+        let shows = !is_quiet() && std::io::stderr().is_terminal();
+        let bar = shows.then(|| match total {
+            Some(total) => ProgressBar::new(total as u64),
+            None => ProgressBar::no_length(),
+        });
+        if let Some(bar) = &bar {
+            bar.set_style(style("{msg} [{bar:32}] {pos}/{len}  {elapsed}"));
+            bar.set_message(what);
+            bar.enable_steady_tick(BETWEEN_FRAMES);
+        }
+        let now = Instant::now();
+        Self { what, bar, started: now, shown: now, done: (0, total) }
+    }
+
+    /// Shows the number done, of as many as before.
+    pub fn set(&mut self, done: usize) {
+        self.done.0 = done;
+        match &self.bar {
+            Some(bar) => bar.set_position(done as u64),
+            None if self.shown.elapsed() >= BETWEEN_LINES => {
+                self.shown = Instant::now();
+                let of = self.done.1.map(|total| format!(" of {total}")).unwrap_or_default();
+                note(&format!("{}: {done}{of}", self.what));
+            }
+            None => {}
+        }
+    }
+
+    /// Shows the number done, of how many.
+    pub fn set_of(&mut self, done: usize, total: usize) {
+        self.done.1 = Some(total);
+        if let Some(bar) = &self.bar {
+            bar.set_length(total as u64);
+        }
+        self.set(done);
+    }
+
+    /// Removes the bar, and says how long it took.
+    pub fn finish(self) {
+        if let Some(bar) = self.bar {
+            bar.finish_and_clear();
+        }
+        note(&format!("{}: {} done in {}", self.what, self.done.0, clock(self.started.elapsed().as_secs_f64())));
+    }
+}
+
 /// Progress of the steps of a training run.
 pub struct StepProgress {
     steps: usize,

@@ -19,6 +19,7 @@ use splat_model::trainer::{Resolution, TrainConfig, TrainError};
 pub use self::checkpoints::{RunState, state_of};
 pub use self::run::{resume, run, run_or_resume, run_with};
 pub use self::stop::Interrupted;
+pub(crate) use self::stop::Stop;
 use self::time_limit::{GUESS, TrainingTime};
 use crate::accuracy::{AccuracyArgs, ModelArgs};
 use crate::background::TrainBackground;
@@ -28,6 +29,7 @@ use crate::live::LiveArgs;
 use crate::lpips::LpipsArgs;
 use crate::options::PhotoArgs;
 use crate::progress::VoiceArgs;
+use crate::reconstruct::CameraArgs;
 use crate::strategy::{RatesName, StrategyName};
 
 /// Default number of steps on the demo capture, chosen so that the whole run takes under 3 minutes on 2 CPU cores.
@@ -47,8 +49,9 @@ pub const CHECKPOINT_EVERY: usize = 500;
 #[derive(Clone, Debug, clap::Args, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TrainArgs {
-    /// Capture folder, with `images/` and COLMAP's `sparse/0/`, or with `transforms.json` or `transforms_train.json`;
-    /// without one, make the demo capture and train on it
+    /// Capture folder, with `images/` and COLMAP's `sparse/0/`, or with `transforms.json` or `transforms_train.json`; or a
+    /// folder of photographs or a video, whose cameras are found first, as `splat reconstruct` does; without one, make the
+    /// demo capture and train on it
     pub capture: Option<PathBuf>,
     /// Folder for scene.ply, metrics.json and views/, replacing the results of an earlier run [default: out/NAME, after
     /// the capture, or out/demo for the demo capture; out/NAME-2 and so on if that is not empty]
@@ -65,6 +68,10 @@ pub struct TrainArgs {
     #[arg(long = "for", value_name = "TIME", conflicts_with_all = ["steps", "snapshots"])]
     #[serde(default)]
     pub time: Option<TrainingTime>,
+    /// Cameras.
+    #[command(flatten)]
+    #[serde(default)]
+    pub cameras: CameraArgs,
     /// Device to compute on
     #[arg(long, value_name = "NAME", default_value_t, help = device::help())]
     #[serde(with = "crate::as_text")]

@@ -20,7 +20,7 @@ use glam::{DAffine3, DVec3};
 use splat_op::Intrinsics;
 
 pub(super) use self::files::is_there;
-use self::files::{Files, find};
+use self::files::{Files, find, of_model};
 use super::read::{Place, PlaceInFile, quoted, read};
 use super::{Capture, CaptureError, Observation, Tracks, View};
 
@@ -75,6 +75,14 @@ pub(super) fn load(folder: &Path) -> Result<Capture, CaptureError> {
     };
     let capture = assemble(folder, &files, cameras, images, &points)?;
     Ok(Capture { remarks: remark.into_iter().collect(), ..capture })
+}
+
+/// The number of photographs in a model's folder, such as `sparse/0`.
+///
+/// # Errors
+/// A [`CaptureError`] if it holds no model, or a damaged one.
+pub fn photographs_in(model: &Path) -> Result<usize, CaptureError> {
+    Ok(parse(&of_model(model)?.images, binary::images, text::images)?.len())
 }
 
 type Parser<T> = fn(&Path, &[u8]) -> Result<Vec<T>, CaptureError>;

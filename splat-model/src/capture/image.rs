@@ -186,6 +186,11 @@ fn undecodable(file: &Path, reason: String) -> CaptureError {
     CaptureError::Picture { file: file.to_owned(), reason }
 }
 
+/// A decoder that has read a picture's header.
+pub(crate) fn header(file: &Path) -> Result<impl ImageDecoder + use<>, CaptureError> {
+    reader(file)?.into_decoder().map_err(|error| undecodable(file, error.to_string()))
+}
+
 /// Width and height of a picture, px, from its header.
 pub(crate) fn size(file: &Path) -> Result<[usize; 2], CaptureError> {
     let (width, height) = reader(file)?.into_dimensions().map_err(|error| undecodable(file, error.to_string()))?;

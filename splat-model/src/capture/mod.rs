@@ -6,13 +6,16 @@ pub mod image;
 mod colmap;
 pub mod demo;
 mod error;
+pub mod exif;
 mod origin;
 pub(crate) mod packed;
 mod photograph;
 mod read;
+pub mod scale;
 mod split;
 mod tracks;
 mod transforms;
+pub mod unposed;
 
 #[cfg(test)]
 pub(crate) mod testing;
@@ -24,12 +27,15 @@ use splat_op::Intrinsics;
 
 use crate::density::Focus;
 
-pub use colmap::{write_binary, write_binary_with_tracks};
+pub use colmap::{photographs_in, write_binary, write_binary_with_tracks};
 pub use error::CaptureError;
 pub use image::{Photo, load_all};
 pub use photograph::Photograph;
+pub use scale::Scale;
 pub use split::Split;
 pub use tracks::{Observation, Tracks};
+
+use crate::ply::WorldFrame;
 
 /// A capture as its files describe it. Pictures are not decoded yet.
 #[derive(Clone, Debug)]
@@ -45,6 +51,8 @@ pub struct Capture {
     /// The offset subtracted, in f64, from every position of the files: `position_file = position + origin`.
     /// Zero unless the capture lies far enough from zero for f32 to lose digits.
     pub origin: DVec3,
+    /// The size of a scene unit, where it was measured: `scale.json` in the folder.
+    pub scale: Option<Scale>,
     /// The files' own split into training and held-out views, if any; see [`Split::of`].
     pub split: Option<Split>,
     /// Mask files that the capture itself names, one entry per view, or empty; see
@@ -73,7 +81,7 @@ impl Capture {
     /// JSON is named by its path below the folder, with its extension.
     ///
     /// Without points the point cloud is empty. A capture whose mean camera centre lies further from zero than 100
-    /// times its extent is moved next to zero; [`Capture::origin`] says by how much.
+    /// times its extent is moved next to zero; [`Capture::origin`] says by how much. `scale.json` gives the size of a scene unit.
     ///
     /// # Errors
     ///
@@ -83,10 +91,16 @@ impl Capture {
         if blocks::is_there(folder) {
             return blocks::load(folder);
         }
-        match transforms::is_there(folder) && !colmap::is_there(folder) {
+        let capture = match transforms::is_there(folder) && !colmap::is_there(folder) {
             true => transforms::load(folder),
             false => colmap::load(folder),
-        }
+        }?;
+        Ok(Self { scale: Scale::load(folder)?, ..capture })
+    }
+
+    /// Whether a folder holds a capture's cameras in one of the formats of [`load`](Self::load). They may be damaged.
+    pub fn is_in(folder: &Path) -> bool {
+        blocks::is_there(folder) || transforms::is_there(folder) || colmap::is_there(folder)
     }
 
     /// A capture of views and points of the files' world, moved next to zero where it lies far away.
@@ -98,8 +112,13 @@ impl Capture {
         }
         let positions = positions.iter().map(|&position| (position - origin).as_vec3().to_array()).collect();
         let points = PointCloud { positions, colours };
-        let (tracks, split, masks, focus, remarks) = Default::default();
-        Self { folder: folder.to_owned(), views, points, tracks, origin, split, masks, focus, remarks }
+        let (tracks, scale, split, masks, focus, remarks) = Default::default();
+        Self { folder: folder.to_owned(), views, points, tracks, origin, scale, split, masks, focus, remarks }
+    }
+
+    /// What a file of a scene in this capture's world states about it.
+    pub fn world_frame(&self) -> WorldFrame {
+        WorldFrame { origin: self.origin, metres_per_unit: self.scale.as_ref().map(|scale| scale.metres_per_unit) }
     }
 
     /// The position of a sparse point, world frame.

@@ -14,13 +14,12 @@
 //! a quarter of a level inside the range.
 //!
 //! ```
-//! use glam::DVec3;
 //! use splat_model::capture::PointCloud;
 //! use splat_model::formats::{self, Format, QuantisationError, SceneFile};
 //! use splat_model::init;
 //!
 //! let points = PointCloud { positions: vec![[0.1, 0.2, 0.3], [1.0, -1.0, 2.0]], colours: vec![[255, 0, 0], [0, 90, 255]] };
-//! let scene = SceneFile { rows: init::from_points(&points), origin: DVec3::ZERO, antialiased: false };
+//! let scene = SceneFile { rows: init::from_points(&points), ..SceneFile::default() };
 //! let folder = tempfile::tempdir()?;
 //! let file = folder.path().join("scene.spz");
 //! let written = formats::write(&file, &scene, Format::Spz)?;
@@ -53,7 +52,7 @@ pub use loss::{Deviation, QuantisationError};
 
 use crate::density::morton_order;
 use crate::gaussians::GaussianRows;
-use crate::ply::{self, PlyError};
+use crate::ply::{self, PlyError, WorldFrame};
 use crate::replace::Refused;
 
 /// The spherical harmonic of degree 0, `1 / (2 √π)`.
@@ -104,6 +103,11 @@ impl Format {
         self != Self::Spz
     }
 
+    /// Whether the format holds the size of a scene unit.
+    pub fn holds_scale(self) -> bool {
+        self != Self::Spz
+    }
+
     /// Whether the format records training with antialiasing.
     pub fn holds_antialiasing(self) -> bool {
         self == Self::Spz
@@ -132,9 +136,17 @@ pub struct SceneFile {
     pub rows: GaussianRows,
     /// The origin that positions are relative to: `position_world = position + origin`, world frame, scene units.
     pub origin: DVec3,
+    /// Metres per scene unit, finite and positive, where the size is known. PLY and compressed PLY hold it.
+    pub metres_per_unit: Option<f64>,
     /// Whether the file states that the scene was trained with antialiasing (Mip-Splatting's filter), and so should be rendered
     /// with it. Only SPZ records this.
     pub antialiased: bool,
+}
+
+impl SceneFile {
+    fn world(&self) -> WorldFrame {
+        WorldFrame { origin: self.origin, metres_per_unit: self.metres_per_unit }
+    }
 }
 
 /// The part of a scene that was written.
@@ -225,11 +237,11 @@ pub fn read(path: &Path) -> Result<(SceneFile, Format), FormatError> {
         return Ok((spz::read(path)?, Format::Spz));
     }
     let (input, header) = ply::PlyReader::open(path)?;
-    let (format, (rows, origin)) = match compressed::is_compressed(&header) {
+    let (format, (rows, WorldFrame { origin, metres_per_unit })) = match compressed::is_compressed(&header) {
         true => (Format::CompressedPly, compressed::read(path, input, &header)?),
         false => (Format::Ply, ply::read_from(input, &header)?),
     };
-    Ok((SceneFile { rows, origin, antialiased: false }, format))
+    Ok((SceneFile { rows, origin, metres_per_unit, antialiased: false }, format))
 }
 
 /// Writes the part of a scene that the format can hold ([`fit`]).
@@ -237,14 +249,14 @@ pub fn read(path: &Path) -> Result<(SceneFile, Format), FormatError> {
 /// The file appears under its name only when it is complete; a file that was there before is replaced.
 ///
 /// # Errors
-/// If the rows' fields differ in length, the degree is above 4, the origin is not finite, or the file cannot be written. No
-/// temporary file is left behind.
+/// If the rows' fields differ in length, the degree is above 4, the origin is not finite, the size of a unit is not positive, or the
+/// file cannot be written. No temporary file is left behind.
 pub fn write<'a>(path: &Path, scene: &'a SceneFile, format: Format) -> Result<Written<'a>, FormatError> {
-    ply::check(path, &scene.rows, scene.origin)?;
+    ply::check(path, &scene.rows, scene.world())?;
     let rows = fit(&scene.rows, format);
     match format {
-        Format::Ply => ply::write(path, &rows, scene.origin)?,
-        Format::CompressedPly => compressed::write(path, &rows, scene.origin)?,
+        Format::Ply => ply::write(path, &rows, scene.world())?,
+        Format::CompressedPly => compressed::write(path, &rows, scene.world())?,
         Format::Spz => spz::write(path, &rows, scene.antialiased, SPZ_SH_BITS)?,
     }
     let left_out = scene.rows.len() - rows.len();
@@ -260,7 +272,7 @@ pub const SPZ_SH_BITS: [u8; 2] = [5, 4];
 /// # Errors
 /// As [`write`](fn@write).
 pub fn write_spz<'a>(path: &Path, scene: &'a SceneFile, sh_bits: [u8; 2]) -> Result<Written<'a>, FormatError> {
-    ply::check(path, &scene.rows, scene.origin)?;
+    ply::check(path, &scene.rows, scene.world())?;
     let rows = fit(&scene.rows, Format::Spz);
     spz::write(path, &rows, scene.antialiased, sh_bits.map(|bits| bits.clamp(1, 8)))?;
     let left_out = scene.rows.len() - rows.len();

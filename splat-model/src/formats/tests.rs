@@ -113,6 +113,25 @@ fn origins_stay_where_there_is_a_place_for_them() {
 }
 
 #[test]
+fn the_size_of_a_unit_stays_where_there_is_a_place_for_it() {
+    let scene = SceneFile { metres_per_unit: Some(0.1 + 0.2), ..scene(one()) };
+    for format in Format::ALL {
+        let (_folder, path) = folder_and_file(format);
+        write(&path, &scene, format).unwrap();
+        assert_eq!(
+            read(&path).unwrap().0.metres_per_unit,
+            scene.metres_per_unit.filter(|_| format.holds_scale()),
+            "{format}"
+        );
+        for metres in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+            let scene = SceneFile { metres_per_unit: Some(metres), ..scene.clone() };
+            let message = write(&path, &scene, format).unwrap_err().to_string();
+            assert!(message.contains("metres_per_unit") && message.contains("positive"), "{message}");
+        }
+    }
+}
+
+#[test]
 fn the_mark_of_antialiasing_stays_where_there_is_a_place_for_it() {
     let scene = SceneFile { antialiased: true, ..scene(one()) };
     for format in Format::ALL {
@@ -201,7 +220,7 @@ fn handful() -> SceneFile {
     for (i, mean) in rows.means.iter_mut().enumerate() {
         mean[0] += i as f32;
     }
-    SceneFile { rows, origin: DVec3::new(1e6, 0.0, 0.0), antialiased: true }
+    SceneFile { rows, origin: DVec3::new(1e6, 0.0, 0.0), metres_per_unit: Some(0.125), antialiased: true }
 }
 
 #[test]

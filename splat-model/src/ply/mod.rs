@@ -9,7 +9,9 @@
 //! [`read_points`] reads plain points with positions and colours, as in files of sparse reconstructions.
 //!
 //! The comment `splat origin X Y Z` holds the origin that positions are relative to: `position_file_world = position + origin`.
+//! The comment `splat metres per unit M` holds the size of a scene unit, where it is known. [`WorldFrame`] is both.
 
+mod frame;
 mod points;
 mod read;
 mod row;
@@ -21,20 +23,19 @@ use std::path::PathBuf;
 
 use thiserror::Error;
 
+pub use frame::WorldFrame;
 pub use points::read_points;
 pub use read::read;
 pub use write::{write, write_to};
 
 // The compressed layout, which is PLY too, uses these.
-pub(crate) use read::{PlyReader, brief, origin, read_from, require, vertex};
+pub(crate) use frame::world_frame;
+pub(crate) use read::{PlyReader, brief, read_from, require, vertex};
 pub(crate) use row::{degree_of_rest, rest_names};
 pub(crate) use write::{check, element, file_header};
 
 /// The element that holds the Gaussians.
 pub(crate) const VERTEX: &str = "vertex";
-
-/// Prefix of the comment that holds the origin.
-const ORIGIN_COMMENT: &str = "splat origin ";
 
 /// A PLY file that cannot be read or written. Each message names the file, what was found and what to do.
 #[derive(Debug, Error)]

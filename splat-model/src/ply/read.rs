@@ -11,8 +11,9 @@ use ply_rs_bw::ply::{
     ScalarType,
 };
 
+use super::frame::world_frame;
 use super::row::{REQUIRED, degree_of_rest, push_row, rest_names, rest_per_channel};
-use super::{ORIGIN_COMMENT, PlyError, VERTEX};
+use super::{PlyError, VERTEX, WorldFrame};
 use crate::gaussians::GaussianRows;
 
 /// Maximum length of a header, bytes. Degree 4 with every property takes 3 KB.
@@ -28,13 +29,13 @@ const MAX_HEADER_BYTES: u64 = 1 << 20;
 /// by a small multiple of the file's true size, whatever its header claims.
 pub fn read(path: &Path) -> Result<(GaussianRows, DVec3), PlyError> {
     let (input, header) = PlyReader::open(path)?;
-    read_from(input, &header)
+    read_from(input, &header).map(|(rows, world)| (rows, world.origin))
 }
 
-/// Reads a scene and its origin from a file whose header has been read.
-pub(crate) fn read_from(mut input: PlyReader, header: &Header) -> Result<(GaussianRows, DVec3), PlyError> {
+/// Reads a scene and its frame from a file whose header has been read.
+pub(crate) fn read_from(mut input: PlyReader, header: &Header) -> Result<(GaussianRows, WorldFrame), PlyError> {
     let path = input.path;
-    let origin = origin(path, header)?;
+    let world = world_frame(path, header)?;
     let vertex = vertex(path, header)?;
     let (degree, properties) = check_properties(path, vertex)?;
     input.begin(header)?;
@@ -43,14 +44,14 @@ pub(crate) fn read_from(mut input: PlyReader, header: &Header) -> Result<(Gaussi
         push_row(&mut rows, values);
         Ok(())
     })?;
-    Ok((rows, origin))
+    Ok((rows, world))
 }
 
 fn io_error(path: &Path, action: &'static str, source: io::Error) -> PlyError {
     PlyError::Io { path: path.to_path_buf(), action, source }
 }
 
-fn layout_error(path: &Path, detail: String) -> PlyError {
+pub(super) fn layout_error(path: &Path, detail: String) -> PlyError {
     PlyError::Layout { path: path.to_path_buf(), detail }
 }
 
@@ -302,24 +303,6 @@ fn parse_header(path: &Path, text: &[u8]) -> Result<Header, PlyError> {
         ));
     }
     Ok(header)
-}
-
-pub(crate) fn origin(path: &Path, header: &Header) -> Result<DVec3, PlyError> {
-    let Some(text) = header.comments.iter().find_map(|comment| comment.trim().strip_prefix(ORIGIN_COMMENT)) else {
-        return Ok(DVec3::ZERO);
-    };
-    let numbers: Option<Vec<f64>> =
-        text.split_whitespace().map(|word| word.parse().ok().filter(|x: &f64| x.is_finite())).collect();
-    match numbers.as_deref() {
-        Some(&[x, y, z]) => Ok(DVec3::new(x, y, z)),
-        _ => Err(layout_error(
-            path,
-            format!(
-                "comment `{ORIGIN_COMMENT}{}`, expected three finite numbers; correct or remove that line",
-                brief(text)
-            ),
-        )),
-    }
 }
 
 pub(crate) fn vertex<'a>(path: &Path, header: &'a Header) -> Result<&'a ElementDef, PlyError> {

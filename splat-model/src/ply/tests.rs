@@ -259,10 +259,12 @@ fn an_ascii_row_that_is_no_row_of_numbers_is_refused() {
 }
 
 #[test]
-fn an_origin_that_is_none_is_refused() {
-    for bad in ["1 2", "1 2 x", "1 2 inf", "1 2 3 4"] {
-        let text = header(0, &names(0)).replace("element", &format!("comment splat origin {bad}\nelement"));
-        assert_refused(text.as_bytes(), &["splat origin", bad, "three finite numbers", "remove"]);
+fn comments_without_their_numbers_are_refused() {
+    let origins = ["1 2", "1 2 x", "1 2 inf", "1 2 3 4"].map(|bad| ("splat origin", bad, "three finite numbers"));
+    let sizes = ["0", "-1", "nan", "one", "1 2"].map(|bad| ("splat metres per unit", bad, "a positive number"));
+    for (comment, bad, expected) in origins.into_iter().chain(sizes) {
+        let text = header(0, &names(0)).replace("element", &format!("comment {comment} {bad}\nelement"));
+        assert_refused(text.as_bytes(), &[comment, bad, expected, "remove"]);
     }
 }
 

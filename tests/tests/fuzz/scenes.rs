@@ -124,11 +124,14 @@ impl FuzzTarget for Scenes {
 
     fn read(&mut self) -> Result<String, String> {
         match formats::read(&self.path()) {
-            Ok((SceneFile { rows, origin, antialiased }, format)) => {
+            Ok((SceneFile { rows, origin, metres_per_unit, antialiased }, format)) => {
                 rows.check().map_err(|error| error.to_string())?;
-                if !origin.is_finite() || Ok(format) != formats::detect(&self.path()).map_err(|error| error.to_string())
+                let sized = metres_per_unit.is_none_or(|metres| metres.is_finite() && metres > 0.0);
+                if !sized
+                    || !origin.is_finite()
+                    || Ok(format) != formats::detect(&self.path()).map_err(|error| error.to_string())
                 {
-                    return Err(format!("origin {origin}, {format}"));
+                    return Err(format!("origin {origin}, {metres_per_unit:?} m, {format}"));
                 }
                 let (count, unusable) = (bucket(rows.len()), rows.unusable() > 0);
                 Ok(format!("accepted: {format}, 2^{count} of degree {}, {unusable}, {antialiased}", rows.sh_degree))

@@ -45,7 +45,7 @@ pub fn keep_scene(error: TrainError, trainer: &Trainer, capture: &Capture, out: 
         return error.into();
     }
     let path = out.join(SCENE);
-    let kept = match ply::write(&path, &trainer.rows(), capture.origin) {
+    let kept = match ply::write(&path, &trainer.rows(), capture.world_frame()) {
         Ok(()) => format!("{} is the scene before that step", path.display()),
         Err(reason) => format!("the scene before that step could not be saved: {reason}"),
     };

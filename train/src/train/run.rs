@@ -36,7 +36,7 @@ use crate::report::page::{self, ReportPage};
 use crate::report::{self, BACKGROUND, METRICS, POSES, REPORT, SCENE, VIEWS};
 use crate::snapshots::{self, Described, Snapshots};
 use crate::view::scene::{ShownScene, Viewpoint};
-use crate::{demo, input};
+use crate::{demo, input, reconstruct};
 
 /// Folder of the demo capture, below the output folder.
 const DEMO_CAPTURE: &str = "demo-capture";
@@ -112,10 +112,14 @@ fn to_the_end(mut args: TrainArgs, kept: Option<SavedRun>, change: impl FnOnce(T
     let (device, device_name) = args.device.resolve()?;
     let accuracy = args.accuracy.resolve(&device_name)?;
     let lpips = args.lpips.read(&device)?;
-    let (out, capture, start) = open(&args)?;
+    let (out, mut capture, start) = open(&args)?;
+    // A run may be resumed from any working directory, and a video does not tell which folder its frames are in.
+    if let Some(source) = args.capture.take() {
+        args.cameras = args.cameras.from_anywhere(&source);
+        args.capture = Some(std::path::absolute(&capture.folder)?);
+    }
+    args.cameras.scale(&mut capture)?;
     let capture = Arc::new(capture);
-    // A run may be resumed from any working directory.
-    args.capture = args.capture.map(|capture| std::path::absolute(&capture).unwrap_or(capture));
     args.lpips = args.lpips.from_anywhere();
     let (split, photo_args) = args.photos.split(&capture);
     let (seen, max_side) = (split.require_train()?, args.photos.max_side);
@@ -205,7 +209,7 @@ fn to_the_end(mut args: TrainArgs, kept: Option<SavedRun>, change: impl FnOnce(T
     let render_options = trainer.render_options();
     // Before measuring, so that a failure there does not lose the scene.
     let rows = trainer.rows();
-    ply::write(&out.join(SCENE), &rows, capture.origin)?;
+    ply::write(&out.join(SCENE), &rows, capture.world_frame())?;
     write_learnt(&trainer, &config, &capture, &out)?;
     let gaussians = match config.smoothing {
         true => Gaussians::from_rows(&rows, &device)?,
@@ -285,7 +289,17 @@ fn open(args: &TrainArgs) -> Result<(OutputFolder, Capture, Instant)> {
         )
     };
     match &args.capture {
+        Some(source) if reconstruct::is_needed(source) => {
+            let folder = match &args.out {
+                Some(out) => out.join(reconstruct::FOLDER),
+                None => reconstruct::own_folder(source),
+            };
+            reconstruct::reconstruct(source, &folder, &args.cameras)?;
+            let start = Instant::now();
+            Ok((prepare()?, input::capture(&folder)?, start))
+        }
         Some(folder) => {
+            args.cameras.check_for_capture(folder)?;
             let start = Instant::now();
             let capture = input::capture(folder)?;
             Ok((prepare()?, capture, start))
@@ -303,13 +317,11 @@ fn open(args: &TrainArgs) -> Result<(OutputFolder, Capture, Instant)> {
 /// Returns the default output folder: an empty one with the name of the capture, so that no run replaces the results of
 /// another.
 fn own_folder(capture: Option<&Path>) -> PathBuf {
-    let (named, may_hold) = match capture {
-        None => (PathBuf::from("demo"), &[DEMO_CAPTURE][..]),
-        // The name of `..` is the name of the folder that it leads to.
-        Some(folder) if folder.file_name().is_none() => (folder.canonicalize().unwrap_or_default(), &[][..]),
-        Some(folder) => (folder.to_owned(), &[][..]),
+    let (name, may_hold) = match capture {
+        None => ("demo".into(), &[DEMO_CAPTURE][..]),
+        Some(source) => (reconstruct::name_of(source), &[][..]),
     };
-    let name = named.file_name().unwrap_or(OsStr::new("capture"));
+    let name = OsStr::new(&name);
     let (first, free) = (Path::new(OUT).join(name), output::free_folder(Path::new(OUT), name, may_hold));
     match free == first {
         true => progress::note(&format!("writing to {}", free.display())),

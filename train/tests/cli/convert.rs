@@ -60,7 +60,7 @@ fn what_has_no_place_is_named() {
     rows.means[3][0] = f32::NAN;
     rows.sh_degree = 4;
     rows.sh_rest = vec![0.1; 72 * rows.len()];
-    let scene = SceneFile { rows, origin: [1e6, 2.5, 0.0].into(), antialiased: false };
+    let scene = SceneFile { rows, origin: [1e6, 2.5, 0.0].into(), metres_per_unit: Some(0.25), antialiased: false };
     formats::write(&path("a.ply"), &scene, Format::Ply).unwrap();
     let convert = |from: &str, to: &str, more: &[&str]| {
         succeed(splat(&["convert", text(&path(from)), text(&path(to))]).args(more)).stdout
@@ -69,9 +69,12 @@ fn what_has_no_place_is_named() {
     for part in ["1 splats that cannot be rendered", "above degree 3", "--antialias"] {
         assert!(said.contains(part), "{part}: {said}");
     }
-    assert!(!said.contains("origin"), "{said}");
+    assert!(!said.contains("origin") && !said.contains("size of a unit"), "{said}");
+    assert_eq!(formats::read(&path("a.compressed.ply")).unwrap().0.metres_per_unit, Some(0.25));
     let said = convert("a.ply", "a.spz", &["--antialias", "--sh-degree", "2"]);
-    for part in ["1 splats that cannot be rendered", "the origin 1000000 2.5 0", "above degree 2"] {
+    for part in
+        ["1 splats that cannot be rendered", "the origin 1000000 2.5 0", "the size of a unit, 0.25 m", "above degree 2"]
+    {
         assert!(said.contains(part), "{part}: {said}");
     }
     let spz = formats::read(&path("a.spz")).unwrap().0;

@@ -13,6 +13,8 @@ mod memory;
 mod non_finite;
 mod origin;
 mod pareto;
+#[cfg(unix)]
+mod reconstruct;
 mod resume;
 mod run;
 mod scores;

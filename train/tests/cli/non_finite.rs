@@ -129,7 +129,7 @@ fn poisoned_splats_of_a_scene_are_counted_and_change_no_score() {
     without.rotations[..count].fill([1.0, 0.0, 0.0, 0.0]);
     let [poisoned, without] = [("poisoned", &rows), ("without", &without)].map(|(name, rows)| {
         let (scene, out) = (folder.path().join(format!("{name}.ply")), folder.path().join(name));
-        ply::write(&scene, rows, Default::default()).unwrap();
+        ply::write(&scene, rows, ply::WorldFrame::default()).unwrap();
         let ended = end(&mut splat(&["eval", text(&DEMO), "--scene", text(&scene), "--out", text(&out)]));
         assert_eq!(ended.code, Some(0), "{}", ended.stderr);
         let said = ended.stderr.contains(&format!("{count} of {} splats are not drawn", rows.len()));

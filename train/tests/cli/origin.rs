@@ -3,6 +3,7 @@
 use std::fs;
 use std::path::Path;
 
+use glam::DVec3;
 use splat_model::capture::{Capture, write_binary};
 use splat_model::ply;
 
@@ -52,7 +53,7 @@ fn a_scene_looks_the_same_wherever_it_and_its_capture_lie() {
     let near_scene = TRAINED.join("scene.ply");
     let (rows, _) = ply::read(&near_scene).unwrap();
     let far_scene = folder.path().join("far.ply");
-    ply::write(&far_scene, &rows, FAR.into()).unwrap();
+    ply::write(&far_scene, &rows, DVec3::from(FAR)).unwrap();
 
     let expected = render(&near_scene, DEMO.as_path());
     let found = render(&far_scene, &far);

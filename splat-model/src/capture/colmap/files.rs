@@ -88,7 +88,7 @@ fn candidates(folder: &Path) -> Vec<PathBuf> {
 
 /// The model's files, binary before text. Cameras and images must be of one encoding, because a stale file of the other
 /// may lie beside them; points refer to nothing and are taken as they come.
-fn of_model(model: &Path) -> Result<Files, CaptureError> {
+pub(super) fn of_model(model: &Path) -> Result<Files, CaptureError> {
     let [binary, text] = ["bin", "txt"].map(|extension| Files::encoded(model, extension));
     for (files, other) in [(&binary, &text), (&text, &binary)] {
         if files.are_complete() {
@@ -108,7 +108,7 @@ fn of_model(model: &Path) -> Result<Files, CaptureError> {
     Err(CaptureError::Missing {
         what,
         looked_for,
-        fix: "Name the folder that holds `images/` and `sparse/0/`, or `transforms.json`; make a model with `colmap mapper`, or convert it with \
+        fix: "Name the folder that holds `images/` and `sparse/0/`, or `transforms.json`; make a model with `splat reconstruct` or `colmap mapper`, or convert one with \
               `colmap model_converter`",
     })
 }

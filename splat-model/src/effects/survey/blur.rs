@@ -39,19 +39,31 @@ const APART: usize = 3;
 
 /// Sharpness of the green channel, which every camera measures best. `None` if the picture is constant.
 pub(super) fn sharpness(photo: &Photo) -> Option<f64> {
-    let (width, height) = (photo.intrinsics.width, photo.intrinsics.height);
+    sharpness_by([photo.intrinsics.width, photo.intrinsics.height], |pixel| photo.rgb[3 * pixel + 1])
+}
+
+/// Sharpness of a grey picture `[H, W]` as [`BlurEvidence`] defines it. `None` if the picture is constant.
+///
+/// # Panics
+/// If `grey` does not have `width · height` values.
+pub fn sharpness_of_grey(grey: &[u8], [width, height]: [usize; 2]) -> Option<f64> {
+    assert_eq!(grey.len(), width * height, "a value for each pixel");
+    sharpness_by([width, height], |pixel| grey[pixel])
+}
+
+fn sharpness_by([width, height]: [usize; 2], value: impl Fn(usize) -> u8) -> Option<f64> {
     let along = |[right, down]: [isize; 2]| {
-        let green = |x: usize, y: usize, steps: usize| {
+        let at = |x: usize, y: usize, steps: usize| {
             let (x, y) = (x.wrapping_add_signed(right * steps as isize), y.wrapping_add_signed(down * steps as isize));
-            i64::from(photo.rgb[3 * (y * width + x) + 1])
+            i64::from(value(y * width + x))
         };
         let (mut near, mut far) = (0, 0);
         // The range is symmetric, because steps go up and down.
         for y in APART..height.saturating_sub(APART) {
             for x in 0..width.saturating_sub(APART) {
-                let here = green(x, y, 0);
-                near += (green(x, y, 1) - here).pow(2);
-                far += (green(x, y, APART) - here).pow(2);
+                let here = at(x, y, 0);
+                near += (at(x, y, 1) - here).pow(2);
+                far += (at(x, y, APART) - here).pow(2);
             }
         }
         (far > 0).then(|| near as f64 / far as f64)
@@ -86,6 +98,8 @@ mod tests {
         let ramp = sharpness(&picture(|x, _| 3 * x as u8));
         assert!(near(ramp, 1.0 / 9.0), "{ramp:?}");
         assert_eq!(sharpness(&picture(|_, _| 7)), None, "nothing differs");
+        let grey: Vec<u8> = (0..40 * 30).map(|i| 3 * (i % 40) as u8).collect();
+        assert_eq!(sharpness_of_grey(&grey, [40, 30]), ramp);
         // Stripes two wide differ from every second neighbour and from every second pixel three on.
         for stripes in [picture(|x, _| 90 * (x as u8 / 2 % 2)), picture(|_, y| 90 * (y as u8 / 2 % 2))] {
             let found = sharpness(&stripes).unwrap();

@@ -25,7 +25,7 @@ use serde::Serialize;
 
 use crate::capture::{Capture, CaptureError};
 
-pub use self::blur::BlurEvidence;
+pub use self::blur::{BlurEvidence, sharpness_of_grey};
 pub use self::depth::DepthEvidence;
 pub use self::exposure::{ExposureEvidence, ViewExposure};
 pub use self::files::{FileEvidence, depth_folder};

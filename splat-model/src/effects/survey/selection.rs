@@ -105,6 +105,7 @@ mod tests {
             tracks.push(seen, 0.1);
         }
         Capture {
+            scale: None,
             folder: PathBuf::new(),
             views: (0..VIEWS).map(view).collect(),
             points: PointCloud { colours: vec![[0; 3]; points.len()], positions: points },

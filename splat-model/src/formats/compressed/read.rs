@@ -2,7 +2,6 @@
 
 use std::path::Path;
 
-use glam::DVec3;
 use ply_rs_bw::ply::{ElementDef, Header, PropertyType, ScalarType};
 
 use super::pack::unpack_rest;
@@ -10,11 +9,11 @@ use super::row::{CHUNKS, HARMONICS, PACKED, RANGES, Ranges};
 use super::{CHUNK, DEGREE_MAX};
 use crate::formats::{Format, FormatError};
 use crate::gaussians::GaussianRows;
-use crate::ply::{PlyReader, VERTEX, brief, degree_of_rest, origin, require, rest_names, vertex};
+use crate::ply::{PlyReader, VERTEX, WorldFrame, brief, degree_of_rest, require, rest_names, vertex, world_frame};
 
-/// Reads the rows, and the origin that their positions are relative to, of a file whose header has been read.
-pub fn read(path: &Path, mut input: PlyReader, header: &Header) -> Result<(GaussianRows, DVec3), FormatError> {
-    let origin = origin(path, header)?;
+/// Reads the rows, and the frame that their positions are in, of a file whose header has been read.
+pub fn read(path: &Path, mut input: PlyReader, header: &Header) -> Result<(GaussianRows, WorldFrame), FormatError> {
+    let world = world_frame(path, header)?;
     let vertex = vertex(path, header)?;
     let harmonics = header.elements.get(HARMONICS);
     let (ranges, sh_degree) = check(path, header, vertex, harmonics)?;
@@ -51,7 +50,7 @@ pub fn read(path: &Path, mut input: PlyReader, header: &Header) -> Result<(Gauss
     for (chunk, words) in chunks.iter().zip(words.chunks(CHUNK)) {
         words.iter().for_each(|words| chunk.unpack_to(words, &mut rows));
     }
-    Ok((rows, origin))
+    Ok((rows, world))
 }
 
 /// Refuses files that do not describe Gaussians, and returns the number of ranges of a chunk and the degree of the spherical

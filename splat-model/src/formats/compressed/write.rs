@@ -3,7 +3,6 @@
 use std::io::{self, Write};
 use std::path::Path;
 
-use glam::DVec3;
 use ply_rs_bw::ply::{DefaultElement, ScalarType};
 use ply_rs_bw::writer::Writer;
 
@@ -12,22 +11,22 @@ use super::pack::pack_rest;
 use super::row::{CHUNKS, HARMONICS, PACKED, RANGES, Ranges};
 use crate::formats::FormatError;
 use crate::gaussians::GaussianRows;
-use crate::ply::{VERTEX, element, file_header, rest_names};
+use crate::ply::{VERTEX, WorldFrame, element, file_header, rest_names};
 use crate::replace::replace;
 
 /// Writes rows that fit the format ([`crate::formats::fit`]).
-pub fn write(path: &Path, rows: &GaussianRows, origin: DVec3) -> Result<(), FormatError> {
-    replace(path, |out| write_to(out, rows, origin)).map_err(|refused| FormatError::refused(path, refused))
+pub fn write(path: &Path, rows: &GaussianRows, world: WorldFrame) -> Result<(), FormatError> {
+    replace(path, |out| write_to(out, rows, world)).map_err(|refused| FormatError::refused(path, refused))
 }
 
-fn write_to(out: &mut impl Write, rows: &GaussianRows, origin: DVec3) -> io::Result<()> {
+fn write_to(out: &mut impl Write, rows: &GaussianRows, world: WorldFrame) -> io::Result<()> {
     let (chunks, rest) = (rows.len().div_ceil(CHUNK), rows.rest_per_row());
     let mut elements =
         vec![element(CHUNKS, chunks, ScalarType::Float, RANGES), element(VERTEX, rows.len(), ScalarType::UInt, PACKED)];
     if rest > 0 {
         elements.push(element(HARMONICS, rows.len(), ScalarType::UChar, rest_names(rest)));
     }
-    Writer::<DefaultElement>::new().write_header(out, &file_header(origin, elements))?;
+    Writer::<DefaultElement>::new().write_header(out, &file_header(world, elements))?;
     let of_chunk = |i: usize| CHUNK * i..rows.len().min(CHUNK * (i + 1));
     let ranges: Vec<Ranges> = (0..chunks).map(|i| Ranges::around(rows, of_chunk(i))).collect();
     for value in ranges.iter().flat_map(|ranges| ranges.0) {

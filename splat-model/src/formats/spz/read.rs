@@ -6,7 +6,6 @@ use std::ops::RangeInclusive;
 use std::path::Path;
 
 use flate2::bufread::GzDecoder;
-use glam::DVec3;
 use ruzstd::decoding::StreamingDecoder;
 use splat_op::sh::SH_DEGREE_MAX;
 
@@ -40,7 +39,7 @@ pub fn read(path: &Path) -> Result<SceneFile, FormatError> {
     let is_gzip = file.fill_buf().map_err(FormatError::io(path, "read the scene"))?.starts_with(&GZIP);
     let of = Of { path, bytes };
     let (layout, flags, sections) = if is_gzip { of.gzip(file)? } else { of.zstd(file)? };
-    Ok(SceneFile { rows: unpack(&layout, &sections), origin: DVec3::ZERO, antialiased: flags & ANTIALIASED != 0 })
+    Ok(SceneFile { rows: unpack(&layout, &sections), antialiased: flags & ANTIALIASED != 0, ..SceneFile::default() })
 }
 
 /// The layout, flags and sections of a file.

@@ -3,7 +3,7 @@
 use std::error::Error;
 
 use burn::tensor::{DType, Device, Tensor};
-use glam::{DAffine3, DVec3};
+use glam::DAffine3;
 use splat_model::formats::{self, Format, SceneFile};
 use splat_model::gaussians::{GaussianRows, Gaussians};
 use splat_op::{Camera, Extras, Intrinsics, RenderOptions, Storage, render_view};
@@ -202,7 +202,7 @@ fn judge_file(place: &TestDevice, format: Format, spoil: Spoil, limit: f64) -> R
     let mut rows = ordinary();
     let expected = picture(&rows, &place.device)?;
     spoil(&mut rows);
-    let scene = SceneFile { rows, origin: DVec3::ZERO, antialiased: false };
+    let scene = SceneFile { rows, ..SceneFile::default() };
     let written = formats::write(&path, &scene, format)?;
     let (read, _) = formats::read(&path)?;
     let mut outcome = CaseOutcome::default();

@@ -1,0 +1,265 @@
+//! EXIF of photographs: what a camera wrote down about itself.
+//!
+//! Tags: Exif 2.3 (CIPA DC-008-2012), sections 4.6.4 (`Make`, `Model`, `Orientation`), 4.6.5 (`FocalLength`, `FocalLengthIn35mmFilm`)
+//! and 4.6.6 (GPS). The orientation turns no picture: COLMAP and [`image::load`](super::image::load) both use pixels as they are stored, so
+//! that photographs that a camera took upright and sideways share its lens.
+
+use std::path::Path;
+
+use exif::{In, Reader, Tag, Value};
+use glam::DVec2;
+use image::ImageDecoder;
+
+use super::CaptureError;
+use super::image::header;
+
+/// Diagonal of a frame of 35 mm film, 36 mm × 24 mm, to which `FocalLengthIn35mmFilm` refers.
+const FILM_DIAGONAL_MM: f64 = 43.266_615;
+
+/// The facts that reconstruction uses. A tag that is missing or makes no sense is `None`.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Exif {
+    /// Maker and model of the camera.
+    pub camera: Option<String>,
+    /// Focal length of the lens, mm. It says which photographs have the same zoom, but not how wide they are.
+    pub focal_mm: Option<f64>,
+    /// Focal length of the lens that shows as much on 35 mm film, mm.
+    pub focal_35mm: Option<f64>,
+    /// Where the photograph was taken.
+    pub gps: Option<Gps>,
+    /// How viewers turn and mirror the stored picture to show it, 2 to 8; `None` as it is.
+    pub orientation: Option<u8>,
+}
+
+/// A position on WGS 84.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Gps {
+    /// Degrees north.
+    pub latitude_deg: f64,
+    /// Degrees east.
+    pub longitude_deg: f64,
+    /// Metres above the sea, or above the ellipsoid: cameras differ.
+    pub altitude_m: Option<f64>,
+}
+
+impl Exif {
+    /// Reads the EXIF of a JPEG or PNG picture. Without EXIF, or with damaged EXIF, all is `None`.
+    ///
+    /// # Errors
+    /// A [`CaptureError`] if the file cannot be opened or is not a picture.
+    pub fn read(file: &Path) -> Result<Self, CaptureError> {
+        let raw = header(file)?.exif_metadata().ok().flatten();
+        Ok(raw.map(Self::parse).unwrap_or_default())
+    }
+
+    /// Parses the TIFF structure that holds the tags.
+    fn parse(raw: Vec<u8>) -> Self {
+        let mut reader = Reader::new();
+        reader.continue_on_error(true);
+        let fields = reader.read_raw(raw).or_else(|error| error.distill_partial_result(|_| ()));
+        fields.map(|fields| Self::of(&fields)).unwrap_or_default()
+    }
+
+    fn of(fields: &exif::Exif) -> Self {
+        let value = |tag| fields.get_field(tag, In::PRIMARY).map(|field| &field.value);
+        let positive = |tag| value(tag).and_then(number).filter(|mm| (0.1..1e5).contains(mm));
+        let camera: Vec<String> = [Tag::Make, Tag::Model].into_iter().filter_map(|tag| text(value(tag)?)).collect();
+        Self {
+            camera: (!camera.is_empty()).then(|| camera.join(" ")),
+            focal_mm: positive(Tag::FocalLength),
+            focal_35mm: positive(Tag::FocalLengthIn35mmFilm),
+            gps: Gps::of(value),
+            orientation: value(Tag::Orientation)
+                .and_then(|value| value.get_uint(0))
+                .and_then(|number| u8::try_from(number).ok())
+                .filter(|number| (2..=8).contains(number)),
+        }
+    }
+
+    /// The position in the stored picture, px, of a position in the picture as viewers show it; `size` is the stored width and height.
+    pub fn stored_from_shown(&self, shown: DVec2, size: [usize; 2]) -> DVec2 {
+        let [width, height] = size.map(|side| side as f64);
+        let DVec2 { x, y } = shown;
+        // The eight ways in which the stored rows and columns are sides of the shown picture.
+        match self.orientation {
+            Some(2) => DVec2::new(width - x, y),
+            Some(3) => DVec2::new(width - x, height - y),
+            Some(4) => DVec2::new(x, height - y),
+            Some(5) => DVec2::new(y, x),
+            Some(6) => DVec2::new(y, height - x),
+            Some(7) => DVec2::new(width - y, height - x),
+            Some(8) => DVec2::new(width - y, x),
+            _ => shown,
+        }
+    }
+
+    /// The focal length in pixels of a picture of this size, px. `FocalLengthIn35mmFilm` compares diagonals.
+    pub fn focal_px(&self, [width, height]: [usize; 2]) -> Option<f64> {
+        Some(self.focal_35mm? / FILM_DIAGONAL_MM * (width as f64).hypot(height as f64))
+    }
+}
+
+impl Gps {
+    fn of<'a>(value: impl Fn(Tag) -> Option<&'a Value>) -> Option<Self> {
+        let angle = |tag, reference, negative: &str, most: f64| {
+            let parts: Vec<f64> = numbers(value(tag)?);
+            let &[degrees, minutes, seconds] = parts.as_slice() else { return None };
+            let angle = degrees + minutes / 60.0 + seconds / 3600.0;
+            let sign = if value(reference).and_then(text).as_deref() == Some(negative) { -1.0 } else { 1.0 };
+            (0.0..=most).contains(&angle).then_some(sign * angle)
+        };
+        let below_sea = value(Tag::GPSAltitudeRef).and_then(|value| value.get_uint(0)) == Some(1);
+        let altitude_m = value(Tag::GPSAltitude).and_then(number).filter(|metres| metres.abs() < 1e5);
+        let gps = Self {
+            latitude_deg: angle(Tag::GPSLatitude, Tag::GPSLatitudeRef, "S", 90.0)?,
+            longitude_deg: angle(Tag::GPSLongitude, Tag::GPSLongitudeRef, "W", 180.0)?,
+            altitude_m: altitude_m.map(|metres| if below_sea { -metres } else { metres }),
+        };
+        // Cameras without a fix write zeros.
+        (gps.latitude_deg != 0.0 || gps.longitude_deg != 0.0).then_some(gps)
+    }
+}
+
+fn numbers(value: &Value) -> Vec<f64> {
+    match value {
+        Value::Rational(parts) => parts.iter().map(exif::Rational::to_f64).collect(),
+        other => (0..).map_while(|i| other.get_uint(i)).map(f64::from).collect(),
+    }
+}
+
+fn number(value: &Value) -> Option<f64> {
+    numbers(value).first().copied().filter(|number| number.is_finite())
+}
+
+fn text(value: &Value) -> Option<String> {
+    let Value::Ascii(lines) = value else { return None };
+    let text =
+        String::from_utf8_lossy(lines.first()?).trim_matches(|c: char| c.is_whitespace() || c == '\0').to_owned();
+    (!text.is_empty()).then_some(text)
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use std::fs::File;
+    use std::io::{BufWriter, Cursor};
+
+    use exif::experimental::Writer;
+    use exif::{Field, Rational};
+    use image::codecs::jpeg::JpegEncoder;
+    use image::{ImageEncoder, RgbImage};
+
+    use super::*;
+
+    fn field(tag: Tag, value: Value) -> Field {
+        Field { tag, ifd_num: In::PRIMARY, value }
+    }
+
+    fn ascii(text: &str) -> Value {
+        Value::Ascii(vec![text.as_bytes().to_vec()])
+    }
+
+    fn rationals(parts: &[f64]) -> Value {
+        let part = |&part: &f64| Rational { num: (part * 1000.0).round() as u32, denom: 1000 };
+        Value::Rational(parts.iter().map(part).collect())
+    }
+
+    fn raw(fields: &[Field]) -> Vec<u8> {
+        let (mut writer, mut bytes) = (Writer::new(), Cursor::new(Vec::new()));
+        fields.iter().for_each(|field| writer.push_field(field));
+        writer.write(&mut bytes, false).unwrap();
+        bytes.into_inner()
+    }
+
+    /// Writes a JPEG with these fields.
+    pub(crate) fn write_jpeg(file: &Path, picture: &RgbImage, fields: &[Field]) {
+        let mut encoder = JpegEncoder::new_with_quality(BufWriter::new(File::create(file).unwrap()), 95);
+        encoder.set_exif_metadata(raw(fields)).unwrap();
+        encoder.write_image(picture, picture.width(), picture.height(), image::ExtendedColorType::Rgb8).unwrap();
+    }
+
+    /// The field of a rotation that turns the stored picture clockwise for showing.
+    pub(crate) fn turned() -> Field {
+        field(Tag::Orientation, Value::Short(vec![6]))
+    }
+
+    fn place(latitude: [f64; 3], south: bool, longitude: [f64; 3], west: bool) -> Vec<Field> {
+        vec![
+            field(Tag::GPSLatitude, rationals(&latitude)),
+            field(Tag::GPSLatitudeRef, ascii(if south { "S" } else { "N" })),
+            field(Tag::GPSLongitude, rationals(&longitude)),
+            field(Tag::GPSLongitudeRef, ascii(if west { "W" } else { "E" })),
+        ]
+    }
+
+    #[test]
+    fn a_photograph_says_what_took_it_and_where() {
+        let mut fields = place([33.0, 51.0, 25.2], true, [151.0, 12.0, 54.0], false);
+        fields.extend([
+            field(Tag::Make, ascii("Acme ")),
+            field(Tag::Model, ascii("Phone 3")),
+            field(Tag::FocalLength, rationals(&[4.25])),
+            field(Tag::FocalLengthIn35mmFilm, Value::Short(vec![26])),
+            field(Tag::GPSAltitude, rationals(&[12.5])),
+            field(Tag::GPSAltitudeRef, Value::Byte(vec![1])),
+        ]);
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("a.jpg");
+        write_jpeg(&file, &RgbImage::new(40, 30), &fields);
+        let found = Exif::read(&file).unwrap();
+        assert_eq!(found.camera.as_deref(), Some("Acme Phone 3"));
+        assert_eq!((found.focal_mm, found.focal_35mm), (Some(4.25), Some(26.0)));
+        let gps = found.gps.unwrap();
+        assert!((gps.latitude_deg + 33.857).abs() < 1e-9 && (gps.longitude_deg - 151.215).abs() < 1e-9, "{gps:?}");
+        assert_eq!(gps.altitude_m, Some(-12.5));
+        // A square of film's diagonal has that diagonal in px as its focal length at 43.27 mm.
+        let focal_px = found.focal_px([3000, 4000]).unwrap();
+        assert!((focal_px - 26.0 / 43.2666 * 5000.0).abs() < 0.01, "{focal_px}");
+    }
+
+    /// Against the turning of the decoder's library.
+    #[test]
+    fn positions_in_a_shown_picture_are_found_in_the_stored_one() {
+        let stored = RgbImage::from_fn(5, 3, |x, y| image::Rgb([x as u8, y as u8, 0]));
+        for orientation in 0..=9 {
+            let exif = Exif::parse(raw(&[field(Tag::Orientation, Value::Short(vec![orientation]))]));
+            let mut shown = image::DynamicImage::ImageRgb8(stored.clone());
+            if let Some(turn) = image::metadata::Orientation::from_exif(orientation as u8) {
+                shown.apply_orientation(turn);
+            }
+            for (x, y, pixel) in shown.into_rgb8().enumerate_pixels() {
+                let centre = DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5);
+                let expected = DVec2::new(f64::from(pixel[0]) + 0.5, f64::from(pixel[1]) + 0.5);
+                assert_eq!(exif.stored_from_shown(centre, [5, 3]), expected, "orientation {orientation}");
+            }
+        }
+    }
+
+    #[test]
+    fn what_makes_no_sense_is_left_out() {
+        let cases = [
+            place([0.0; 3], false, [0.0; 3], false),
+            place([91.0, 0.0, 0.0], false, [10.0, 0.0, 0.0], true),
+            vec![field(Tag::GPSLatitude, rationals(&[1.0, 2.0]))],
+            vec![field(Tag::FocalLengthIn35mmFilm, Value::Short(vec![0]))],
+            vec![field(Tag::FocalLength, Value::Rational(vec![Rational { num: 1, denom: 0 }]))],
+            vec![field(Tag::Make, ascii("  "))],
+        ];
+        for fields in cases {
+            assert_eq!(Exif::parse(raw(&fields)), Exif::default(), "{fields:?}");
+        }
+    }
+
+    #[test]
+    fn damage_is_no_error() {
+        let good = raw(&place([1.0, 2.0, 3.0], false, [4.0, 5.0, 6.0], true));
+        assert!(Exif::parse(good.clone()).gps.is_some());
+        for length in 0..good.len() {
+            Exif::parse(good[..length].to_vec());
+        }
+        for at in 0..good.len() {
+            let mut broken = good.clone();
+            broken[at] ^= 0xff;
+            Exif::parse(broken);
+        }
+    }
+}

@@ -1,0 +1,281 @@
+//! Scale from GPS: the similarity that maps camera centres to positions on Earth.
+
+use glam::{DMat3, DQuat, DVec3};
+use rand::SeedableRng;
+use rand::seq::index::sample;
+use rand_chacha::ChaCha8Rng;
+
+use super::{Scale, ScaleError};
+use crate::capture::exif::{Exif, Gps};
+use crate::capture::{Capture, CaptureError};
+
+/// Fewest photographs with GPS. Three fit any triangle of the same shape, so that a fourth is the first that can disagree.
+const MIN_PHOTOGRAPHS: usize = 4;
+
+/// Largest standard deviation of the scale, as a fraction of it.
+const MAX_DEVIATION: f64 = 0.1;
+
+/// Random triples that are tried. If half of the positions are wrong, an eighth of the triples are right.
+const DRAWS: usize = 200;
+
+/// Positions further from their cameras than this many standard deviations, estimated from the median, are left out.
+const OUTLIER: f64 = 3.0;
+
+/// The standard deviation per axis is the median distance in three dimensions divided by this (the root of the median of χ² with
+/// three degrees of freedom).
+const MEDIAN_3D: f64 = 1.538_17;
+
+/// The scale at which the cameras' centres fit the GPS positions of the photographs' EXIF.
+///
+/// The similarity with the least sum of squares (Horn 1987) is fitted to triples of photographs; the one with the least median of distances
+/// (Rousseeuw 1984) says which positions are outliers, and the others are fitted together.
+///
+/// # Errors
+/// A [`CaptureError`] if a picture cannot be opened; otherwise the [`ScaleError`] if fewer than four placed photographs have a position, or
+/// their noise leaves the scale uncertain by more than a tenth.
+pub fn from_gps(capture: &Capture) -> Result<Result<Scale, ScaleError>, CaptureError> {
+    let mut pairs = Vec::new();
+    for view in &capture.views {
+        if let Some(gps) = Exif::read(&view.image_path)?.gps {
+            pairs.push((view.cam_from_world.inverse().translation, gps));
+        }
+    }
+    Ok(fitted(&pairs, capture.views.len()))
+}
+
+fn fitted(pairs: &[(DVec3, Gps)], placed: usize) -> Result<Scale, ScaleError> {
+    let found = pairs.len();
+    if found < MIN_PHOTOGRAPHS {
+        return Err(ScaleError::TooFewPositions { found, placed, expected: MIN_PHOTOGRAPHS });
+    }
+    // Heights only if all have one: a missing height is not zero.
+    let heights = pairs.iter().all(|(_, gps)| gps.altitude_m.is_some());
+    let first = earth_centred(pairs[0].1, heights);
+    let pairs: Vec<Pair> =
+        pairs.iter().map(|&(centre, gps)| Pair { centre, place_m: earth_centred(gps, heights) - first }).collect();
+    let inliers = inliers(&pairs);
+    let similarity = Similarity::of(&inliers);
+    let n = inliers.len() as f64;
+    let sum_squares: f64 = inliers.iter().map(|pair| similarity.error(pair).powi(2)).sum();
+    let mean = inliers.iter().map(|pair| pair.centre).sum::<DVec3>() / n;
+    let spread: f64 = inliers.iter().map(|pair| pair.centre.distance_squared(mean)).sum();
+    // Three coordinates each, less the seven numbers of the similarity.
+    let variance = sum_squares / (3.0 * n - 7.0);
+    let deviation = variance.sqrt() / (similarity.scale * spread.sqrt());
+    if !(deviation <= MAX_DEVIATION && super::is_scale(similarity.scale)) {
+        return Err(ScaleError::Noise {
+            photographs: found,
+            percent: (100.0 * deviation).min(1e3),
+            expected_percent: 100.0 * MAX_DEVIATION,
+            residual_m: (sum_squares / n).sqrt(),
+            spread_m: similarity.scale * (spread / n).sqrt(),
+        });
+    }
+    let source = format!("the GPS positions of {} photographs, {} of which fit", found, inliers.len());
+    Ok(Scale { metres_per_unit: similarity.scale, relative_deviation: Some(deviation), source })
+}
+
+/// A camera's centre, scene units, and its place on Earth, m.
+#[derive(Clone, Copy, Debug)]
+struct Pair {
+    centre: DVec3,
+    place_m: DVec3,
+}
+
+/// Position in the Earth's frame, m (WGS 84, NIMA TR8350.2, equation 4-14). A similarity does not depend on the frame's axes.
+fn earth_centred(gps: Gps, with_height: bool) -> DVec3 {
+    const EQUATOR_M: f64 = 6_378_137.0;
+    const FLATTENING: f64 = 1.0 / 298.257_223_563;
+    const ECCENTRICITY_SQUARED: f64 = FLATTENING * (2.0 - FLATTENING);
+    let (latitude, longitude) = (gps.latitude_deg.to_radians(), gps.longitude_deg.to_radians());
+    let height = gps.altitude_m.filter(|_| with_height).unwrap_or(0.0);
+    let normal = EQUATOR_M / (1.0 - ECCENTRICITY_SQUARED * latitude.sin().powi(2)).sqrt();
+    let around = (normal + height) * latitude.cos();
+    let up = (normal * (1.0 - ECCENTRICITY_SQUARED) + height) * latitude.sin();
+    DVec3::new(around * longitude.cos(), around * longitude.sin(), up)
+}
+
+fn inliers(pairs: &[Pair]) -> Vec<Pair> {
+    let mut random = ChaCha8Rng::seed_from_u64(0);
+    let mut best = (f64::INFINITY, Similarity::of(pairs));
+    for _ in 0..DRAWS {
+        let triple: Vec<Pair> = sample(&mut random, pairs.len(), 3).iter().map(|i| pairs[i]).collect();
+        let similarity = Similarity::of(&triple);
+        let mut errors: Vec<f64> = pairs.iter().map(|pair| similarity.error(pair)).collect();
+        errors.sort_by(f64::total_cmp);
+        let median = errors[errors.len() / 2];
+        if median < best.0 {
+            best = (median, similarity);
+        }
+    }
+    let (median, similarity) = best;
+    // The median of a fit to three points is too small in small captures; a millimetre is below what GPS resolves.
+    let small = 1.0 + 5.0 / pairs.len() as f64;
+    let limit = (OUTLIER * small * median / MEDIAN_3D * 3f64.sqrt()).max(1e-3);
+    let inliers: Vec<Pair> = pairs.iter().filter(|pair| similarity.error(pair) <= limit).copied().collect();
+    if inliers.len() < MIN_PHOTOGRAPHS { pairs.to_vec() } else { inliers }
+}
+
+/// `place = scale · rotation · centre + shift`.
+#[derive(Clone, Copy, Debug)]
+struct Similarity {
+    scale: f64,
+    rotation: DQuat,
+    shift: DVec3,
+}
+
+impl Similarity {
+    /// The similarity with the least sum of squared distances from the places, whose error is that of GPS.
+    fn of(pairs: &[Pair]) -> Self {
+        let n = pairs.len() as f64;
+        let centre = pairs.iter().map(|pair| pair.centre).sum::<DVec3>() / n;
+        let place = pairs.iter().map(|pair| pair.place_m).sum::<DVec3>() / n;
+        let mut products = DMat3::ZERO;
+        let mut spread = 0.0;
+        for pair in pairs {
+            let (a, b) = (pair.centre - centre, pair.place_m - place);
+            products += DMat3::from_cols(b * a.x, b * a.y, b * a.z);
+            spread += a.length_squared();
+        }
+        let rotation = best_rotation(products);
+        let along: f64 =
+            pairs.iter().map(|pair| (rotation * (pair.centre - centre)).dot(pair.place_m - place)).sum::<f64>();
+        let scale = if spread > 0.0 { along / spread } else { 0.0 };
+        Self { scale, rotation, shift: place - scale * (rotation * centre) }
+    }
+
+    /// Distance of a place from where the similarity puts it, m.
+    fn error(&self, pair: &Pair) -> f64 {
+        (self.scale * (self.rotation * pair.centre) + self.shift).distance(pair.place_m)
+    }
+}
+
+/// The rotation `R` with the largest `Σ b · R a`, from `Σ b aᵀ`: the eigenvector of the largest eigenvalue of Horn's symmetric 4 × 4
+/// matrix (1987, section 4.A), by Jacobi's rotations.
+fn best_rotation(products: DMat3) -> DQuat {
+    // `s[a][b]` is the sum of products of the coordinate `a` of the centre and `b` of the place.
+    let s = products.to_cols_array_2d();
+    let mut n = [
+        [s[0][0] + s[1][1] + s[2][2], s[1][2] - s[2][1], s[2][0] - s[0][2], s[0][1] - s[1][0]],
+        [0.0, s[0][0] - s[1][1] - s[2][2], s[0][1] + s[1][0], s[2][0] + s[0][2]],
+        [0.0, 0.0, s[1][1] - s[0][0] - s[2][2], s[1][2] + s[2][1]],
+        [0.0, 0.0, 0.0, s[2][2] - s[0][0] - s[1][1]],
+    ];
+    for row in 0..4 {
+        for column in 0..row {
+            n[row][column] = n[column][row];
+        }
+    }
+    let mut vectors = [[0.0; 4]; 4];
+    (0..4).for_each(|i| vectors[i][i] = 1.0);
+    // Ten sweeps reach f64's precision for any 4 × 4 matrix.
+    for (p, q) in (0..10).flat_map(|_| [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)]) {
+        let angle = 0.5 * (2.0 * n[p][q]).atan2(n[q][q] - n[p][p]);
+        let (sin, cos) = angle.sin_cos();
+        let turn = |a: f64, b: f64| (cos * a - sin * b, sin * a + cos * b);
+        for row in &mut n {
+            (row[p], row[q]) = turn(row[p], row[q]);
+        }
+        for column in 0..4 {
+            (n[p][column], n[q][column]) = turn(n[p][column], n[q][column]);
+        }
+        for row in &mut vectors {
+            (row[p], row[q]) = turn(row[p], row[q]);
+        }
+    }
+    let largest = (0..4).max_by(|&a, &b| n[a][a].total_cmp(&n[b][b])).unwrap_or(0);
+    let [w, x, y, z] = vectors.map(|row| row[largest]);
+    DQuat::from_xyzw(x, y, z, w).normalize()
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::RngExt;
+
+    use super::*;
+    use crate::capture::testing::assert_says;
+
+    const METRES_PER_UNIT: f64 = 3.7;
+
+    /// Cameras on a walk around a square of `size_m`, near Sydney, with noise of `noise_m` per axis and `wrong` positions elsewhere.
+    fn walk(photographs: usize, size_m: f64, noise_m: f64, wrong: usize) -> Vec<(DVec3, Gps)> {
+        let mut random = ChaCha8Rng::seed_from_u64(7);
+        let turn = DQuat::from_axis_angle(DVec3::new(1.0, -2.0, 0.5).normalize(), 2.1);
+        let mut noise = |size: f64| -> f64 {
+            // A sum of twelve uniform numbers is close to normal.
+            size * ((0..12).map(|_| random.random::<f64>()).sum::<f64>() - 6.0)
+        };
+        (0..photographs)
+            .map(|i| {
+                let angle = i as f64 / photographs as f64 * std::f64::consts::TAU;
+                let east_north_up =
+                    DVec3::new(0.5 * size_m * angle.cos(), 0.5 * size_m * angle.sin(), 2.0 + (5.0 * angle).sin());
+                let centre = turn * (east_north_up / METRES_PER_UNIT) + DVec3::new(4.0, -1.0, 2.0);
+                let [x, y, z] = (east_north_up + DVec3::new(noise(noise_m), noise(noise_m), noise(noise_m))).to_array();
+                let away = if i < wrong { 300.0 } else { 0.0 };
+                let latitude_deg = -33.857 + (y + away) / 110_909.0;
+                let longitude_deg = 151.215 + x / (111_320.0 * (33.857f64).to_radians().cos());
+                (centre, Gps { latitude_deg, longitude_deg, altitude_m: Some(z) })
+            })
+            .collect()
+    }
+
+    #[track_caller]
+    fn assert_scale(pairs: &[(DVec3, Gps)], within: f64) {
+        let scale = fitted(pairs, pairs.len()).unwrap();
+        assert!((scale.metres_per_unit / METRES_PER_UNIT - 1.0).abs() < within, "{scale:?}");
+    }
+
+    #[test]
+    fn cameras_fit_their_places() {
+        // The degree's length in metres above is rounded, and the Earth is not flat.
+        assert_scale(&walk(30, 80.0, 0.0, 0), 2e-3);
+        assert_scale(&walk(60, 80.0, 2.0, 0), 0.03);
+        assert_scale(&walk(4, 80.0, 0.0, 0), 2e-3);
+    }
+
+    #[test]
+    fn a_third_of_wrong_positions_changes_little() {
+        assert_scale(&walk(60, 80.0, 1.0, 20), 0.03);
+    }
+
+    #[test]
+    fn heights_are_left_out_unless_all_have_one() {
+        let mut pairs = walk(30, 80.0, 0.0, 0);
+        pairs[3].1.altitude_m = None;
+        // Without heights the cameras' own, of ±1 m, count as noise.
+        assert_scale(&pairs, 0.01);
+    }
+
+    #[test]
+    fn the_stated_deviation_is_that_of_the_noise() {
+        let scale = fitted(&walk(60, 80.0, 2.0, 0), 60).unwrap();
+        // σ / (radius · √n) = 2 / (40 · √60).
+        let expected = 2.0 / (40.0 * 60f64.sqrt());
+        let found = scale.relative_deviation.unwrap();
+        assert!((0.7..1.3).contains(&(found / expected)), "{found}, expected {expected}");
+    }
+
+    #[test]
+    fn noise_without_a_walk_is_refused() {
+        let message = fitted(&walk(20, 3.0, 5.0, 0), 20).unwrap_err().to_string();
+        assert_says(&message, &["20 photographs", "expected ±10%", "two marked points"]);
+        let at_one_place = walk(20, 0.0, 0.0, 0).iter().map(|&(_, gps)| (DVec3::ZERO, gps)).collect::<Vec<_>>();
+        assert!(fitted(&at_one_place, 20).is_err());
+        let message = fitted(&walk(3, 80.0, 0.0, 0), 9).unwrap_err().to_string();
+        assert_says(&message, &["3 of 9", "at least 4", "location"]);
+    }
+
+    #[test]
+    fn the_best_rotation_is_found() {
+        for rotation in [DQuat::IDENTITY, DQuat::from_rotation_x(3.0), DQuat::from_xyzw(0.5, -0.5, 0.5, -0.5)] {
+            let points = [DVec3::X, DVec3::new(0.2, 1.0, 0.0), DVec3::new(0.3, -0.1, 2.0)];
+            let products = points.iter().fold(DMat3::ZERO, |sum, &a| {
+                let b = rotation * a;
+                sum + DMat3::from_cols(b * a.x, b * a.y, b * a.z)
+            });
+            let found = best_rotation(products);
+            assert!(found.dot(rotation).abs() > 1.0 - 1e-12, "{found} is not {rotation}");
+        }
+    }
+}

@@ -1,0 +1,302 @@
+//! `splat reconstruct`, and what `splat train` does with photographs that have no cameras yet: runs the installed COLMAP.
+//!
+//! Stages: frames of a video ([`video`]), features, matches, models. Each is finished once (the private module `cache`), so that a second run
+//! skips it. The photographs are neither changed nor moved: the folder of the reconstruction holds links to them, and is a capture of its own.
+
+mod cache;
+mod failure;
+mod photographs;
+mod programs;
+mod scale;
+mod stage;
+mod stages;
+mod video;
+
+use std::collections::BTreeMap;
+use std::ffi::OsStr;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail, ensure};
+use clap::builder::RangedU64ValueParser;
+use serde::{Deserialize, Serialize};
+use splat_model::capture::unposed::PhotographFolder;
+use splat_model::capture::{Capture, CaptureError};
+
+use self::cache::{Ingredients, Stage, Workspace};
+use self::photographs::CameraModelName;
+use self::programs::{Colmap, Ffmpeg};
+use self::scale::ScaleFrom;
+use crate::progress::VoiceArgs;
+use crate::train::{OUT, Stop};
+use crate::{input, progress};
+
+pub use self::scale::said as scale_said;
+
+/// Folder of the reconstruction in the output folder of a run.
+pub const FOLDER: &str = "reconstruction";
+
+/// Options of `splat reconstruct`.
+#[derive(Clone, Debug, clap::Args)]
+pub struct ReconstructArgs {
+    /// Folder of photographs (JPEG, PNG), or a video
+    pub photographs: PathBuf,
+    /// Folder for the reconstruction, a capture that all subcommands read [default: out/NAME-reconstruction, after the photographs]
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Cameras.
+    #[command(flatten)]
+    pub cameras: CameraArgs,
+    /// Amount of output.
+    #[command(flatten)]
+    pub voice: VoiceArgs,
+}
+
+/// How cameras are found, and the size of the scene.
+#[derive(Clone, Debug, Default, clap::Args, Serialize, Deserialize)]
+pub struct CameraArgs {
+    /// Number of frames to use of a video: the sharpest of as many intervals [default: two for each second of 30 frames, 60 to 200]
+    #[arg(long, value_name = "N", value_parser = RangedU64ValueParser::<usize>::new().range(3..=2000))]
+    pub frames: Option<usize>,
+    /// COLMAP's camera model [default: OPENCV for 20 photographs of one camera or more, else SIMPLE_RADIAL]
+    #[arg(long, value_name = "MODEL", value_enum)]
+    #[serde(skip)]
+    pub camera_model: Option<CameraModelName>,
+    /// Size of the scene: `gps` (positions in EXIF), or two marked points and the metres between them, as in left,right=0.75. The scene's
+    /// file states the metres of a unit
+    #[arg(long, value_name = "WHAT")]
+    #[serde(with = "optional_text")]
+    pub scale_from: Option<ScaleFrom>,
+    /// File of marks for --scale-from, a line for each mark: NAME PHOTOGRAPH X Y, px from the upper left corner of the picture as
+    /// viewers show it; each point in at least two photographs [default: marks.txt beside the photographs]
+    #[arg(long, value_name = "FILE", requires = "scale_from")]
+    pub marks: Option<PathBuf>,
+}
+
+/// An optional value as its text.
+mod optional_text {
+    use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error};
+
+    use super::ScaleFrom;
+
+    pub fn serialize<S: Serializer>(value: &Option<ScaleFrom>, serializer: S) -> Result<S::Ok, S::Error> {
+        value.as_ref().map(ToString::to_string).serialize(serializer)
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<ScaleFrom>, D::Error> {
+        let text = Option::<String>::deserialize(deserializer)?;
+        text.map(|text| text.parse().map_err(D::Error::custom)).transpose()
+    }
+}
+
+impl CameraArgs {
+    /// What is left of these options once the cameras are known, for a run that may be resumed from another working directory.
+    pub fn from_anywhere(&self, source: &Path) -> Self {
+        let marks = self.marks.clone().unwrap_or_else(|| scale::marks_beside(source));
+        let marks = self.scale_from.is_some().then(|| std::path::absolute(&marks).unwrap_or(marks));
+        Self { marks, scale_from: self.scale_from.clone(), ..Self::default() }
+    }
+
+    /// Refuses options about finding cameras for a capture that has them.
+    ///
+    /// # Errors
+    /// If one is given.
+    pub fn check_for_capture(&self, folder: &Path) -> Result<()> {
+        let option = match self {
+            Self { frames: Some(_), .. } => "--frames",
+            Self { camera_model: Some(_), .. } => "--camera-model",
+            _ => return Ok(()),
+        };
+        bail!(
+            "`{option}` is for photographs or videos without cameras, and {} has cameras: leave it out",
+            folder.display()
+        )
+    }
+
+    /// Measures the size of a capture's unit, if that is asked for, and keeps it in a reconstruction of this program.
+    ///
+    /// # Errors
+    /// If it cannot be determined or written.
+    pub fn scale(&self, capture: &mut Capture) -> Result<()> {
+        if let Some(from) = &self.scale_from {
+            let marks = self.marks.clone().unwrap_or_else(|| scale::marks_beside(&capture.folder));
+            let scale = scale::measure(capture, from, &marks)?;
+            if is_in(&capture.folder) {
+                scale.save(&capture.folder)?;
+            }
+            capture.scale = Some(scale);
+        }
+        Ok(())
+    }
+}
+
+/// Reconstructs photographs, and says what was found.
+///
+/// # Errors
+/// As [`reconstruct`].
+pub fn run(args: &ReconstructArgs) -> Result<()> {
+    let source = &args.photographs;
+    ensure!(source.exists(), "there is nothing at {}: name a folder of photographs, or a video", source.display());
+    ensure!(
+        !source.is_dir() || !Capture::is_in(source),
+        "{} has cameras already: `splat train` reads it as it is",
+        source.display()
+    );
+    let folder = args.out.clone().unwrap_or_else(|| own_folder(source));
+    let mut capture = reconstruct(source, &folder, &args.cameras)?;
+    args.cameras.from_anywhere(source).scale(&mut capture)?;
+    progress::say(&format!("{}: train on it with `splat train {0}`", folder.display()));
+    Ok(())
+}
+
+/// Whether `splat train` is to reconstruct this first: a video, or a folder of photographs without cameras. A folder with a broken
+/// reconstruction is not.
+pub fn is_needed(source: &Path) -> bool {
+    let has_cameras = || Capture::is_in(source) || source.join(cache::SPARSE).exists();
+    let has_photographs =
+        || PhotographFolder::list(source).is_ok_and(|found| !found.names.is_empty() || !found.other.is_empty());
+    source.is_file() || (source.is_dir() && !has_cameras() && has_photographs())
+}
+
+/// Whether a folder is a reconstruction of this program.
+fn is_in(folder: &Path) -> bool {
+    folder.join(cache::STAMP).exists()
+}
+
+/// The folder of a reconstruction without `--out`: it serves every later run on the same photographs.
+pub fn own_folder(source: &Path) -> PathBuf {
+    let name = name_of(source);
+    let source = std::path::absolute(source).unwrap_or_else(|_| source.to_owned());
+    cache::own_folder(Path::new(OUT), &format!("{name}-{FOLDER}"), &source)
+}
+
+/// The name of photographs, a video, or what was reconstructed from them, for folders.
+pub fn name_of(source: &Path) -> String {
+    // The name of `..` is the name of the folder that it leads to.
+    let named =
+        if source.file_name().is_none() { source.canonicalize().unwrap_or_default() } else { source.to_owned() };
+    let name = if source.is_file() { named.file_stem() } else { named.file_name() };
+    let name = name.unwrap_or(OsStr::new("capture")).to_string_lossy().into_owned();
+    match name.strip_suffix(&format!("-{FOLDER}")) {
+        Some(short) if is_in(source) => short.to_owned(),
+        _ => name,
+    }
+}
+
+/// Finds the cameras of photographs or a video, and returns the capture in `folder`.
+///
+/// # Errors
+/// If a program is missing or fails, photographs are too few, broken or do not connect, or the user asked to stop; each message says what was found
+/// and what helps.
+pub fn reconstruct(source: &Path, folder: &Path, options: &CameraArgs) -> Result<Capture> {
+    let stop = Stop::listen()?;
+    let is_video = source.is_file();
+    ensure!(
+        is_video || options.frames.is_none(),
+        "`--frames` is for a video, and {} is a folder: leave it out",
+        source.display()
+    );
+    let listed = if is_video { None } else { Some(PhotographFolder::list(source)?) };
+    // Before anything is written.
+    if let Some(listed) = &listed {
+        failure::check_number(listed)?;
+    }
+    let ingredients = ingredients(source, listed.as_ref(), options)?;
+    let programs = match Workspace::is_finished(folder, &ingredients) {
+        true => None,
+        false => Some((Colmap::find()?, is_video.then(Ffmpeg::find).transpose()?)),
+    };
+    let mut workspace = Workspace::open(folder, ingredients)?;
+    if let Some((colmap, ffmpeg)) = programs {
+        progress::note(&format!(
+            "{}: finding the cameras with COLMAP {} on the CPU; all that it prints is in {}",
+            source.display(),
+            colmap.version,
+            workspace.join(cache::LOG).display()
+        ));
+        let photographs = match &listed {
+            Some(listed) => {
+                note_others(listed);
+                let photographs = photographs::look(listed)?;
+                photographs::link(&workspace, source, listed)?;
+                photographs
+            }
+            None => {
+                if let Some(ffmpeg) = ffmpeg.filter(|_| !workspace.has(Stage::Frames)) {
+                    let frames = video::extract(&workspace, (&ffmpeg, source), options.frames, &stop)?;
+                    progress::note(&format!("{frames} frames of {}", source.display()));
+                    workspace.finish(Stage::Frames)?;
+                }
+                photographs::look(&PhotographFolder::list(folder)?)?
+            }
+        };
+        stages::run(&mut workspace, (&colmap, &stop), &photographs, (is_video, options.camera_model))?;
+        workspace.finish(Stage::Model)?;
+    }
+    if let Some(listed) = &listed {
+        // The photographs may have been moved since the links were made.
+        photographs::link(&workspace, source, listed)?;
+    }
+    let capture = input::capture(folder)?;
+    report(&workspace, &capture)?;
+    Ok(capture)
+}
+
+fn ingredients(source: &Path, listed: Option<&PhotographFolder>, options: &CameraArgs) -> Result<Ingredients> {
+    let bytes = |path: &Path| {
+        let metadata = fs::metadata(path).with_context(|| format!("cannot read the size of {}", path.display()))?;
+        Ok::<u64, anyhow::Error>(metadata.len())
+    };
+    let files: Result<BTreeMap<String, u64>> = match listed {
+        Some(listed) => listed.names.iter().map(|name| Ok((name.clone(), bytes(&listed.path(name))?))).collect(),
+        None => Ok([(name_of(source), bytes(source)?)].into()),
+    };
+    let frames = options.frames.map(|frames| ("frames".to_string(), frames.to_string()));
+    let model = options.camera_model.map(|model| ("camera_model".to_string(), model.name().to_string()));
+    let source = std::path::absolute(source).unwrap_or_else(|_| source.to_owned());
+    Ok(Ingredients { source, files: files?, options: frames.into_iter().chain(model).collect() })
+}
+
+fn note_others(listed: &PhotographFolder) {
+    if !listed.other.is_empty() {
+        let others: Vec<String> = listed.other.iter().map(|(kind, count)| format!("{count} .{kind}")).collect();
+        progress::note(&format!(
+            "not used, because only JPEG and PNG are read: {} (convert them first)",
+            others.join(", ")
+        ));
+    }
+}
+
+/// Says how many photographs were placed, and how well.
+fn report(workspace: &Workspace, capture: &Capture) -> Result<()> {
+    let all = PhotographFolder::list(workspace.folder())?.names;
+    let placed: std::collections::BTreeSet<&str> = capture.views.iter().map(|view| view.name.as_str()).collect();
+    let missing: Vec<String> = all.iter().filter(|name| !placed.contains(name.as_str())).cloned().collect();
+    let points = capture.points.positions.len();
+    let errors = (0..points).filter_map(|point| capture.tracks.stated_error_px(point)).map(f64::from);
+    let (sum, count) = errors.fold((0.0, 0), |(sum, count), error| (sum + error, count + 1));
+    let error =
+        if count > 0 { format!(", mean reprojection error {:.2} px", sum / f64::from(count)) } else { String::new() };
+    progress::note(&format!(
+        "{}: {} of {} photographs placed, {points} points{error}",
+        workspace.folder().display(),
+        placed.len(),
+        all.len()
+    ));
+    let models = fs::read_dir(workspace.join(cache::SPARSE)).map_or(1, Iterator::count);
+    if let Some(said) = failure::not_placed(all.len(), &missing, models) {
+        progress::note(&said);
+    }
+    Ok(())
+}
+
+/// The error of a folder of photographs, for subcommands that need cameras.
+pub fn advice(folder: &Path, error: CaptureError) -> anyhow::Error {
+    match is_needed(folder) {
+        true => anyhow::Error::from(error).context(format!(
+            "{} holds photographs whose cameras are unknown: find them with `splat reconstruct {0}`",
+            folder.display()
+        )),
+        false => error.into(),
+    }
+}

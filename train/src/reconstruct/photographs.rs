@@ -1,0 +1,183 @@
+//! The photographs of a reconstruction: which are used, where COLMAP finds them, and which share a camera.
+
+use std::fs;
+use std::io;
+use std::path::Path;
+
+use anyhow::{Context, Result};
+use clap::ValueEnum;
+use splat_model::capture::unposed::{PhotographFolder, SameCamera, Unposed, by_camera};
+
+use super::cache::{IMAGES, MASKS, Workspace};
+use super::failure;
+use crate::progress;
+
+/// Fewest photographs of one camera whose lens has two coefficients of each kind and two focal lengths. With fewer, one focal length and one
+/// coefficient are better determined.
+const MANY: usize = 20;
+
+/// Most cameras that are told apart. Photographs of more, as from the internet, are left to COLMAP, which reads the same EXIF.
+const MOST_CAMERAS: usize = 8;
+
+/// COLMAP's camera models that the projection supports without undistortion.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+#[value(rename_all = "verbatim")]
+#[expect(non_camel_case_types, reason = "COLMAP's names")]
+pub enum CameraModelName {
+    /// One focal length
+    SIMPLE_PINHOLE,
+    /// Two focal lengths
+    PINHOLE,
+    /// One focal length, one radial coefficient
+    SIMPLE_RADIAL,
+    /// One focal length, two radial coefficients
+    RADIAL,
+    /// Two focal lengths, two radial and two decentring coefficients: phones and most lenses
+    OPENCV,
+    /// Fisheyes: two focal lengths, four coefficients
+    OPENCV_FISHEYE,
+}
+
+impl CameraModelName {
+    /// COLMAP's name.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::SIMPLE_PINHOLE => "SIMPLE_PINHOLE",
+            Self::PINHOLE => "PINHOLE",
+            Self::SIMPLE_RADIAL => "SIMPLE_RADIAL",
+            Self::RADIAL => "RADIAL",
+            Self::OPENCV => "OPENCV",
+            Self::OPENCV_FISHEYE => "OPENCV_FISHEYE",
+        }
+    }
+
+    /// Parameters of a camera without distortion: focal lengths, the middle, zeros.
+    fn parameters(self, focal_px: f64, [width, height]: [usize; 2]) -> String {
+        let (focal_lengths, coefficients) = match self {
+            Self::SIMPLE_PINHOLE => (1, 0),
+            Self::PINHOLE => (2, 0),
+            Self::SIMPLE_RADIAL => (1, 1),
+            Self::RADIAL => (1, 2),
+            Self::OPENCV | Self::OPENCV_FISHEYE => (2, 4),
+        };
+        let mut numbers = vec![format!("{focal_px:.3}"); focal_lengths];
+        numbers.extend([width, height].map(|side| format!("{:.1}", side as f64 / 2.0)));
+        numbers.extend(vec!["0".to_string(); coefficients]);
+        numbers.join(",")
+    }
+}
+
+/// One call of `feature_extractor`.
+pub struct Extraction {
+    /// Photographs, by name; all of them if there is one call.
+    pub names: Vec<String>,
+    /// Options that describe their camera.
+    pub arguments: Vec<String>,
+}
+
+/// Looks at all photographs, and says how they are left to COLMAP.
+///
+/// # Errors
+/// If one cannot be decoded, or they are too few or all the same.
+pub fn look(folder: &PhotographFolder) -> Result<Vec<Unposed>> {
+    failure::check_number(folder)?;
+    let counter = progress::counter("looking at photographs", folder.names.len());
+    let photographs = folder.look(|done| counter.inc(done));
+    counter.finish_and_clear();
+    let photographs = photographs?;
+    failure::check_different(&photographs, &folder.root)?;
+    Ok(photographs)
+}
+
+/// Groups photographs by camera: one call of `feature_extractor` for each.
+pub fn extractions(photographs: &[Unposed], model: Option<CameraModelName>) -> Vec<Extraction> {
+    let cameras = by_camera(photographs);
+    let of = |camera: &SameCamera| {
+        let few = if camera.members.len() < MANY { CameraModelName::SIMPLE_RADIAL } else { CameraModelName::OPENCV };
+        let model = model.unwrap_or(few);
+        let mut arguments = vec!["--ImageReader.camera_model".into(), model.name().into()];
+        arguments.extend(["--ImageReader.single_camera".into(), "1".into()]);
+        let focal = camera.focal_px.map_or("unknown".into(), |focal_px| format!("{focal_px:.0} px by EXIF"));
+        if let Some(focal_px) = camera.focal_px {
+            arguments.extend(["--ImageReader.camera_params".into(), model.parameters(focal_px, camera.size)]);
+        }
+        let ([width, height], taken) = (camera.size, camera.members.len());
+        progress::note(&format!(
+            "{taken} photographs of {width} × {height} px share one camera: {}, focal length {focal}",
+            model.name()
+        ));
+        let names = camera.members.iter().map(|&member| photographs[member].name.clone()).collect();
+        Extraction { names, arguments }
+    };
+    if cameras.len() <= MOST_CAMERAS {
+        return cameras.iter().map(of).collect();
+    }
+    let model = model.unwrap_or(CameraModelName::SIMPLE_RADIAL).name();
+    progress::note(&format!("photographs of {} cameras: each has its own {model}", cameras.len()));
+    let names = photographs.iter().map(|photograph| photograph.name.clone()).collect();
+    vec![Extraction { names, arguments: vec!["--ImageReader.camera_model".into(), model.into()] }]
+}
+
+/// Makes `images/` in the workspace: links to the photographs, which are neither changed nor moved, or copies where the system has no
+/// links. Masks beside the photographs are linked too.
+///
+/// # Errors
+/// If a link or copy cannot be made.
+pub fn link(workspace: &Workspace, source: &Path, folder: &PhotographFolder) -> Result<()> {
+    workspace.clear(&[IMAGES, MASKS])?;
+    let images = workspace.join(IMAGES);
+    let root = std::path::absolute(&folder.root)?;
+    for name in &folder.names {
+        let (from, to) = (root.join(name), images.join(name));
+        let parent = to.parent().unwrap_or(&images);
+        fs::create_dir_all(parent)
+            .and_then(|()| link_or_copy(&from, &to))
+            .with_context(|| format!("cannot make a link or a copy of {} in {}", from.display(), parent.display()))?;
+    }
+    for name in ["masks", "mask"] {
+        let masks = std::path::absolute(source)?.join(name);
+        // Without links masks stay where they are, and training does without them.
+        if masks.is_dir() && link_folder(&masks, &workspace.join(MASKS)).is_ok() {
+            break;
+        }
+    }
+    Ok(())
+}
+
+fn link_or_copy(from: &Path, to: &Path) -> io::Result<()> {
+    #[cfg(unix)]
+    if std::os::unix::fs::symlink(from, to).is_ok() {
+        return Ok(());
+    }
+    fs::hard_link(from, to).or_else(|_| fs::copy(from, to).map(drop))
+}
+
+#[cfg(unix)]
+fn link_folder(from: &Path, to: &Path) -> io::Result<()> {
+    std::os::unix::fs::symlink(from, to)
+}
+
+#[cfg(not(unix))]
+fn link_folder(_: &Path, _: &Path) -> io::Result<()> {
+    Err(io::ErrorKind::Unsupported.into())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_camera_starts_with_its_focal_length_in_the_middle() {
+        let of = |model: CameraModelName| model.parameters(900.5, [640, 481]);
+        assert_eq!(of(CameraModelName::SIMPLE_PINHOLE), "900.500,320.0,240.5");
+        assert_eq!(of(CameraModelName::SIMPLE_RADIAL), "900.500,320.0,240.5,0");
+        assert_eq!(of(CameraModelName::OPENCV), "900.500,900.500,320.0,240.5,0,0,0,0");
+    }
+
+    #[test]
+    fn names_are_those_of_the_command_line() {
+        for model in CameraModelName::value_variants() {
+            assert_eq!(model.to_possible_value().unwrap().get_name(), model.name());
+        }
+    }
+}

@@ -1,0 +1,273 @@
+//! COLMAP's stages: features, matches, models.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::io::Write;
+use std::path::Path;
+use std::process::Command;
+
+use anyhow::{Context, Result};
+use splat_model::capture::photographs_in;
+use splat_model::capture::unposed::Unposed;
+
+use super::cache::{DATABASE, DATABASE_FILES, IMAGES, LISTS, LOG, SPARSE, SPARSE_PARTIAL, Stage, Workspace};
+use super::photographs::{CameraModelName, extractions};
+use super::programs::Colmap;
+use super::{failure, stage};
+use crate::progress::{self, Counted};
+use crate::train::Stop;
+
+/// Most photographs of which every pair is compared: 79,800 pairs, hours on a CPU.
+const EXHAUSTIVE: usize = 400;
+
+/// Photographs of a block of exhaustive matching, at most: the progress is that of blocks.
+const BLOCK: usize = 25;
+
+/// Neighbours in order of name that are compared with each photograph, where not all pairs are. The same again at distances of powers
+/// of two.
+const OVERLAP: usize = 20;
+
+/// Share of the photographs that the global mapper has to place. Below it the incremental one is tried too.
+const ENOUGH: f64 = 0.8;
+
+/// Runs the stages that are not finished.
+///
+/// # Errors
+/// If COLMAP fails or finds no model, or the user asks to stop.
+pub fn run(
+    workspace: &mut Workspace,
+    (colmap, stop): (&Colmap, &Stop),
+    photographs: &[Unposed],
+    (is_video, model): (bool, Option<CameraModelName>),
+) -> Result<()> {
+    let runner = Runner { colmap, stop };
+    if !workspace.has(Stage::Features) {
+        // Half of the features would have other cameras than the rest.
+        workspace.clear(&DATABASE_FILES)?;
+        let features = runner.features(workspace, photographs, model)?;
+        workspace.set_features(features);
+        workspace.finish(Stage::Features)?;
+    }
+    if !workspace.has(Stage::Matches) {
+        runner.matches(workspace, photographs.len(), is_video)?;
+        workspace.finish(Stage::Matches)?;
+    }
+    runner.models(workspace, photographs.len())
+}
+
+struct Runner<'a> {
+    colmap: &'a Colmap,
+    stop: &'a Stop,
+}
+
+impl Runner<'_> {
+    /// Runs a command to its end. Returns an error unless it succeeds.
+    fn succeed(&self, workspace: &Workspace, command: Command, doing: &str, line: impl FnMut(&str)) -> Result<()> {
+        let during = format!("while COLMAP was {doing}");
+        let ended = stage::run(command, (self.stop, &during), &mut workspace.log()?, line)?;
+        match ended.status.success() {
+            true => Ok(()),
+            false => Err(failure::ended("COLMAP", doing, &ended, &workspace.join(LOG))),
+        }
+    }
+
+    /// Extracts features, and returns their number by photograph.
+    fn features(
+        &self,
+        workspace: &Workspace,
+        photographs: &[Unposed],
+        model: Option<CameraModelName>,
+    ) -> Result<BTreeMap<String, u64>> {
+        let options = self.colmap.options("feature_extractor")?;
+        let on_gpu = options.first(&["FeatureExtraction.use_gpu", "SiftExtraction.use_gpu"]);
+        let mut features = BTreeMap::new();
+        let mut counted = Counted::new("features", Some(photographs.len()));
+        let extractions = extractions(photographs, model);
+        for (i, extraction) in extractions.iter().enumerate() {
+            let list = workspace.join(LISTS).join(format!("{i}.txt"));
+            write_list(&list, &extraction.names)?;
+            let mut command = with_paths(Colmap::command("feature_extractor"), workspace, true);
+            command.arg("--image_list_path").arg(&list).args(&extraction.arguments);
+            command.args(on_gpu.map(|name| [format!("--{name}"), "0".into()]).into_iter().flatten());
+            let mut of = String::new();
+            self.succeed(workspace, command, "finding features", |line| match field(line) {
+                Some(("Name", name)) => of = name.to_owned(),
+                Some(("Features", count)) => {
+                    let count = count.split_whitespace().next().and_then(|count| count.parse().ok());
+                    features.extend(count.map(|count| (of.clone(), count)));
+                    counted.set(features.len());
+                }
+                _ => {}
+            })?;
+        }
+        counted.finish();
+        let unread: Vec<&str> = photographs
+            .iter()
+            .map(|photograph| photograph.name.as_str())
+            .filter(|name| !features.contains_key(*name))
+            .collect();
+        if !unread.is_empty() && !features.is_empty() {
+            progress::note(&format!(
+                "COLMAP read no features in {} photographs, {} for one: save them as ordinary JPEG with 8 bits",
+                unread.len(),
+                unread[0]
+            ));
+        }
+        Ok(features)
+    }
+
+    /// Matches photographs. COLMAP skips pairs that are in the database already.
+    fn matches(&self, workspace: &Workspace, photographs: usize, is_video: bool) -> Result<()> {
+        let near = OVERLAP.to_string();
+        let few = photographs <= EXHAUSTIVE;
+        let (name, arguments): (&str, Vec<[&str; 2]>) = match (is_video, few) {
+            (false, true) => ("exhaustive_matcher", vec![]),
+            _ => ("sequential_matcher", vec![["SequentialMatching.overlap", &near]]),
+        };
+        progress::note(&match (is_video, few) {
+            (false, true) => format!("matching all pairs of {photographs} photographs"),
+            (true, _) => {
+                format!("matching each of {photographs} frames with the {near} that follow it, and some further on")
+            }
+            (false, false) => format!(
+                "matching each of {photographs} photographs with the {near} that follow it by name and some further on, then those that match \
+                 the same: all pairs are compared up to {EXHAUSTIVE}"
+            ),
+        });
+        self.matcher(workspace, name, photographs, &arguments)?;
+        if !is_video && !few && self.colmap.has("transitive_matcher") {
+            self.matcher(workspace, "transitive_matcher", photographs, &[])?;
+        }
+        Ok(())
+    }
+
+    fn matcher(&self, workspace: &Workspace, name: &str, photographs: usize, arguments: &[[&str; 2]]) -> Result<()> {
+        let options = self.colmap.options(name)?;
+        let mut command = with_paths(Colmap::command(name), workspace, false);
+        let on_gpu = options.first(&["FeatureMatching.use_gpu", "SiftMatching.use_gpu"]).map(|name| [name, "0"]);
+        let block = photographs.div_ceil(4).clamp(2, BLOCK).to_string();
+        let block = options.first(&["ExhaustiveMatching.block_size"]).map(|name| [name, block.as_str()]);
+        for [name, value] in arguments.iter().copied().chain(on_gpu).chain(block) {
+            command.arg(format!("--{name}")).arg(value);
+        }
+        let mut counted = Counted::new("matching", None);
+        self.succeed(workspace, command, "matching photographs", |line| {
+            if let Some((done, all)) = matched(line) {
+                counted.set_of(done, all);
+            }
+        })?;
+        counted.finish();
+        Ok(())
+    }
+
+    /// Makes models in `sparse/`.
+    fn models(&self, workspace: &Workspace, photographs: usize) -> Result<()> {
+        let global = self.colmap.has("global_mapper");
+        let mut most = 0;
+        for mapper in if global { &["global_mapper", "mapper"][..] } else { &["mapper"] } {
+            if most as f64 >= ENOUGH * photographs as f64 {
+                break;
+            }
+            if *mapper == "mapper" && global {
+                progress::note(&format!(
+                    "the global mapper placed {most} of {photographs} photographs: trying the incremental one"
+                ));
+            }
+            let partial = workspace.join(SPARSE_PARTIAL);
+            workspace.clear(&[SPARSE_PARTIAL])?;
+            fs::create_dir_all(&partial).with_context(|| format!("cannot make {}", partial.display()))?;
+            let mut command = with_paths(Colmap::command(mapper), workspace, true);
+            command.arg("--output_path").arg(&partial);
+            let mut counted = Counted::new("placing", Some(photographs));
+            let during = "while COLMAP was placing photographs";
+            let ended = stage::run(command, (self.stop, during), &mut workspace.log()?, |line| {
+                if let Some(placed) = registered(line) {
+                    counted.set(placed);
+                }
+            })?;
+            counted.finish();
+            let placed = placed(&partial);
+            // COLMAP fails where it makes no model, and says why in words that only its authors know.
+            let crashed = ended.signal().is_some();
+            if placed == 0 && crashed && *mapper == "mapper" && most == 0 {
+                return Err(failure::ended("COLMAP", "placing photographs", &ended, &workspace.join(LOG)));
+            }
+            if placed > most {
+                most = placed;
+                workspace.clear(&[SPARSE])?;
+                fs::rename(&partial, workspace.join(SPARSE)).context("cannot rename the folder of models")?;
+            }
+        }
+        workspace.clear(&[SPARSE_PARTIAL, LISTS])?;
+        match most {
+            0 => Err(failure::no_model(photographs, workspace.features(), &workspace.join(LOG))),
+            _ => Ok(()),
+        }
+    }
+}
+
+/// The number of photographs in the largest of the models in a folder.
+fn placed(models: &Path) -> usize {
+    let count = |model: &Path| photographs_in(model).unwrap_or(0);
+    let folders = fs::read_dir(models).into_iter().flatten().flatten();
+    folders.map(|entry| count(&entry.path())).max().unwrap_or(0)
+}
+
+fn with_paths(mut command: Command, workspace: &Workspace, images: bool) -> Command {
+    command.arg("--database_path").arg(workspace.join(DATABASE));
+    if images {
+        command.arg("--image_path").arg(workspace.join(IMAGES));
+    }
+    command
+}
+
+fn write_list(file: &Path, names: &[String]) -> Result<()> {
+    crate::output::write(file, |out| names.iter().try_for_each(|name| Ok(writeln!(out, "{name}")?)))
+}
+
+/// `Name: value` in a line, after whatever a log puts before it.
+fn field(line: &str) -> Option<(&str, &str)> {
+    let (before, value) = line.split_once(": ")?;
+    let name = before.split_whitespace().next_back()?;
+    Some((name, value.trim()))
+}
+
+/// The blocks or photographs that are matched, of how many: `Matching block [2/5, 1/5]`, `Matching image [7/50]`.
+fn matched(line: &str) -> Option<(usize, usize)> {
+    let inside = line.split_once("[")?.1.split_once(']')?.0;
+    let pairs: Vec<(usize, usize)> = inside
+        .split(',')
+        .map(|pair| pair.trim().split_once('/').and_then(|(a, b)| Some((a.parse().ok()?, b.parse().ok()?))))
+        .collect::<Option<_>>()?;
+    match pairs.as_slice() {
+        &[(done, all)] => Some((done, all)),
+        &[(row, rows), (column, columns)] => Some((row.checked_sub(1)? * columns + column, rows * columns)),
+        _ => None,
+    }
+}
+
+/// The number of placed photographs in a line of the mapper: `Registering image #19 (3)`, or since 3.12 `(num_reg_frames=3)`.
+fn registered(line: &str) -> Option<usize> {
+    let inside = line.split_once("Registering image #")?.1.split_once('(')?.1.split_once(')')?.0;
+    inside.rsplit('=').next()?.parse().ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lines_of_several_versions() {
+        assert_eq!(field("  Name:            a b.jpg"), Some(("Name", "a b.jpg")));
+        let logged = "I20260315 10:00:00.000001 77 feature_extraction.cc:300]   Features:        1250 (SIFT)";
+        assert_eq!(field(logged), Some(("Features", "1250 (SIFT)")));
+        assert_eq!(field("Elapsed time"), None);
+        assert_eq!(matched("Matching block [2/3, 1/3] in 2.1s"), Some((4, 9)));
+        assert_eq!(matched("I2026 pairing.cc:1] Processing image [7/50]"), Some((7, 50)));
+        assert_eq!(matched("  Residuals : 372 [px]"), None);
+        assert_eq!(matched("[0/0, 0/0]"), None);
+        assert_eq!(registered("Registering image #19 (3)"), Some(3));
+        assert_eq!(registered("I2026 x.cc:1] Registering image #19 (num_reg_frames=12)"), Some(12));
+        assert_eq!(registered("  => Image sees 185 / 1112 points"), None);
+    }
+}

@@ -1,0 +1,398 @@
+//! From photographs alone to a scene. Most tests have a script in COLMAP's place (`colmap.sh`). Tests with the installed COLMAP and ffmpeg
+//! say so and pass where these are missing; with `SPLAT_COLMAP=require` they fail.
+
+use std::env;
+use std::fs;
+use std::io::Write;
+use std::os::unix::fs::PermissionsExt;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::thread::sleep;
+use std::time::{Duration, Instant};
+
+use image::{ImageEncoder, RgbImage};
+use splat_model::capture::{Capture, View, write_binary};
+use splat_model::formats;
+use tempfile::TempDir;
+
+use crate::run::{DEMO, Ended, TRAIN, TRAINED, end, refuse, splat, succeed};
+use crate::{files, json, text};
+
+/// Photographs without cameras, and a script in COLMAP's place.
+struct Alone {
+    folder: TempDir,
+}
+
+impl Alone {
+    /// The demo's photographs; the script finds the demo's cameras.
+    fn new() -> Self {
+        let alone = Self { folder: tempfile::tempdir().unwrap() };
+        let script = alone.path("bin/colmap");
+        for folder in ["photos", "bin", "models"] {
+            fs::create_dir(alone.path(folder)).unwrap();
+        }
+        fs::write(&script, include_str!("colmap.sh")).unwrap();
+        fs::set_permissions(&script, fs::Permissions::from_mode(0o755)).unwrap();
+        for entry in fs::read_dir(DEMO.join("images")).unwrap().map(Result::unwrap) {
+            fs::copy(entry.path(), alone.path("photos").join(entry.file_name())).unwrap();
+        }
+        copy_model(&DEMO.join("sparse/0"), &alone.path("models/0"));
+        alone
+    }
+
+    /// Models of the demo's first photographs: as many as each number says.
+    fn with_models(sizes: &[usize]) -> Self {
+        let alone = Self::new();
+        let capture = Capture::load(DEMO.as_path()).unwrap();
+        fs::remove_dir_all(alone.path("models/0")).unwrap();
+        for (i, &size) in sizes.iter().enumerate() {
+            let folder = tempfile::tempdir().unwrap();
+            let views: Vec<View> = capture.views[..size].to_vec();
+            write_binary(folder.path(), &views, &capture.points).unwrap();
+            copy_model(&folder.path().join("sparse/0"), &alone.path(&format!("models/{i}")));
+        }
+        alone
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    /// A command that finds no other COLMAP and no ffmpeg.
+    fn splat(&self, fake: &str, arguments: &[&str]) -> Command {
+        let mut command = splat(arguments);
+        command.env("PATH", self.path("bin")).env("FAKE", fake).env("FAKE_MODELS", self.path("models"));
+        command.env("FAKE_LOG", self.path("calls")).current_dir(self.folder.path());
+        command
+    }
+
+    fn reconstruct(&self, fake: &str) -> Command {
+        self.splat(fake, &["reconstruct", "photos", "--out", "made"])
+    }
+
+    /// The commands that the script was called with, in order, without questions for help.
+    fn calls(&self) -> Vec<String> {
+        let text = fs::read_to_string(self.path("calls")).unwrap_or_default();
+        text.lines().filter(|line| *line != "help" && !line.ends_with(" -h")).map(str::to_owned).collect()
+    }
+
+    fn called(&self) -> Vec<String> {
+        self.calls().iter().map(|line| line.split(' ').next().unwrap().to_owned()).collect()
+    }
+}
+
+fn copy_model(from: &Path, to: &Path) {
+    fs::create_dir_all(to).unwrap();
+    for entry in fs::read_dir(from).unwrap().map(Result::unwrap) {
+        fs::copy(entry.path(), to.join(entry.file_name())).unwrap();
+    }
+}
+
+const ALL: [&str; 3] = ["feature_extractor", "exhaustive_matcher", "mapper"];
+
+#[test]
+fn photographs_alone_become_the_scene_that_their_cameras_give() {
+    let alone = Alone::new();
+    let before = files(&alone.path("photos"));
+    let train = [&TRAIN[..], &["photos", "--out", "out"]].concat();
+    let said = succeed(&mut alone.splat("ok", &train)).stderr;
+    for part in ["COLMAP 3.8", "share one camera: SIMPLE_RADIAL", "8 of 8 photographs placed", "all pairs of 8"] {
+        assert!(said.contains(part), "{part}: {said}");
+    }
+    let scene = |out: &Path| fs::read(out.join("scene.ply")).unwrap();
+    assert!(scene(&alone.path("out")) == scene(&TRAINED), "the cameras are the demo's, and so the scene is");
+    assert_eq!(files(&alone.path("photos")), before);
+    assert_eq!(alone.called(), ALL);
+    let calls = alone.calls();
+    assert!(calls[0].contains("--SiftExtraction.use_gpu 0") && calls[0].contains("single_camera 1"), "{calls:?}");
+    assert!(calls[1].contains("--SiftMatching.use_gpu 0"), "{calls:?}");
+    // What is finished serves the next run, and is a capture of its own.
+    succeed(&mut alone.splat("ok", &train));
+    assert_eq!(alone.called(), ALL);
+    let scene = alone.path("out/scene.ply");
+    succeed(&mut alone.splat("ok", &["eval", "out/reconstruction", "--scene", text(&scene), "--out", "scores"]));
+    assert_eq!(json(&alone.path("scores/metrics.json"))["test"]["views"][0]["name"], "0000.png");
+}
+
+#[test]
+fn without_out_later_runs_share_one_reconstruction() {
+    let alone = Alone::new();
+    let train = [&TRAIN[..], &["photos"]].concat();
+    succeed(&mut alone.splat("ok", &train));
+    succeed(&mut alone.splat("ok", &train));
+    succeed(&mut alone.splat("ok", &["reconstruct", "photos"]));
+    assert_eq!(alone.called(), ALL);
+    let made = |name: &str| alone.path("out").join(name).is_dir();
+    assert!(made("photos") && made("photos-2") && made("photos-reconstruction") && !made("photos-reconstruction-2"));
+    // Another photograph changes what the reconstruction is made of.
+    fs::copy(alone.path("photos/0000.png"), alone.path("photos/more.png")).unwrap();
+    let said = succeed(&mut alone.splat("ok", &["reconstruct", "photos"])).stderr;
+    assert!(said.contains("have changed") && said.contains("8 of 9") && said.contains("Not used: more.png"), "{said}");
+    assert_eq!(alone.called(), [ALL, ALL].concat());
+}
+
+#[test]
+fn a_stopped_reconstruction_goes_on_after_its_finished_stages() {
+    let alone = Alone::new();
+    let child = alone.reconstruct("slow").stderr(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
+    let begun = Instant::now();
+    while alone.called().last().map(String::as_str) != Some("mapper") {
+        assert!(begun.elapsed() < Duration::from_secs(60), "{:?}", alone.called());
+        sleep(Duration::from_millis(20));
+    }
+    succeed_kill(child.id());
+    let output = child.wait_with_output().unwrap();
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(130), "{said}");
+    assert!(said.contains("Ctrl-C") && said.contains("the same command goes on"), "{said}");
+    assert!(begun.elapsed() < Duration::from_secs(50), "the script's minute is not waited for");
+    let said = succeed(&mut alone.reconstruct("ok")).stderr;
+    assert!(said.contains("going on after"), "{said}");
+    assert_eq!(alone.called(), [&ALL[..], &["mapper"]].concat());
+}
+
+fn succeed_kill(process: u32) {
+    assert!(Command::new("kill").args(["-INT", &process.to_string()]).status().unwrap().success());
+}
+
+#[test]
+fn version_4_has_other_options_and_a_global_mapper() {
+    let alone = Alone::new();
+    succeed(&mut alone.reconstruct("version4"));
+    assert_eq!(alone.called(), ["feature_extractor", "exhaustive_matcher", "global_mapper"]);
+    let calls = alone.calls();
+    assert!(calls[0].contains("--FeatureExtraction.use_gpu 0"), "{calls:?}");
+    assert!(calls[1].contains("--FeatureMatching.use_gpu 0"), "{calls:?}");
+    let features = json(&alone.path("made/reconstruction.json"))["features"].clone();
+    assert_eq!((features["0000.png"].clone(), features.as_object().unwrap().len()), (1250.into(), 8));
+    // Where the global mapper places few, the incremental one is tried, and the better result is kept.
+    let alone = Alone::with_models(&[8, 4]);
+    let said = succeed(&mut alone.reconstruct("version4-poor")).stderr;
+    assert!(said.contains("placed 4 of 8") && said.contains("8 of 8 photographs placed"), "{said}");
+}
+
+#[test]
+fn of_several_models_the_largest_is_kept_and_the_rest_is_named() {
+    let alone = Alone::with_models(&[2, 5]);
+    let said = succeed(&mut alone.reconstruct("ok")).stderr;
+    let parts = ["sparse/1, the largest", "5 of 8 photographs were placed", "2 parts", "0005.png", "two thirds"];
+    for part in parts {
+        assert!(said.contains(part), "{part}: {said}");
+    }
+    assert!(!said.contains("less than half"), "{said}");
+    let alone = Alone::with_models(&[3]);
+    let said = succeed(&mut alone.reconstruct("ok")).stderr;
+    assert!(said.contains("less than half: 3 of 8"), "{said}");
+}
+
+#[test]
+fn every_failure_says_what_was_found_and_what_helps() {
+    let cases: [(&str, &[&str]); 6] = [
+        ("bare", &["no cameras for the 8 photographs", "8 of them have fewer than 100 features", "more light"]),
+        ("apart", &["no cameras for the 8 photographs", "median 1250", "from different sides", "two thirds"]),
+        ("crash", &["COLMAP crashed (signal 11)", "finding features", "*** Aborted", "reconstruction.log"]),
+        ("killed", &["COLMAP was killed", "memory", "smaller photographs", "reconstruction.log"]),
+        ("full", &["COLMAP failed (exit status: 1)", "matching", "database or disk is full"]),
+        ("stranger", &["`colmap help`", "column: a program", "on the PATH"]),
+    ];
+    for (fake, parts) in cases {
+        refuse(&mut Alone::new().reconstruct(fake), parts);
+    }
+    let alone = Alone::new();
+    fs::remove_file(alone.path("bin/colmap")).unwrap();
+    refuse(&mut alone.reconstruct("ok"), &["COLMAP", "not installed", "apt install colmap", "brew", "sparse/0/"]);
+    // The log keeps what is not shown.
+    let alone = Alone::new();
+    refuse(&mut alone.reconstruct("full"), &[]);
+    let log = fs::read_to_string(alone.path("made/reconstruction.log")).unwrap();
+    assert!(log.contains("$ ") && log.contains("Matching block [1/1, 1/1]"), "{log}");
+}
+
+#[test]
+fn photographs_that_cannot_work_are_refused_before_colmap_begins() {
+    let alone = Alone::new();
+    let photos = alone.path("photos");
+    let broken = photos.join("0003.png");
+    let bytes = fs::read(&broken).unwrap();
+    fs::write(&broken, &bytes[..bytes.len() / 2]).unwrap();
+    refuse(&mut alone.reconstruct("ok"), &["0003.png", "cannot decode", "export or copy it again"]);
+    for entry in fs::read_dir(&photos).unwrap().map(Result::unwrap) {
+        fs::copy(DEMO.join("images/0000.png"), entry.path()).unwrap();
+    }
+    refuse(&mut alone.reconstruct("ok"), &["8 photographs", "copies of 1", "at least 3"]);
+    for i in 2..8 {
+        fs::rename(photos.join(format!("000{i}.png")), photos.join(format!("000{i}.heic"))).unwrap();
+    }
+    refuse(&mut alone.reconstruct("ok"), &["holds 2 JPEG and PNG", "6 .heic", "converted", "50 to 200"]);
+    refuse(&mut alone.splat("ok", &["reconstruct", "nowhere"]), &["nowhere", "folder of photographs, or a video"]);
+    refuse(&mut alone.splat("ok", &["reconstruct", text(&DEMO)]), &["has cameras already", "splat train"]);
+    refuse(&mut alone.splat("ok", &["reconstruct", "photos", "--frames", "9"]), &["--frames", "video"]);
+    let with_cameras = [&TRAIN[..], &[text(&DEMO), "--camera-model", "OPENCV"]].concat();
+    refuse(&mut alone.splat("ok", &with_cameras), &["--camera-model", "has cameras", "leave it out"]);
+    assert_eq!(alone.called(), [""; 0]);
+    // Other subcommands say where cameras come from.
+    refuse(&mut alone.splat("ok", &["inspect", "photos"]), &["photos", "`splat reconstruct photos`"]);
+    // What is not ours is not touched.
+    let alone = Alone::new();
+    fs::create_dir(alone.path("made")).unwrap();
+    fs::write(alone.path("made/mine"), "").unwrap();
+    refuse(&mut alone.reconstruct("ok"), &["made is not empty", "--out"]);
+}
+
+/// Marks of two points of the demo, which is in metres, as if it were smaller.
+fn marks(photographs: usize) -> (String, f64) {
+    let capture = Capture::load(DEMO.as_path()).unwrap();
+    let points = [0, 1].map(|point| glam::Vec3::from_array(capture.points.positions[point]).as_dvec3());
+    let mut lines = String::from("# name photograph x y\n");
+    for (name, point) in ["left", "right"].into_iter().zip(points) {
+        for view in capture.views.iter().take(photographs) {
+            let at = view.intrinsics.px_from_cam(view.cam_from_world.transform_point3(point)).unwrap();
+            lines.push_str(&format!("{name} {} {} {}\n", view.name, at.x, at.y));
+        }
+    }
+    (lines, points[0].distance(points[1]))
+}
+
+#[test]
+fn a_measured_distance_is_kept_in_the_scene_and_by_convert() {
+    let alone = Alone::new();
+    let (lines, distance) = marks(4);
+    fs::write(alone.path("photos/marks.txt"), lines).unwrap();
+    let from = format!("left,right={}", 2.5 * distance);
+    let train = [&TRAIN[..], &["photos", "--out", "out", "--scale-from", &from]].concat();
+    let said = succeed(&mut alone.splat("ok", &train)).stderr;
+    assert!(said.contains("a scene unit is 2.5000 m") && said.contains("`left` and `right`"), "{said}");
+    let metres = |name: &str| formats::read(&alone.path(name)).unwrap().0.metres_per_unit;
+    let found = metres("out/scene.ply").unwrap();
+    assert!((found - 2.5).abs() < 1e-6, "{found}");
+    let said = succeed(&mut alone.splat("ok", &["convert", "out/scene.ply", "a.compressed.ply"])).stdout;
+    assert!(said.contains("a scene unit is 2.5"), "{said}");
+    assert_eq!(metres("a.compressed.ply"), Some(found));
+    succeed(&mut alone.splat("ok", &["convert", "a.compressed.ply", "b.ply"]));
+    assert_eq!(metres("b.ply"), Some(found));
+    // The reconstruction keeps it for later runs.
+    let said = succeed(&mut alone.splat("ok", &["inspect", "out/reconstruction"])).stdout;
+    assert!(said.contains("a scene unit is 2.5000 m"), "{said}");
+    let again = [&TRAIN[..], &["out/reconstruction", "--out", "again"]].concat();
+    succeed(&mut alone.splat("ok", &again));
+    assert_eq!(metres("again/scene.ply"), Some(found));
+    // Captures that have cameras already take it too, and their folder is not written to.
+    let before = files(&DEMO);
+    let marks = alone.path("photos/marks.txt");
+    let demo = [&TRAIN[..], &[text(&DEMO), "--out", "demo", "--scale-from", &from, "--marks", text(&marks)]].concat();
+    succeed(&mut alone.splat("ok", &demo));
+    assert!((metres("demo/scene.ply").unwrap() - 2.5).abs() < 1e-6);
+    assert_eq!(files(&DEMO), before);
+}
+
+#[test]
+fn a_scale_that_cannot_be_measured_is_refused() {
+    let alone = Alone::new();
+    let with = |from: &str| {
+        let mut command = alone.reconstruct("ok");
+        command.args(["--scale-from", from]);
+        command
+    };
+    refuse(&mut with("left,right=1"), &["photos/marks.txt", "NAME PHOTOGRAPH X Y", "--marks"]);
+    let (lines, _) = marks(1);
+    fs::write(alone.path("photos/marks.txt"), lines).unwrap();
+    refuse(&mut with("left,right=1"), &["`left` is marked in 1 photographs", "at least two"]);
+    refuse(&mut with("gps"), &["0 of 8 placed photographs", "location"]);
+    assert_eq!(end(&mut with("left,right")).code, Some(2));
+}
+
+/// Whether programs are installed; where they are not, the test is skipped visibly.
+fn installed(programs: &[&str]) -> bool {
+    let folders: Vec<PathBuf> = env::split_paths(&env::var_os("PATH").unwrap_or_default()).collect();
+    let missing = programs.iter().find(|program| !folders.iter().any(|folder| folder.join(program).is_file()));
+    let Some(missing) = missing else { return true };
+    assert!(
+        env::var("SPLAT_COLMAP").as_deref() != Ok("require"),
+        "SPLAT_COLMAP=require, and there is no {missing} on the path"
+    );
+    // Written past the test harness, which swallows the output of passing tests.
+    let line = format!("SKIPPED: no {missing} on the path (SPLAT_COLMAP=require makes that a failure)\n");
+    std::io::stderr().write_all(line.as_bytes()).unwrap();
+    false
+}
+
+/// Writes a picture as JPEG that is to be turned clockwise by 90 degrees for showing.
+fn write_turned(picture: &RgbImage, file: &Path) {
+    // A TIFF header, one entry: tag 0x112, a short, one of them, 6.
+    let exif = b"MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0\x06\0\0\0\0\0\0";
+    let mut encoder = image::codecs::jpeg::JpegEncoder::new_with_quality(fs::File::create(file).unwrap(), 95);
+    encoder.set_exif_metadata(exif.to_vec()).unwrap();
+    encoder.write_image(picture, picture.width(), picture.height(), image::ExtendedColorType::Rgb8).unwrap();
+}
+
+/// Half of the photographs have a tag that turns them. If COLMAP turned them, their size would not be that of the camera; if this program did, scores would
+/// be low.
+#[test]
+fn the_installed_colmap_finds_the_cameras_of_the_demo() {
+    if !installed(&["colmap"]) {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let size = ["--views", "20", "--width", "320", "--height", "240"];
+    succeed(splat(&["demo", "--out", text(&path("demo"))]).args(size));
+    fs::create_dir(path("photos")).unwrap();
+    for i in 0..20 {
+        let picture = image::open(path("demo").join(format!("images/{i:04}.png"))).unwrap().into_rgb8();
+        let to = path("photos").join(format!("{i:04}.jpg"));
+        if i % 2 == 0 { write_turned(&picture, &to) } else { picture.save(&to).unwrap() }
+    }
+    let train = ["train", text(&path("photos")), "--steps", "200", "--max-side", "160", "--seed", "7"];
+    let Ended { stderr, .. } = succeed(splat(&train).args(["--out", text(&path("out"))]));
+    let capture = Capture::load(&path("out/reconstruction")).unwrap();
+    assert!(capture.views.len() >= 18, "{} placed: {stderr}", capture.views.len());
+    // Distances between cameras are the demo's, but for one factor.
+    let truth = Capture::load(&path("demo")).unwrap();
+    let stem = |view: &View| view.name.split('.').next().unwrap().to_owned();
+    let centres = |capture: &Capture| -> Vec<(String, glam::DVec3)> {
+        capture.views.iter().map(|view| (stem(view), view.cam_from_world.inverse().translation)).collect()
+    };
+    let (found, truth) = (centres(&capture), centres(&truth));
+    let mut ratios = Vec::new();
+    for (i, (name, centre)) in found.iter().enumerate() {
+        let other = &found[(i + 7) % found.len()];
+        let at = |name: &str| truth.iter().find(|(other, _)| other == name).unwrap().1;
+        ratios.push(at(name).distance(at(&other.0)) / centre.distance(other.1));
+    }
+    ratios.sort_by(f64::total_cmp);
+    assert!(ratios[ratios.len() - 1] < 1.03 * ratios[0], "{ratios:?}");
+    let psnr = json(&path("out/metrics.json"))["test"]["psnr"].as_f64().unwrap();
+    assert!(psnr > 18.0, "{psnr} dB");
+}
+
+/// Every second frame is blurred.
+#[test]
+fn the_sharpest_frames_of_a_video_are_used() {
+    if !installed(&["ffmpeg"]) {
+        return;
+    }
+    let alone = Alone::new();
+    for i in 0..16 {
+        let picture = image::open(DEMO.join(format!("images/{:04}.png", i / 2))).unwrap().into_rgb8();
+        let sharp = [1, 2].contains(&(i % 4));
+        let picture = if sharp { picture } else { image::imageops::blur(&picture, 1.5) };
+        picture.save(alone.path(&format!("{i:02}.png"))).unwrap();
+    }
+    let clip = alone.path("clip.mkv");
+    let encode =
+        ["-loglevel", "error", "-framerate", "10", "-i", text(&alone.path("%02d.png")), "-c:v", "ffv1", text(&clip)]
+            .map(str::to_owned);
+    assert!(Command::new("ffmpeg").args(encode).status().unwrap().success());
+    let mut command = alone.splat("apart", &["reconstruct", text(&clip), "--frames", "8", "--out", "made"]);
+    let path = env::join_paths([alone.path("bin"), "/usr/bin".into(), "/usr/local/bin".into()]).unwrap();
+    refuse(command.env("PATH", path), &["no cameras for the 8 photographs"]);
+    let frames: Vec<String> = files(&alone.path("made/images")).into_iter().collect();
+    assert_eq!(frames, [1, 2, 5, 6, 9, 10, 13, 14].map(|frame| format!("frame_{frame:06}.jpg")));
+    assert_eq!(alone.called()[1], "sequential_matcher");
+    // Without ffmpeg, and with something that is no video.
+    refuse(&mut alone.splat("ok", &["reconstruct", text(&clip)]), &["ffmpeg", "not installed", "apt install ffmpeg"]);
+    fs::write(alone.path("note.mp4"), "no video").unwrap();
+    let mut command = alone.splat("ok", &["reconstruct", "note.mp4"]);
+    let path = env::join_paths([alone.path("bin"), "/usr/bin".into(), "/usr/local/bin".into()]).unwrap();
+    refuse(command.env("PATH", path), &["note.mp4", "no pictures", "Invalid data"]);
+}
