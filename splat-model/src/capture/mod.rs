@@ -25,8 +25,7 @@ use std::path::{Path, PathBuf};
 use glam::{DAffine3, DVec3, Vec3};
 use splat_op::Intrinsics;
 
-use crate::density::Focus;
-
+use self::blocks::Bounds;
 pub use colmap::{photographs_in, write_binary, write_binary_with_tracks};
 pub use error::CaptureError;
 pub use image::{Photo, load_all};
@@ -59,7 +58,7 @@ pub struct Capture {
     /// [`masks::find`](crate::effects::masks::find).
     pub masks: Vec<Option<PathBuf>>,
     /// The part of the scene on which the capture focuses, if it is a block of another; see [`blocks`].
-    pub focus: Option<Focus>,
+    pub focus: Option<Bounds>,
     /// Notes for the user about how the files were read.
     pub remarks: Vec<String>,
 }

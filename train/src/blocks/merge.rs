@@ -66,7 +66,12 @@ pub fn merge(args: &MergeArgs) -> Result<()> {
     );
     let antialiased = job::training(&capture.folder, &folder.plan.options)?.model.antialias
         || folder.plan.options.iter().any(|option| option.starts_with("--effects=") && option.contains("antialias"));
-    let scene = SceneFile { rows: merged, origin: capture.origin, antialiased };
+    let scene = SceneFile {
+        rows: merged,
+        origin: capture.origin,
+        metres_per_unit: capture.world_frame().metres_per_unit,
+        antialiased,
+    };
     formats::write(&args.out, &scene, format)?;
     progress::say(&format!("scene: {} ({} splats)", args.out.display(), scene.rows.len()));
     if args.views == 0 {

@@ -11,6 +11,7 @@ use serde::Serialize;
 use splat_model::accuracy::Workload;
 use splat_model::capture::demo::DemoOptions;
 use splat_model::capture::{Capture, Photograph, Split};
+use splat_model::density::Focus;
 use splat_model::effects::EffectKind;
 use splat_model::gaussians::Gaussians;
 use splat_model::ply;
@@ -83,7 +84,7 @@ pub fn run_or_resume(args: &TrainArgs) -> Result<()> {
                 return Ok(());
             }
             RunState::Stopped { .. } => {
-                return resume(&ResumeArgs { out: out.clone(), voice: args.voice }).map(drop);
+                return resume(&ResumeArgs { out: out.clone(), voice: args.voice, live: args.live }).map(drop);
             }
             // A run that is under way is refused by its lock.
             RunState::New | RunState::Running { .. } => {}
@@ -125,7 +126,7 @@ fn to_the_end(mut args: TrainArgs, kept: Option<SavedRun>, change: impl FnOnce(T
     let (seen, max_side) = (split.require_train()?, args.photos.max_side);
     let mut effects = args.effects.choose(&capture, seen, args.model.antialias, max_side)?;
     effects.configure(&mut config, args.background, args.sh_degree);
-    config.density = config.density.focused(capture.focus);
+    config.density = config.density.focused(capture.focus.map(Focus::on));
     if capture.points.positions.is_empty() {
         config.density = config.density.without_points();
     }

@@ -9,7 +9,6 @@ use serde::{Deserialize, Serialize};
 use super::{Block, Bounds};
 use crate::capture::read::{Place, PlaceInFile, quoted, read, regular_size, unreadable};
 use crate::capture::{Capture, CaptureError, PointCloud, Split, Tracks};
-use crate::density::Focus;
 use crate::replace::{Refused, replace};
 
 /// The file's name.
@@ -140,7 +139,7 @@ impl BlockFile {
             false => views.clone().map(|view| capture.masks[view].clone()).collect(),
         };
         let views = views.map(|view| capture.views[view].clone()).collect();
-        let focus = Some(Focus::on(self.region));
+        let focus = Some(self.region);
         Capture { views, points, tracks, masks, split: Some(split), focus, ..capture }
     }
 }

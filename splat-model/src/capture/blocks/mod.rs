@@ -6,7 +6,7 @@
 //!
 //! A block trains on more than its cell. Its *region* is the cell with a margin, within which Gaussians are added freely. Beyond it
 //! lie the sparse points that its photographs show, thinned: without them, Gaussians of the block would grow to explain what lies
-//! behind it. [`Focus`](crate::density::Focus) limits how many Gaussians they become. After training only the cell is kept.
+//! behind it. A density strategy limits how many Gaussians they become. After training only the cell is kept.
 
 mod bounds;
 mod cut;

@@ -131,7 +131,7 @@ fn a_folder_of_a_block_is_a_capture() {
     assert_eq!(names(&part, &split.test), names(capture, &block.test));
     assert_eq!((part.origin, part.views.len()), (capture.origin, block.train.len() + block.test.len()));
     assert!(part.views.iter().all(|view| view.image_path.is_file()));
-    assert_eq!(part.focus.map(|focus| focus.bounds), Some(block.region));
+    assert_eq!(part.focus, Some(block.region));
     assert_eq!(part.points.positions.len(), block.points.len());
     for (now, &was) in block.points.iter().enumerate().step_by(50) {
         assert_eq!(part.points.positions[now], capture.points.positions[was]);
