@@ -174,7 +174,11 @@ impl RequestedAccuracy {
             _ if pixels.abs_diff(frontier.pixels) > frontier.pixels / 4 => {
                 format!("frames of {} pixels, and these have {pixels}", frontier.pixels)
             }
-            _ => return Ok(Self::Known(chosen(frontier.choose(&target, work)?))),
+            _ => {
+                let mut choice = frontier.choose(&target, work)?;
+                choice.why.push_str(&pareto::beyond_f32(choice.measured.error_db));
+                return Ok(Self::Known(chosen(choice)));
+            }
         };
         progress::note(&format!("{path} was measured on {other}, and is not used"));
         Ok(Self::ToMeasure(target))
@@ -205,7 +209,7 @@ fn chosen(choice: ChosenSetting) -> Setting {
 /// # Errors
 /// If a view cannot be rendered.
 pub fn note_reached(target_db: f64, scene: &UnmeasuredScene) -> Result<()> {
-    let reached_db = pareto::error_db(scene, &scene.base)?;
+    let reached_db = pareto::error_db(scene, &scene.base, target_db)?;
     let kept = if reached_db < target_db { "less than" } else { "at least" };
     progress::note(&format!(
         "accuracy: the finished scene has {reached_db:.1} dB against the exact render, {kept} the {target_db} dB of `--target-error`"

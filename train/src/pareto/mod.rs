@@ -27,7 +27,7 @@ use splat_model::evaluate::evaluate;
 use splat_model::gaussians::GaussianRows;
 use splat_op::{CameraModel, RenderOptions, Splats};
 
-pub use self::brief::{UnmeasuredScene, choose, error_db};
+pub use self::brief::{UnmeasuredScene, beyond_f32, choose, error_db};
 use self::dials::{Role, candidates};
 use self::errors::MeasuredError;
 use self::formats::StoredScene;
