@@ -1,0 +1,93 @@
+//! `meta.json`.
+
+use serde::de::IgnoredAny;
+use serde::{Deserialize, Serialize};
+
+/// The document of a scene.
+#[derive(Deserialize, Serialize)]
+pub struct Meta {
+    pub version: u32,
+    #[serde(default)]
+    pub asset: Asset,
+    pub count: usize,
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub antialias: bool,
+    pub means: Means,
+    pub scales: Codes,
+    pub quats: Files,
+    pub sh0: Codes,
+    #[serde(rename = "shN", skip_serializing_if = "Option::is_none")]
+    pub sh_n: Option<Harmonics>,
+    #[serde(default, skip_serializing_if = "Extras::is_empty")]
+    pub extras: Extras,
+}
+
+#[derive(Default, Deserialize, Serialize)]
+pub struct Asset {
+    #[serde(default)]
+    pub generator: String,
+}
+
+/// Ranges of the centres by axis, of the compressed coordinates ([`super::compressed`]).
+#[derive(Deserialize, Serialize)]
+pub struct Means {
+    pub mins: [f64; 3],
+    pub maxs: [f64; 3],
+    pub files: [String; 2],
+}
+
+/// Values, and the picture of their indices.
+#[derive(Deserialize, Serialize)]
+pub struct Codes {
+    pub codebook: Vec<f32>,
+    pub files: [String; 1],
+}
+
+#[derive(Deserialize, Serialize)]
+pub struct Files {
+    pub files: [String; 1],
+}
+
+/// The palette of higher harmonics.
+#[derive(Deserialize, Serialize)]
+pub struct Harmonics {
+    /// Number of entries.
+    pub count: usize,
+    /// Degree of the spherical harmonics.
+    pub bands: usize,
+    pub codebook: Vec<f32>,
+    /// The palette, and the indices in it.
+    pub files: [String; 2],
+}
+
+/// Data of applications, which the format leaves to them. Content of another form is ignored.
+#[derive(Default, Deserialize, Serialize)]
+#[serde(from = "serde_json::Value")]
+pub struct Extras {
+    /// The origin that centres are relative to.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub origin: Option<[f64; 3]>,
+}
+
+impl Extras {
+    fn is_empty(&self) -> bool {
+        self.origin.is_none()
+    }
+}
+
+impl From<serde_json::Value> for Extras {
+    fn from(value: serde_json::Value) -> Self {
+        let origin = <[f64; 3]>::deserialize(&value["origin"]).ok();
+        Self { origin: origin.filter(|origin| origin.iter().all(|value| value.is_finite())) }
+    }
+}
+
+/// Whether JSON is a scene's document rather than other JSON.
+pub fn is_meta(json: &[u8]) -> bool {
+    #[derive(Deserialize)]
+    struct Probe {
+        means: Option<IgnoredAny>,
+        sh0: Option<IgnoredAny>,
+    }
+    serde_json::from_slice::<Probe>(json).is_ok_and(|probe| probe.means.is_some() && probe.sh0.is_some())
+}
