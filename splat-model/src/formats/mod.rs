@@ -4,7 +4,9 @@
 //! |---|---|---|
 //! | [`Ply`](Format::Ply) | `.ply` | everything, in f32: the layout of the original implementation, see [`crate::ply`] |
 //! | [`CompressedPly`](Format::CompressedPly) | `.compressed.ply` | 16 bytes per Gaussian and one per higher coefficient, to degree 3: SuperSplat's |
-//! | [`Spz`](Format::Spz) | `.spz` | 20 bytes per Gaussian and one per higher coefficient, then gzip: Niantic's |
+//! | [`Spz`](Format::Spz) | `.spz` | 20 bytes per Gaussian and one per higher coefficient, then zstd: Niantic's |
+//! | [`Glb`](Format::Glb), [`Gltf`](Format::Gltf) | `.glb`, `.gltf` | 60 bytes per Gaussian and 12 per higher coefficient, in f32, to degree 3: glTF with `KHR_gaussian_splatting` |
+//! | [`Sog`](Format::Sog) | `.sog` | 8-bit pictures in WebP and a palette of harmonics, to degree 3: PlayCanvas' |
 //!
 //! Reading identifies the format by a file's first bytes, not by its name. The private modules and `docs/FORMATS.md` document
 //! bits, ranges and frames.
@@ -30,9 +32,13 @@
 //! ```
 
 mod compressed;
+mod extras;
+mod frame;
+mod gltf;
 mod loss;
 mod opacity;
 mod quaternion;
+mod sog;
 mod spz;
 #[cfg(test)]
 mod testing;
@@ -41,7 +47,7 @@ mod tests;
 
 use std::borrow::Cow;
 use std::fmt;
-use std::fs::File;
+use std::fs::{self, File};
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
@@ -49,6 +55,7 @@ use glam::DVec3;
 use thiserror::Error;
 
 pub use loss::{Deviation, QuantisationError};
+pub use spz::{SpzOptions, SpzVersion};
 
 use crate::density::morton_order;
 use crate::gaussians::GaussianRows;
@@ -65,20 +72,27 @@ pub enum Format {
     Ply,
     /// SuperSplat's compressed PLY.
     CompressedPly,
-    /// Niantic's SPZ; written as version 3, read from version 1 to 4.
+    /// Niantic's SPZ; written as version 4 or 3, read from version 1 to 4.
     Spz,
+    /// glTF with `KHR_gaussian_splatting`, in its binary container.
+    Glb,
+    /// The same as JSON, which holds the data as base64.
+    Gltf,
+    /// PlayCanvas' SOG.
+    Sog,
 }
 
 impl Format {
     /// All formats.
-    pub const ALL: [Self; 3] = [Self::Ply, Self::CompressedPly, Self::Spz];
+    pub const ALL: [Self; 6] = [Self::Ply, Self::CompressedPly, Self::Spz, Self::Glb, Self::Gltf, Self::Sog];
 
     /// The format that a file name indicates.
     pub fn of_name(path: &Path) -> Option<Self> {
         let name = path.file_name()?.to_string_lossy().to_ascii_lowercase();
         // A name that consists of the extension alone does not count.
         let ends = |extension: &str| name.len() > extension.len() && name.ends_with(extension);
-        [Self::CompressedPly, Self::Ply, Self::Spz].into_iter().find(|format| ends(format.extension()))
+        // The longest extension that fits: compressed PLY's ends like PLY's.
+        Self::ALL.into_iter().filter(|format| ends(format.extension())).max_by_key(|format| format.extension().len())
     }
 
     /// The extension of its file names.
@@ -87,6 +101,9 @@ impl Format {
             Self::Ply => ".ply",
             Self::CompressedPly => ".compressed.ply",
             Self::Spz => ".spz",
+            Self::Glb => ".glb",
+            Self::Gltf => ".gltf",
+            Self::Sog => ".sog",
         }
     }
 
@@ -94,6 +111,8 @@ impl Format {
     pub fn sh_degree_max(self) -> usize {
         match self {
             Self::CompressedPly => compressed::DEGREE_MAX,
+            Self::Glb | Self::Gltf => gltf::DEGREE_MAX,
+            Self::Sog => sog::DEGREE_MAX,
             Self::Ply | Self::Spz => splat_op::sh::SH_DEGREE_MAX,
         }
     }
@@ -110,7 +129,7 @@ impl Format {
 
     /// Whether the format records training with antialiasing.
     pub fn holds_antialiasing(self) -> bool {
-        self == Self::Spz
+        !matches!(self, Self::Ply | Self::CompressedPly)
     }
 
     /// Whether the format holds every number without loss.
@@ -125,6 +144,9 @@ impl fmt::Display for Format {
             Self::Ply => "PLY",
             Self::CompressedPly => "compressed PLY",
             Self::Spz => "SPZ",
+            Self::Glb => "binary glTF",
+            Self::Gltf => "glTF",
+            Self::Sog => "SOG",
         })
     }
 }
@@ -136,10 +158,10 @@ pub struct SceneFile {
     pub rows: GaussianRows,
     /// The origin that positions are relative to: `position_world = position + origin`, world frame, scene units.
     pub origin: DVec3,
-    /// Metres per scene unit, finite and positive, where the size is known. PLY and compressed PLY hold it.
+    /// Metres per scene unit, finite and positive, where the size is known. All formats but SPZ hold it.
     pub metres_per_unit: Option<f64>,
     /// Whether the file states that the scene was trained with antialiasing (Mip-Splatting's filter), and so should be rendered
-    /// with it. Only SPZ records this.
+    /// with it. PLY, compressed or not, does not record this.
     pub antialiased: bool,
 }
 
@@ -177,8 +199,8 @@ pub enum FormatError {
     },
     /// The file does not begin like a scene of any supported format.
     #[error(
-        "{path}: not a scene: it begins with `{found}`, expected a PLY file (original layout or SuperSplat's compressed one) or \
-         SPZ (version 1 to 4); export it as one of these",
+        "{path}: not a scene: it begins with `{found}`, expected a PLY file (original layout or SuperSplat's compressed one), SPZ \
+         (version 1 to 4), glTF with KHR_gaussian_splatting or SOG; export it as one of these",
         path = path.display()
     )]
     Unknown {
@@ -213,16 +235,21 @@ impl FormatError {
     }
 }
 
-/// Detects the format of a file by its first bytes and, for PLY, by its header. The name has no influence.
+/// Detects the format of a file by its first bytes and, for PLY and JSON, by what follows them. The name has no influence.
 ///
 /// # Errors
 /// If the file cannot be opened or is not a scene.
 pub fn detect(path: &Path) -> Result<Format, FormatError> {
-    if begins_as_spz(path)? {
-        return Ok(Format::Spz);
-    }
-    let (_, header) = ply::PlyReader::open(path)?;
-    Ok(if compressed::is_compressed(&header) { Format::CompressedPly } else { Format::Ply })
+    Ok(match Beginning::of(path)? {
+        Beginning::Spz => Format::Spz,
+        Beginning::Glb => Format::Glb,
+        Beginning::Zip => Format::Sog,
+        Beginning::Json => json(path)?.0,
+        Beginning::Ply => match compressed::is_compressed(&ply::PlyReader::open(path)?.1) {
+            true => Format::CompressedPly,
+            false => Format::Ply,
+        },
+    })
 }
 
 /// Reads a scene of any format.
@@ -231,17 +258,29 @@ pub fn detect(path: &Path) -> Result<Format, FormatError> {
 ///
 /// # Errors
 /// A [`FormatError`] for every file that is not a complete scene of one of the formats. Memory is bounded by a multiple of the
-/// file's size, whatever the header claims: a small multiple for PLY, and the limit of its compression (1,032) for SPZ.
+/// file's size, whatever the header claims: a small multiple for PLY and glTF, and the limits of compression for SPZ and SOG.
 pub fn read(path: &Path) -> Result<(SceneFile, Format), FormatError> {
-    if begins_as_spz(path)? {
-        return Ok((spz::read(path)?, Format::Spz));
-    }
-    let (input, header) = ply::PlyReader::open(path)?;
-    let (format, (rows, WorldFrame { origin, metres_per_unit })) = match compressed::is_compressed(&header) {
-        true => (Format::CompressedPly, compressed::read(path, input, &header)?),
-        false => (Format::Ply, ply::read_from(input, &header)?),
-    };
-    Ok((SceneFile { rows, origin, metres_per_unit, antialiased: false }, format))
+    Ok(match Beginning::of(path)? {
+        Beginning::Spz => (spz::read(path)?, Format::Spz),
+        Beginning::Glb => (gltf::read_binary(path)?, Format::Glb),
+        Beginning::Zip => (sog::read_archive(path)?, Format::Sog),
+        Beginning::Json => {
+            let (format, json) = json(path)?;
+            let scene = match format {
+                Format::Sog => sog::read_folder(path, &json)?,
+                _ => gltf::read_text(path, &json)?,
+            };
+            (scene, format)
+        }
+        Beginning::Ply => {
+            let (input, header) = ply::PlyReader::open(path)?;
+            let (format, (rows, WorldFrame { origin, metres_per_unit })) = match compressed::is_compressed(&header) {
+                true => (Format::CompressedPly, compressed::read(path, input, &header)?),
+                false => (Format::Ply, ply::read_from(input, &header)?),
+            };
+            (SceneFile { rows, origin, metres_per_unit, antialiased: false }, format)
+        }
+    })
 }
 
 /// Writes the part of a scene that the format can hold ([`fit`]).
@@ -257,30 +296,28 @@ pub fn write<'a>(path: &Path, scene: &'a SceneFile, format: Format) -> Result<Wr
     match format {
         Format::Ply => ply::write(path, &rows, scene.world())?,
         Format::CompressedPly => compressed::write(path, &rows, scene.world())?,
-        Format::Spz => spz::write(path, &rows, scene.antialiased, SPZ_SH_BITS)?,
+        Format::Spz => spz::write(path, &rows, scene.antialiased, SpzOptions::default())?,
+        Format::Glb | Format::Gltf => gltf::write(path, &rows, scene, format)?,
+        Format::Sog => sog::write(path, &rows, scene)?,
     }
     let left_out = scene.rows.len() - rows.len();
     Ok(Written { rows, left_out })
 }
 
-/// Bits of SPZ's harmonics at degree 1 and above it in the format's reference, and in [`write`](fn@write).
-pub const SPZ_SH_BITS: [u8; 2] = [5, 4];
-
-/// Writes SPZ as [`write`](fn@write) does, with other numbers of bits for the harmonics of degree 1 and above it, each 1 to 8. More
-/// bits make a larger file: the format stores eight and leaves it to gzip to find those that are not used.
+/// Writes SPZ as [`write`](fn@write) does, with other choices than the default's.
 ///
 /// # Errors
 /// As [`write`](fn@write).
-pub fn write_spz<'a>(path: &Path, scene: &'a SceneFile, sh_bits: [u8; 2]) -> Result<Written<'a>, FormatError> {
+pub fn write_spz<'a>(path: &Path, scene: &'a SceneFile, options: SpzOptions) -> Result<Written<'a>, FormatError> {
     ply::check(path, &scene.rows, scene.world())?;
     let rows = fit(&scene.rows, Format::Spz);
-    spz::write(path, &rows, scene.antialiased, sh_bits.map(|bits| bits.clamp(1, 8)))?;
+    spz::write(path, &rows, scene.antialiased, options)?;
     let left_out = scene.rows.len() - rows.len();
     Ok(Written { rows, left_out })
 }
 
 /// The rows that a file of the format holds before rounding: the Gaussians that can be rendered ([`GaussianRows::is_usable`]),
-/// with harmonics up to the format's degree and, for compressed PLY, in an order in which neighbours share the box of a chunk.
+/// with harmonics up to the format's degree and, for compressed PLY and SOG, in an order in which neighbours are near each other.
 /// PLY holds all rows unchanged.
 ///
 /// # Panics
@@ -290,7 +327,7 @@ pub fn fit(rows: &GaussianRows, format: Format) -> Cow<'_, GaussianRows> {
         return Cow::Borrowed(rows);
     }
     let order: Vec<u32> = match format {
-        Format::CompressedPly => morton_order(&rows.means),
+        Format::CompressedPly | Format::Sog => morton_order(&rows.means),
         _ => (0..rows.len() as u32).collect(),
     };
     let mut fitted = GaussianRows { sh_degree: rows.sh_degree.min(format.sh_degree_max()), ..GaussianRows::default() };
@@ -300,20 +337,46 @@ pub fn fit(rows: &GaussianRows, format: Format) -> Cow<'_, GaussianRows> {
     Cow::Owned(fitted)
 }
 
-/// Whether a file begins like SPZ; if not, it begins like PLY.
-fn begins_as_spz(path: &Path) -> Result<bool, FormatError> {
-    let mut first = Vec::new();
-    File::open(path)
-        .map_err(FormatError::io(path, "open the scene (is the path right?)"))?
-        .take(16)
-        .read_to_end(&mut first)
-        .map_err(FormatError::io(path, "read the scene (is the path right?)"))?;
-    let line = first.split(|byte| *byte == b'\n').next().unwrap_or_default().trim_ascii();
-    match spz::is_spz(&first) {
-        false if line != b"ply" => {
-            let found = String::from_utf8_lossy(line).escape_debug().to_string();
-            Err(FormatError::Unknown { path: path.to_path_buf(), found })
-        }
-        is_spz => Ok(is_spz),
+/// What the first bytes of a scene's file tell.
+enum Beginning {
+    Ply,
+    Spz,
+    Glb,
+    Zip,
+    Json,
+}
+
+impl Beginning {
+    fn of(path: &Path) -> Result<Self, FormatError> {
+        let mut first = Vec::new();
+        File::open(path)
+            .map_err(FormatError::io(path, "open the scene (is the path right?)"))?
+            .take(16)
+            .read_to_end(&mut first)
+            .map_err(FormatError::io(path, "read the scene (is the path right?)"))?;
+        let line = first.split(|byte| *byte == b'\n').next().unwrap_or_default().trim_ascii();
+        Ok(match () {
+            () if spz::is_spz(&first) => Self::Spz,
+            () if first.starts_with(&gltf::MAGIC) => Self::Glb,
+            () if first.starts_with(&sog::MAGIC) => Self::Zip,
+            () if first.trim_ascii_start().starts_with(b"{") => Self::Json,
+            () if line == b"ply" => Self::Ply,
+            () => return Err(unknown(path, line)),
+        })
+    }
+}
+
+fn unknown(path: &Path, line: &[u8]) -> FormatError {
+    let found = String::from_utf8_lossy(line).escape_debug().to_string();
+    FormatError::Unknown { path: path.to_path_buf(), found }
+}
+
+/// A file of JSON, and the format that it has.
+fn json(path: &Path) -> Result<(Format, Vec<u8>), FormatError> {
+    let json = fs::read(path).map_err(FormatError::io(path, "read the scene (is the path right?)"))?;
+    match () {
+        () if gltf::is_document(&json) => Ok((Format::Gltf, json)),
+        () if sog::is_meta(&json) => Ok((Format::Sog, json)),
+        () => Err(unknown(path, &json[..json.len().min(16)])),
     }
 }

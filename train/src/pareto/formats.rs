@@ -6,7 +6,7 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 use splat_model::accuracy::{FrontierPoint, Spread, decibels, frontier};
-use splat_model::formats::{self, Format, SceneFile};
+use splat_model::formats::{self, Format, SceneFile, SpzOptions};
 use splat_model::gaussians::{GaussianRows, Gaussians};
 use splat_op::{Splats, render_view};
 
@@ -60,7 +60,7 @@ pub fn measure(
         let rows = input::selected(rows, 0..rows.len(), sh_degree);
         let scene = SceneFile { rows, ..SceneFile::default() };
         match bits {
-            Some(bits) => formats::write_spz(file, &scene, [bits; 2]),
+            Some(bits) => formats::write_spz(file, &scene, SpzOptions { sh_bits: [bits; 2], ..SpzOptions::default() }),
             None => formats::write(file, &scene, format),
         }?;
         let bytes = fs::metadata(file).with_context(|| format!("cannot read the size of {}", file.display()))?.len();

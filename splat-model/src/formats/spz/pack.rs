@@ -4,9 +4,12 @@ use std::f64::consts::FRAC_1_SQRT_2;
 
 use half::f16;
 
-use super::frame::{AXES, sign};
+use crate::formats::frame::HalfTurn;
 use crate::formats::{opacity, quaternion};
 use crate::gaussians::GaussianRows;
+
+/// Signs of the axes of the format's frame, right-up-back.
+const AXES: [f32; 3] = HalfTurn::X.axes();
 
 /// Share of a colour's range that one unit of the coefficient covers.
 const COLOUR: f64 = 0.15;
@@ -57,7 +60,7 @@ fn byte(value: f64) -> u8 {
     value.round() as u8
 }
 
-/// The bytes of all Gaussians, section by section, in the layout of version 3. Harmonics are rounded to `sh_bits` of their eight
+/// The bytes of all Gaussians, section by section, in the layout of versions 3 and 4. Harmonics are rounded to `sh_bits` of their eight
 /// bits, at degree 1 and above it.
 pub(super) fn pack(rows: &GaussianRows, fraction: u32, sh_bits: [u8; 2]) -> [Vec<u8>; SECTIONS] {
     let unit = f64::from(1_u32 << fraction);
@@ -72,7 +75,7 @@ pub(super) fn pack(rows: &GaussianRows, fraction: u32, sh_bits: [u8; 2]) -> [Vec
     let harmonics = rows.sh_rest.iter().enumerate().map(|(i, value)| {
         let k = 1 + i % rest / 3;
         let step = f64::from(256_u32 >> sh_bits[usize::from(k >= 4)].min(8));
-        byte(128.0 + step * (128.0 / step * f64::from(sign(k) * value)).round())
+        byte(128.0 + step * (128.0 / step * f64::from(HalfTurn::X.sign(k) * value)).round())
     });
     [
         positions.flatten().collect(),
@@ -114,7 +117,8 @@ pub(super) fn unpack(layout: &Layout, sections: &[Vec<u8>; SECTIONS]) -> Gaussia
         _ => rotations.as_chunks().0.iter().map(|&bytes| unpack_rotation(u32::from_le_bytes(bytes))).collect(),
     };
     let rest = layout.bytes()[SECTIONS - 1].max(1);
-    let harmonic = |(i, &level): (usize, &u8)| sign(1 + i % rest / 3) * ((f32::from(level) - 128.0) / 128.0);
+    let harmonic =
+        |(i, &level): (usize, &u8)| HalfTurn::X.sign(1 + i % rest / 3) * ((f32::from(level) - 128.0) / 128.0);
     GaussianRows {
         means,
         rotations,

@@ -10,7 +10,7 @@ use ruzstd::decoding::StreamingDecoder;
 use splat_op::sh::SH_DEGREE_MAX;
 
 use super::pack::{Layout, SECTIONS, unpack};
-use super::{ANTIALIASED, GZIP, MAGIC};
+use super::{ANTIALIASED, GZIP, HEADER, MAGIC};
 use crate::formats::{Format, FormatError, SceneFile};
 
 /// Maximum number of bytes that one byte of a file can expand to: the limit of deflate (zlib's documentation), and more than
@@ -85,16 +85,16 @@ impl Of<'_> {
 
     /// Version 4.
     fn zstd(&self, mut file: BufReader<File>) -> Result<SpzSections, FormatError> {
-        let header = self.exactly(&mut file, "header", 32)?;
+        let header = self.exactly(&mut file, "header", HEADER)?;
         let (layout, flags) = self.layout(&header, 4..=4)?;
         let sizes = layout.bytes().map(|each| each * layout.count);
         // Empty sections have no stream.
         let wanted: Vec<usize> = (0..SECTIONS).filter(|&section| sizes[section] > 0).collect();
         let (streams, table) = (usize::from(header[15]), number(&header[16..20]));
         let mut at = table + 16 * streams as u64;
-        if streams != wanted.len() || table < 32 || at > self.bytes {
+        if streams != wanted.len() || table < HEADER as u64 || at > self.bytes {
             return Err(self.broken(format!(
-                "a table of {streams} streams at byte {table}, expected {} within the {} bytes of the file and after its first 32",
+                "a table of {streams} streams at byte {table}, expected {} within the {} bytes of the file and after its first {HEADER}",
                 wanted.len(),
                 self.bytes
             )));

@@ -1,0 +1,108 @@
+//! The bytes of a document's buffers: the container's, in the document itself, or in files beside it.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::Read;
+use std::path::{Component, Path, PathBuf};
+
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+
+use super::document::Document;
+use crate::ply::brief;
+
+/// Beginning of a URI that holds its data, up to the media type.
+const DATA: &str = "data:";
+
+/// Reads the buffers that primitives with the extension use, and no other. `binary` is the container's second chunk.
+///
+/// # Errors
+/// What is wrong, and what was expected.
+pub fn load(document: &Document, path: &Path, mut binary: Option<Vec<u8>>) -> Result<BTreeMap<usize, Vec<u8>>, String> {
+    let primitives = document.meshes.iter().flat_map(|mesh| &mesh.primitives);
+    let splats = primitives.filter(|primitive| primitive.extensions.splatting.is_some());
+    let accessors =
+        splats.flat_map(|primitive| primitive.attributes.values()).filter_map(|&i| document.accessors.get(i));
+    let views = accessors.filter_map(|accessor| document.buffer_views.get(accessor.buffer_view?));
+    let mut loaded = BTreeMap::new();
+    for index in views.map(|view| view.buffer) {
+        if loaded.contains_key(&index) {
+            continue;
+        }
+        // Views of buffers that do not exist are refused where they are used.
+        let Some(buffer) = document.buffers.get(index) else { continue };
+        let bytes = match &buffer.uri {
+            None if index == 0 => binary.take().ok_or("buffer 0 has no `uri`, and the file no binary chunk")?,
+            None => {
+                return Err(format!(
+                    "buffer {index} has no `uri`, expected one: only buffer 0 may be in the file's binary chunk"
+                ));
+            }
+            Some(uri) => match uri.strip_prefix(DATA) {
+                Some(data) => decoded(data).map_err(|what| format!("buffer {index}: {what}"))?,
+                None => beside(path, uri).map_err(|what| format!("buffer {index}: {what}"))?,
+            },
+        };
+        if bytes.len() < buffer.byte_length {
+            return Err(format!(
+                "buffer {index} has {} bytes, expected `byteLength` {}; it is truncated",
+                bytes.len(),
+                buffer.byte_length
+            ));
+        }
+        loaded.insert(index, bytes);
+    }
+    Ok(loaded)
+}
+
+/// The data of a URI after `data:`.
+fn decoded(data: &str) -> Result<Vec<u8>, String> {
+    let (kind, text) = data.split_once(',').ok_or("its `uri` begins with `data:` and has no comma")?;
+    if !kind.ends_with(";base64") {
+        return Err(format!("its `uri` holds data as `{}`, expected base64", brief(kind)));
+    }
+    STANDARD.decode(text).map_err(|error| format!("its `uri` is not base64: {error}"))
+}
+
+/// The bytes of a file in the folder of the document.
+fn beside(document: &Path, uri: &str) -> Result<Vec<u8>, String> {
+    let name = PathBuf::from(unescaped(uri));
+    let below = name.components().all(|part| matches!(part, Component::Normal(_) | Component::CurDir));
+    if !below || name.as_os_str().is_empty() {
+        return Err(format!(
+            "its `uri` is `{}`, expected the name of a file in the folder of the document",
+            brief(uri)
+        ));
+    }
+    let file = document.with_file_name("").join(name);
+    let read = || {
+        let opened = File::open(&file)?;
+        if !opened.metadata()?.is_file() {
+            return Err(std::io::Error::other("not a file"));
+        }
+        let mut bytes = Vec::new();
+        (&opened).read_to_end(&mut bytes)?;
+        Ok(bytes)
+    };
+    read().map_err(|error| format!("`{}` beside the document cannot be read: {error}", brief(uri)))
+}
+
+/// A URI with `%20` and the like as the characters that they stand for.
+fn unescaped(uri: &str) -> String {
+    let mut bytes = Vec::with_capacity(uri.len());
+    let mut rest = uri.as_bytes();
+    while let Some((&first, after)) = rest.split_first() {
+        let hex = after.get(..2).and_then(|two| std::str::from_utf8(two).ok());
+        match hex.and_then(|two| u8::from_str_radix(two, 16).ok()) {
+            Some(byte) if first == b'%' => {
+                bytes.push(byte);
+                rest = &after[2..];
+            }
+            _ => {
+                bytes.push(first);
+                rest = after;
+            }
+        }
+    }
+    String::from_utf8_lossy(&bytes).into_owned()
+}

@@ -1,0 +1,80 @@
+//! `meta.json`.
+
+use serde::de::IgnoredAny;
+use serde::{Deserialize, Deserializer, Serialize};
+use serde_json::{Map, Value};
+
+/// The document of a scene.
+#[derive(Deserialize, Serialize)]
+pub struct Meta {
+    pub version: u32,
+    #[serde(default)]
+    pub asset: Asset,
+    pub count: usize,
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub antialias: bool,
+    pub means: Means,
+    pub scales: Codes,
+    pub quats: Files,
+    pub sh0: Codes,
+    #[serde(rename = "shN", skip_serializing_if = "Option::is_none")]
+    pub sh_n: Option<Harmonics>,
+    #[serde(default, skip_serializing_if = "Map::is_empty", deserialize_with = "any")]
+    pub extras: Map<String, Value>,
+}
+
+#[derive(Default, Deserialize, Serialize)]
+pub struct Asset {
+    #[serde(default)]
+    pub generator: String,
+}
+
+/// Ranges of the centres by axis, of the compressed coordinates ([`super::compressed`]).
+#[derive(Deserialize, Serialize)]
+pub struct Means {
+    pub mins: [f64; 3],
+    pub maxs: [f64; 3],
+    pub files: [String; 2],
+}
+
+/// Values, and the picture of their indices.
+#[derive(Deserialize, Serialize)]
+pub struct Codes {
+    pub codebook: Vec<f32>,
+    pub files: [String; 1],
+}
+
+#[derive(Deserialize, Serialize)]
+pub struct Files {
+    pub files: [String; 1],
+}
+
+/// The palette of higher harmonics.
+#[derive(Deserialize, Serialize)]
+pub struct Harmonics {
+    /// Number of entries.
+    pub count: usize,
+    /// Degree of the spherical harmonics.
+    pub bands: usize,
+    pub codebook: Vec<f32>,
+    /// The palette, and the indices in it.
+    pub files: [String; 2],
+}
+
+/// Reads an object; anything else counts as an empty one.
+fn any<'a, D: Deserializer<'a>>(input: D) -> Result<Map<String, Value>, D::Error> {
+    Ok(match Value::deserialize(input)? {
+        Value::Object(object) => object,
+        _ => Map::new(),
+    })
+}
+
+/// Whether JSON is a scene's document rather than other JSON.
+pub fn is_meta(json: &[u8]) -> bool {
+    #[derive(Deserialize)]
+    struct Probe {
+        means: Option<IgnoredAny>,
+        sh0: Option<IgnoredAny>,
+    }
+    serde_json::from_slice::<Probe>(json).is_ok_and(|probe| probe.means.is_some() && probe.sh0.is_some())
+}
