@@ -60,7 +60,7 @@ pub const VIEWS_BRIEFLY: usize = 2;
 pub struct ParetoArgs {
     /// Capture folder, with `images/` and COLMAP's `sparse/0/`, or with `transforms.json` or `transforms_train.json`
     pub capture: PathBuf,
-    /// Scene file: PLY, compressed PLY or SPZ
+    /// Scene file, in any format that `convert` reads
     #[arg(long, value_name = "FILE")]
     pub scene: PathBuf,
     /// Folder for pareto.md, pareto.csv, pareto.json and the plots
