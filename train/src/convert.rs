@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
 use clap::{ValueEnum, value_parser};
-use splat_model::formats::{self, Deviation, Format, QuantisationError, SceneFile};
+use splat_model::formats::{self, Deviation, Format, QuantisationError, SceneFile, SogOptions, SpzOptions, SpzVersion};
 
 use crate::{input, progress};
 
@@ -20,9 +20,9 @@ const SPZ_SCALE_ERROR: f64 = 0.033;
 /// Options of `splat convert`.
 #[derive(Clone, Debug, clap::Args)]
 pub struct ConvertArgs {
-    /// Scene to convert: PLY, SuperSplat's compressed PLY, or SPZ, recognized by its content
+    /// Scene to convert: PLY, SuperSplat's compressed PLY, SPZ, glTF or SOG, recognized by its content
     pub scene: PathBuf,
-    /// File to write, replacing an existing one; its name gives the format: .ply, .compressed.ply or .spz
+    /// File to write, replacing an existing one; its name gives the format: .ply, .compressed.ply, .spz, .glb, .gltf or .sog
     pub out: PathBuf,
     /// Format to write, if the name does not give it
     #[arg(long, value_enum)]
@@ -34,7 +34,14 @@ pub struct ConvertArgs {
     /// above it, as the format's reference]
     #[arg(long, value_name = "BITS", value_parser = value_parser!(u8).range(1..=8))]
     pub sh_bits: Option<u8>,
-    /// Mark the scene as trained with --antialias; only SPZ can store this
+    /// Largest number of entries of SOG's palette of spherical harmonics: more are larger and closer to the scene [default: one for
+    /// eight splats]
+    #[arg(long, value_name = "ENTRIES", value_parser = value_parser!(u32).range(1..=65_536))]
+    pub sh_palette: Option<u32>,
+    /// Version of SPZ: 3 for programs that do not read 4 [default: 4]
+    #[arg(long, value_name = "VERSION", value_parser = value_parser!(u8).range(3..=4))]
+    pub spz_version: Option<u8>,
+    /// Mark the scene as trained with --antialias; PLY, compressed or not, cannot store this
     #[arg(long)]
     pub antialias: bool,
 }
@@ -46,8 +53,14 @@ pub enum FormatName {
     Ply,
     /// SuperSplat's format: 16 bytes a splat, and one for each higher coefficient
     CompressedPly,
-    /// Niantic's format: 20 bytes a splat and one for each higher coefficient, then gzip
+    /// Niantic's format: 20 bytes a splat and one for each higher coefficient, then zstd
     Spz,
+    /// glTF with KHR_gaussian_splatting: all parameters to degree 3, in 32-bit floats
+    Glb,
+    /// The same as JSON, which holds the data as base64
+    Gltf,
+    /// PlayCanvas' format: pictures of 8 bits and a palette of harmonics, to degree 3
+    Sog,
 }
 
 impl From<FormatName> for Format {
@@ -56,6 +69,9 @@ impl From<FormatName> for Format {
             FormatName::Ply => Self::Ply,
             FormatName::CompressedPly => Self::CompressedPly,
             FormatName::Spz => Self::Spz,
+            FormatName::Glb => Self::Glb,
+            FormatName::Gltf => Self::Gltf,
+            FormatName::Sog => Self::Sog,
         }
     }
 }
@@ -86,13 +102,24 @@ pub fn run(args: &ConvertArgs) -> Result<()> {
     if let Some(folder) = args.out.parent() {
         fs::create_dir_all(folder).with_context(|| format!("cannot make the folder for {shown}"))?;
     }
-    ensure!(
-        args.sh_bits.is_none() || format == Format::Spz,
-        "`--sh-bits` is for SPZ, and {shown} is {format}: leave it out, or name a file that ends in .spz"
-    );
-    let written = match args.sh_bits {
-        Some(bits) => formats::write_spz(&args.out, &scene, [bits; 2]),
-        None => formats::write(&args.out, &scene, format),
+    for (option, given, of) in [
+        ("--sh-bits", args.sh_bits.is_some(), Format::Spz),
+        ("--spz-version", args.spz_version.is_some(), Format::Spz),
+        ("--sh-palette", args.sh_palette.is_some(), Format::Sog),
+    ] {
+        ensure!(
+            !given || format == of,
+            "`{option}` is for {of}, and {shown} is {format}: leave it out, or name a file that ends in {}",
+            of.extension()
+        );
+    }
+    let written = match format {
+        Format::Spz => formats::write_spz(&args.out, &scene, spz_options(args)),
+        Format::Sog => {
+            let entries = args.sh_palette.map(|entries| entries as usize);
+            formats::write_sog(&args.out, &scene, SogOptions { entries })
+        }
+        _ => formats::write(&args.out, &scene, format),
     };
     let written = written.context("cannot write the scene")?;
     let (read, _) = formats::read(&args.out).context("cannot read what was written")?;
@@ -112,6 +139,14 @@ pub fn run(args: &ConvertArgs) -> Result<()> {
     }
     progress::say(&if lost.is_empty() { "nothing is lost".into() } else { format!("lost:\n  {}", lost.join("\n  ")) });
     Ok(())
+}
+
+fn spz_options(args: &ConvertArgs) -> SpzOptions {
+    let plain = SpzOptions::default();
+    SpzOptions {
+        version: if args.spz_version == Some(3) { SpzVersion::Three } else { SpzVersion::Four },
+        sh_bits: args.sh_bits.map_or(plain.sh_bits, |bits| [bits; 2]),
+    }
 }
 
 /// Describes a file in one line.

@@ -29,7 +29,7 @@ use crate::report::{self, METRICS, SCENE, VIEWS};
 pub struct EvalArgs {
     /// Capture folder, with `images/` and COLMAP's `sparse/0/`, or with `transforms.json` or `transforms_train.json`
     pub capture: PathBuf,
-    /// Scene file: PLY, compressed PLY or SPZ
+    /// Scene file, in any format that `convert` reads
     #[arg(long, value_name = "FILE")]
     pub scene: PathBuf,
     /// Folder for metrics.json, views/ and a copy of the scene

@@ -42,6 +42,7 @@ pub mod demo;
 pub mod devices;
 pub mod effects_bench;
 pub mod eval;
+pub mod export;
 pub mod hard_cases;
 pub mod inspect;
 pub mod manual;
@@ -93,6 +94,7 @@ pub fn run(command: &Command) -> Result<()> {
         Command::Demo(args) => demo::run(args),
         Command::View(args) => view::run(args),
         Command::Convert(args) => convert::run(args),
+        Command::Export(args) => export::run(args),
         Command::Inspect(args) => inspect::run(args),
         Command::Effects(args) => effects_bench::run(args),
         Command::HardCases(args) => hard_cases::run(args),

@@ -10,6 +10,7 @@ use crate::convert::ConvertArgs;
 use crate::demo::DemoArgs;
 use crate::effects_bench::EffectsBenchArgs;
 use crate::eval::EvalArgs;
+use crate::export::ExportArgs;
 use crate::hard_cases::HardCasesArgs;
 use crate::inspect::InspectArgs;
 use crate::manual::{CompletionsArgs, ManArgs};
@@ -54,6 +55,8 @@ pub enum Command {
     View(ViewArgs),
     /// Convert a scene to another format and report the loss
     Convert(ConvertArgs),
+    /// Write a scene as one page with the viewer, which needs no server
+    Export(ExportArgs),
     /// Report what a capture shows, which effects it calls for, and what they would cost
     Inspect(InspectArgs),
     /// Train a capture in blocks, on any number of machines: plan, status, merge

@@ -33,7 +33,7 @@ const NAMES_LISTED: usize = 5;
 /// Options of `splat render`.
 #[derive(Clone, Debug, clap::Args)]
 pub struct RenderArgs {
-    /// Scene file: PLY, compressed PLY or SPZ
+    /// Scene file, in any format that `convert` reads
     #[arg(long, value_name = "FILE")]
     pub scene: PathBuf,
     /// Capture whose cameras to render from; its photographs are needed only if nothing else gives their sizes

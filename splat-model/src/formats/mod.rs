@@ -55,6 +55,7 @@ use glam::DVec3;
 use thiserror::Error;
 
 pub use loss::{Deviation, QuantisationError};
+pub use sog::SogOptions;
 pub use spz::{SpzOptions, SpzVersion};
 
 use crate::density::morton_order;
@@ -298,7 +299,7 @@ pub fn write<'a>(path: &Path, scene: &'a SceneFile, format: Format) -> Result<Wr
         Format::CompressedPly => compressed::write(path, &rows, scene.world())?,
         Format::Spz => spz::write(path, &rows, scene.antialiased, SpzOptions::default())?,
         Format::Glb | Format::Gltf => gltf::write(path, &rows, scene, format)?,
-        Format::Sog => sog::write(path, &rows, scene)?,
+        Format::Sog => sog::write(path, &rows, scene, SogOptions::default())?,
     }
     let left_out = scene.rows.len() - rows.len();
     Ok(Written { rows, left_out })
@@ -312,6 +313,18 @@ pub fn write_spz<'a>(path: &Path, scene: &'a SceneFile, options: SpzOptions) -> 
     ply::check(path, &scene.rows, scene.world())?;
     let rows = fit(&scene.rows, Format::Spz);
     spz::write(path, &rows, scene.antialiased, options)?;
+    let left_out = scene.rows.len() - rows.len();
+    Ok(Written { rows, left_out })
+}
+
+/// Writes SOG as [`write`](fn@write) does, with other choices than the default's.
+///
+/// # Errors
+/// As [`write`](fn@write).
+pub fn write_sog<'a>(path: &Path, scene: &'a SceneFile, options: SogOptions) -> Result<Written<'a>, FormatError> {
+    ply::check(path, &scene.rows, scene.world())?;
+    let rows = fit(&scene.rows, Format::Sog);
+    sog::write(path, &rows, scene, options)?;
     let left_out = scene.rows.len() - rows.len();
     Ok(Written { rows, left_out })
 }

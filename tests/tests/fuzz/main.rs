@@ -19,6 +19,7 @@ mod mutate;
 mod regressions;
 mod scenes;
 mod seeds;
+mod sog;
 mod split;
 mod targets;
 mod transforms;
@@ -34,6 +35,11 @@ fn ply() {
 #[test]
 fn scenes() {
     engine::fuzz(&mut scenes::Scenes::new("scenes"));
+}
+
+#[test]
+fn sog() {
+    engine::fuzz(&mut sog::Sog::new("sog"));
 }
 
 #[test]

@@ -62,7 +62,7 @@ pub const TRAIN_PLOT: [&str; 2] = ["pareto_train.svg", "pareto_train.png"];
 pub struct ParetoArgs {
     /// Capture folder, with `images/` and COLMAP's `sparse/0/`, or with `transforms.json` or `transforms_train.json`
     pub capture: PathBuf,
-    /// Scene file: PLY, compressed PLY or SPZ
+    /// Scene file, in any format that `convert` reads
     #[arg(long, value_name = "FILE")]
     pub scene: PathBuf,
     /// Folder for pareto.md, pareto.csv, pareto.json and the plots

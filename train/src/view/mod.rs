@@ -12,13 +12,12 @@ use splat_model::formats;
 use self::page::{SceneSource, Viewer};
 use self::scene::ShownScene;
 use self::server::{ServedFile, Server};
-use crate::report::html::escape;
 use crate::{input, progress};
 
 /// Options of `splat view`.
 #[derive(Clone, Debug, clap::Args)]
 pub struct ViewArgs {
-    /// Scene file: PLY, compressed PLY or SPZ
+    /// Scene file, in any format that `convert` reads
     pub scene: PathBuf,
     /// Port of 127.0.0.1 to serve on; 0 chooses a free one
     #[arg(long, value_name = "P", default_value_t = 0)]
@@ -59,15 +58,7 @@ fn pages(args: &ViewArgs) -> Result<[ServedFile; 2]> {
         antialias: args.antialias,
     };
     let name = args.scene.file_name().unwrap_or(args.scene.as_os_str()).to_string_lossy();
-    let html = format!(
-        "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n<title>{}</title>\n<style>\n{}{}</style>\n</head>\n\
-         <body>\n{}{}</body>\n</html>\n",
-        escape(&name),
-        include_str!("page.css"),
-        page::STYLE,
-        viewer.element(),
-        viewer.scripts()?,
-    );
+    let html = viewer.page(&name)?;
     Ok([
         ServedFile { path: "/", kind: "text/html; charset=utf-8", content: html.into_bytes() },
         ServedFile { path: SCENE, kind: "application/octet-stream", content: scene.ply },

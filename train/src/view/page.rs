@@ -27,9 +27,11 @@ pub const POLICY: &str = "default-src 'none'; script-src 'unsafe-inline' 'wasm-u
 
 /// Location of the scene's data.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum SceneSource {
+pub enum SceneSource<'a> {
     /// In the page itself.
     Page,
+    /// In the page itself as SOG, which is these bytes; the page shows nothing else.
+    Whole(&'a [u8]),
     /// At a URL of the same server.
     Url(&'static str),
     /// There too, and changing: an event `splat-scene` of the page's window names the URL of each new one.
@@ -40,7 +42,7 @@ pub enum SceneSource {
 #[derive(Clone, Copy, Debug)]
 pub struct Viewer<'a> {
     pub scene: &'a ShownScene,
-    pub source: SceneSource,
+    pub source: SceneSource<'a>,
     /// Viewpoints to choose from, beginning at the first; without any, the scene is seen from outside.
     pub viewpoints: &'a [Viewpoint],
     /// Background, RGB, 0 to 1.
@@ -53,6 +55,8 @@ pub struct Viewer<'a> {
 #[derive(Serialize)]
 struct Setup<'a> {
     url: Option<&'static str>,
+    /// The library's name of the data's format.
+    kind: &'static str,
     centre: [f64; 3],
     radius: f64,
     up: [f64; 3],
@@ -70,6 +74,11 @@ impl Viewer<'_> {
     pub fn element(&self) -> String {
         let bar = match self.viewpoints {
             [] => String::new(),
+            viewpoints if matches!(self.source, SceneSource::Whole(_)) => {
+                let button =
+                    |viewpoint: &Viewpoint| format!("<button type=\"button\">{}</button>", escape(&viewpoint.name));
+                format!("<div id=\"viewer-views\">{}</div>", viewpoints.iter().map(button).collect::<String>())
+            }
             viewpoints => {
                 let option = |(i, viewpoint): (usize, &Viewpoint)| {
                     format!("<option value=\"{i}\">{}</option>", escape(&viewpoint.name))
@@ -93,7 +102,7 @@ impl Viewer<'_> {
 
     /// Whether the viewer is part of a page that scrolls.
     fn scrolls(&self) -> bool {
-        !matches!(self.source, SceneSource::Url(_))
+        matches!(self.source, SceneSource::Page | SceneSource::Live(_))
     }
 
     /// Returns the scripts that must follow the element.
@@ -106,9 +115,10 @@ impl Viewer<'_> {
         let up: DVec3 = viewpoints.iter().map(|viewpoint| viewpoint.up).sum();
         let setup = Setup {
             url: match self.source {
-                SceneSource::Page => None,
+                SceneSource::Page | SceneSource::Whole(_) => None,
                 SceneSource::Url(url) | SceneSource::Live(url) => Some(url),
             },
+            kind: if matches!(self.source, SceneSource::Whole(_)) { "pcsogszip" } else { "ply" },
             centre: self.scene.extent.centre.to_array(),
             radius: self.scene.extent.radius,
             // Cameras that look in all directions have no common up direction.
@@ -121,13 +131,35 @@ impl Viewer<'_> {
         };
         let mut text = format!("<!--\n{LICENSES}\n-->\n");
         writeln!(text, "<script type=\"application/json\" id=\"viewer-setup\">{}</script>", in_script(&setup)?)?;
-        if self.source == SceneSource::Page {
+        let inside = match self.source {
+            SceneSource::Page => Some(&self.scene.ply[..]),
+            SceneSource::Whole(sog) => Some(sog),
+            SceneSource::Url(_) | SceneSource::Live(_) => None,
+        };
+        if let Some(bytes) = inside {
             text.push_str("<script type=\"text/plain\" id=\"viewer-scene\">");
-            BASE64_STANDARD.encode_string(&self.scene.ply, &mut text);
+            BASE64_STANDARD.encode_string(bytes, &mut text);
             text.push_str("</script>\n");
         }
         writeln!(text, "<script>{LIBRARY}</script>\n<script>{SCRIPT}</script>")?;
         Ok(text)
+    }
+
+    /// Returns a whole page that shows the scene and nothing else.
+    ///
+    /// # Errors
+    /// The errors of [`Self::scripts`].
+    pub fn page(&self, title: &str) -> Result<String> {
+        Ok(format!(
+            "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
+             <meta http-equiv=\"Content-Security-Policy\" content=\"{POLICY}\">\n\
+             <meta name=\"viewport\" content=\"width=device-width\">\n<title>{}</title>\n<style>\n{}{STYLE}</style>\n</head>\n\
+             <body>\n{}{}</body>\n</html>\n",
+            escape(title),
+            include_str!("page.css"),
+            self.element(),
+            self.scripts()?,
+        ))
     }
 }
 

@@ -1,11 +1,12 @@
 //! A scene for the browser: a PLY file in memory, of limited size, and viewpoints.
 
 use anyhow::{Context, Result};
-use glam::{DVec3, Vec3};
+use glam::{DAffine3, DVec3, Vec3};
 use serde::Serialize;
-use splat_model::capture::Photograph;
+use splat_model::capture::{Photograph, View};
 use splat_model::gaussians::GaussianRows;
 use splat_model::ply;
+use splat_op::Intrinsics;
 
 use crate::input::selected;
 
@@ -136,9 +137,18 @@ pub struct Viewpoint {
 impl Viewpoint {
     /// Returns the viewpoint of a photograph.
     pub fn of(photo: &Photograph) -> Self {
-        let (intrinsics, world_from_cam) = (&photo.intrinsics, photo.cam_from_world.inverse());
+        Self::of_camera(&photo.name, &photo.intrinsics, &photo.cam_from_world)
+    }
+
+    /// Returns the viewpoint of a capture's view.
+    pub fn of_view(view: &View) -> Self {
+        Self::of_camera(&view.name, &view.intrinsics, &view.cam_from_world)
+    }
+
+    fn of_camera(name: &str, intrinsics: &Intrinsics, cam_from_world: &DAffine3) -> Self {
+        let world_from_cam = cam_from_world.inverse();
         Self {
-            name: photo.name.clone(),
+            name: name.to_owned(),
             position: world_from_cam.translation.to_array(),
             forward: world_from_cam.matrix3.z_axis.to_array(),
             up: -world_from_cam.matrix3.y_axis,

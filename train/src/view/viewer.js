@@ -43,20 +43,48 @@
 
     // Cameras of the trainer's files look along +z with +y down; those of three.js along -z with +y up.
     const centre = new Vector3(...setup.centre);
-    const look = ({ position, forward, fov_y_degrees }) => {
-      camera.position.set(...position);
-      camera.fov = fov_y_degrees;
-      camera.updateProjectionMatrix();
-      const ahead = new Vector3(...forward);
-      const depth = centre.clone().sub(camera.position).dot(ahead);
+    const aim = ({ position: [...at], forward, fov_y_degrees: fov }) => {
+      const position = new Vector3(...at), ahead = new Vector3(...forward);
+      const depth = centre.clone().sub(position).dot(ahead);
       const distance = depth > 0.05 * setup.radius ? depth : setup.radius;
-      controls.target.copy(camera.position).addScaledVector(ahead, distance);
+      return { position, target: position.clone().addScaledVector(ahead, distance), fov };
+    };
+    const stand = ({ position, target, fov }) => {
+      camera.position.copy(position);
+      camera.fov = fov;
+      camera.updateProjectionMatrix();
+      controls.target.copy(target);
       controls.update();
       dirty = true;
     };
+    const look = (viewpoint) => stand(aim(viewpoint));
     look(setup.cameras[0]);
     const select = document.getElementById("viewer-camera");
     if (select) select.onchange = () => look(setup.cameras[Number(select.value)]);
+
+    // A button's flight takes a second, slow at both ends. The document's element names the view that it arrived at.
+    let flight = null;
+    const fly = (view) => {
+      const from = { position: camera.position.clone(), target: controls.target.clone(), fov: camera.fov };
+      const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
+      flight = { from, to: aim(setup.cameras[view]), view, start: performance.now(), duration: still ? 0 : 1000 };
+      delete root.dataset.view;
+    };
+    const onward = () => {
+      const { from, to, view, start, duration } = flight;
+      const share = duration > 0 ? Math.min((performance.now() - start) / duration, 1) : 1;
+      const eased = share * share * (3 - 2 * share);
+      stand({
+        position: from.position.clone().lerp(to.position, eased),
+        target: from.target.clone().lerp(to.target, eased),
+        fov: from.fov + (to.fov - from.fov) * eased,
+      });
+      if (share < 1) return;
+      flight = null;
+      root.dataset.view = view;
+    };
+    document.querySelectorAll("#viewer-views button").forEach((button, view) => { button.onclick = () => fly(view); });
+    renderer.domElement.addEventListener("pointerdown", () => { flight = null; });
 
     // A page that scrolls keeps its wheel until the picture is clicked.
     if (setup.wheel_after_click) {
@@ -70,7 +98,7 @@
     let mesh = null;
     // Shows a scene in place of the one before. The camera stays.
     const replace = async (bytes) => {
-      const next = new SplatMesh({ fileBytes: bytes, fileType: "ply" });
+      const next = new SplatMesh({ fileBytes: bytes, fileType: setup.kind });
       await next.initialized;
       if (mesh) {
         scene.remove(mesh);
@@ -93,6 +121,7 @@
     const SURE = 3;
     let drawn = 0;
     renderer.setAnimationLoop(() => {
+      if (flight) onward();
       if (!visible || !(dirty || drawn < SURE)) return;
       dirty = false;
       controls.update();

@@ -156,7 +156,7 @@ fn serve(gate: &TcpListener, harness: &str, page: &BrowserPage, stopped: &mpsc::
 
 /// Checks that nothing went wrong and that the scene is visible.
 #[track_caller]
-fn assert_drawn(seen: &PageResult) {
+pub fn assert_drawn(seen: &PageResult) {
     assert_eq!(seen.state["viewer"], "drawn", "{}\n{:?}", seen.state, seen.console);
     let complaints: Vec<&String> =
         seen.console.iter().filter(|line| !line.contains("GPU stall due to ReadPixels")).collect();

@@ -6,6 +6,7 @@ mod choices;
 mod convert;
 mod effects;
 mod errors;
+mod export;
 mod hard_cases;
 mod live;
 mod lpips;
@@ -13,6 +14,7 @@ mod memory;
 mod non_finite;
 mod origin;
 mod pareto;
+mod readers;
 #[cfg(unix)]
 mod reconstruct;
 mod resume;

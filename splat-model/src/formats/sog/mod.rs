@@ -31,6 +31,7 @@ mod write;
 
 pub(super) use meta::is_meta;
 pub(super) use read::{read_archive, read_folder};
+pub use write::SogOptions;
 pub(super) use write::write;
 
 /// The highest degree of the spherical harmonics.

@@ -20,9 +20,20 @@ use crate::replace::replace;
 /// Largest number of palette entries: their indices have sixteen bits.
 const ENTRIES_MAX: usize = 1 << 16;
 
+/// Number of Gaussians for each palette entry of a scene too small for the largest palette; `docs/FORMATS.md` has what others cost.
+const GAUSSIANS_PER_ENTRY: usize = 8;
+
+/// The choices that SOG leaves to its writer.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SogOptions {
+    /// Largest number of entries of the palette of higher harmonics, 1 to 65,536. By default one for eight Gaussians. More entries make a larger
+    /// file that is closer to the scene.
+    pub entries: Option<usize>,
+}
+
 /// Writes rows that fit the format ([`crate::formats::fit`]). `scene` gives the origin and the mark of antialiasing.
-pub fn write(path: &Path, rows: &GaussianRows, scene: &SceneFile) -> Result<(), FormatError> {
-    let written = pack(rows, scene).and_then(|archive| {
+pub fn write(path: &Path, rows: &GaussianRows, scene: &SceneFile, options: SogOptions) -> Result<(), FormatError> {
+    let written = pack(rows, scene, options).and_then(|archive| {
         replace(path, |out| out.write_all(&archive)).map_err(|refused| (refused.action, refused.source))
     });
     written.map_err(|(action, source)| FormatError::io(path, action)(source))
@@ -54,11 +65,11 @@ impl Picture {
     }
 }
 
-fn pack(rows: &GaussianRows, scene: &SceneFile) -> Result<Vec<u8>, (&'static str, io::Error)> {
+fn pack(rows: &GaussianRows, scene: &SceneFile, options: SogOptions) -> Result<Vec<u8>, (&'static str, io::Error)> {
     let count = rows.len();
     let ((means, scales), (colours, harmonics)) = rayon::join(
         || rayon::join(|| Places::of(rows), || quantise(rows.log_scales.as_flattened())),
-        || rayon::join(|| quantise(rows.sh_dc.as_flattened()), || higher(rows)),
+        || rayon::join(|| quantise(rows.sh_dc.as_flattened()), || higher(rows, options)),
     );
     let three = |found: &Quantised, i: usize| [0, 1, 2].map(|axis| found.indices[3 * i + axis]);
     let mut pictures = vec![
@@ -146,13 +157,12 @@ impl Places {
 }
 
 /// The palette of higher harmonics and its pictures; `None` at degree 0.
-fn higher(rows: &GaussianRows) -> Option<(Harmonics, [Picture; 2])> {
+fn higher(rows: &GaussianRows, options: SogOptions) -> Option<(Harmonics, [Picture; 2])> {
     let per_row = rows.rest_per_row();
     if per_row == 0 || rows.is_empty() {
         return None;
     }
-    // As the format's reference has it: a power of two, at most as many as there are Gaussians.
-    let entries = (1 << rows.len().ilog2()).min(ENTRIES_MAX);
+    let entries = options.entries.unwrap_or(rows.len().div_ceil(GAUSSIANS_PER_ENTRY)).clamp(1, ENTRIES_MAX);
     let found = palette(&rows.sh_rest, per_row, entries);
     let quantised = quantise(&found.entries);
     let count = found.entries.len() / per_row;

@@ -21,7 +21,7 @@ fn viewpoint(name: &str, up: DVec3) -> Viewpoint {
     Viewpoint { name: name.into(), position: [0.0; 3], forward: [0.0, 0.0, 1.0], up, fov_y_degrees: 40.0 }
 }
 
-fn viewer<'a>(scene: &'a ShownScene, viewpoints: &'a [Viewpoint], source: SceneSource) -> Viewer<'a> {
+fn viewer<'a>(scene: &'a ShownScene, viewpoints: &'a [Viewpoint], source: SceneSource<'a>) -> Viewer<'a> {
     Viewer { scene, source, viewpoints, background: [0.0, 0.5, 1.0], antialias: false }
 }
 

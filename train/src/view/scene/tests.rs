@@ -1,6 +1,4 @@
-use glam::DAffine3;
 use splat_model::capture::Photo;
-use splat_op::Intrinsics;
 
 use super::*;
 

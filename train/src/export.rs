@@ -1,0 +1,135 @@
+//! `splat export`: a scene as one page with the viewer, for people who have neither this program nor a server.
+
+use std::fs;
+use std::io::Write;
+use std::path::PathBuf;
+
+use anyhow::{Context, Result, anyhow, ensure};
+use clap::value_parser;
+use splat_model::capture::{Capture, View};
+use splat_model::effects::background::Background;
+use splat_model::formats::{self, Format, SceneFile};
+use splat_model::gaussians::GaussianRows;
+
+use crate::background::ShownBackground;
+use crate::view::page::{SceneSource, Viewer};
+use crate::view::scene::{ShownScene, Viewpoint};
+use crate::{input, output, progress};
+
+/// Number of views without `--view`, so that their buttons fit into a line.
+const VIEWS: usize = 8;
+
+/// Options of `splat export`.
+#[derive(Clone, Debug, clap::Args)]
+pub struct ExportArgs {
+    /// Scene to export, in any format that `convert` reads
+    pub scene: PathBuf,
+    /// Page to write: one file that holds the viewer and the scene, and loads nothing from elsewhere
+    #[arg(long, value_name = "FILE")]
+    pub html: PathBuf,
+    /// Capture whose photographs become views, with a button each
+    #[arg(long, value_name = "CAPTURE")]
+    pub views: Option<PathBuf>,
+    /// Photograph of `--views` that becomes a view, with the text of its button after `=`; repeatable [default: eight photographs,
+    /// evenly in name order]
+    #[arg(long = "view", value_name = "PHOTO[=TEXT]", requires = "views")]
+    pub view: Vec<String>,
+    /// Title of the page [default: the name of the scene's file]
+    #[arg(long)]
+    pub title: Option<String>,
+    /// Drop spherical harmonics above this degree, which makes the page smaller
+    #[arg(long, value_name = "DEGREE", value_parser = value_parser!(u8).range(0..=3))]
+    pub sh_degree: Option<u8>,
+    /// Background: black, white or R,G,B from 0 to 1, or the background.json of a run that learned a colour
+    #[arg(long, value_name = "COLOUR", default_value_t)]
+    pub background: ShownBackground,
+    /// Show the scene as trained with --antialias
+    #[arg(long)]
+    pub antialias: bool,
+}
+
+/// Writes the page and prints its size.
+///
+/// # Errors
+/// If the scene or the capture cannot be read, a view is not one of the capture, or the page cannot be written.
+pub fn run(args: &ExportArgs) -> Result<()> {
+    let Background::Colour(background) = args.background.read()? else {
+        return Err(anyhow!(
+            "the page shows a background of one colour: give `--background` a colour such as black or 0.5,0.5,0.5"
+        ));
+    };
+    let capture = args.views.as_deref().map(input::capture).transpose()?;
+    let viewpoints = capture.as_ref().map(|capture| viewpoints(capture, &args.view)).transpose()?.unwrap_or_default();
+    let rows = rows(args, capture.as_ref())?;
+    let degree = rows.sh_degree.min(args.sh_degree.map_or(Format::Sog.sh_degree_max(), usize::from));
+    let rows = input::selected(&rows, 0..rows.len(), degree);
+    let shown = ShownScene::new(&rows, usize::MAX)
+        .with_context(|| format!("{} cannot be shown: name another scene", args.scene.display()))?;
+    let sog = compressed(rows)?;
+    let viewer = Viewer {
+        scene: &shown,
+        source: SceneSource::Whole(&sog),
+        viewpoints: &viewpoints,
+        background,
+        antialias: args.antialias,
+    };
+    let name = args.scene.file_name().unwrap_or(args.scene.as_os_str()).to_string_lossy();
+    let page = viewer.page(args.title.as_deref().unwrap_or(&name))?;
+    output::write(&args.html, |file| Ok(file.write_all(page.as_bytes())?))?;
+    progress::say(&format!(
+        "{}: {} bytes, of which the scene has {}; {} splats of degree {}, {} views",
+        args.html.display(),
+        page.len(),
+        sog.len().div_ceil(3) * 4,
+        shown.splats,
+        shown.sh_degree,
+        viewpoints.len()
+    ));
+    Ok(())
+}
+
+/// The rows of the scene, with positions relative to the origin of the capture if there is one.
+fn rows(args: &ExportArgs, capture: Option<&Capture>) -> Result<GaussianRows> {
+    if let Some(capture) = capture {
+        return input::rows(&args.scene, capture);
+    }
+    let (SceneFile { rows, antialiased, .. }, _) = formats::read(&args.scene).context("cannot read the scene")?;
+    input::note_antialiased(&args.scene, antialiased && !args.antialias);
+    progress::note_unusable(&args.scene, rows.unusable(), rows.len());
+    Ok(rows)
+}
+
+/// The scene as SOG, the smallest of the formats that the viewer reads.
+fn compressed(rows: GaussianRows) -> Result<Vec<u8>> {
+    let folder = tempfile::tempdir().context("cannot make a temporary folder")?;
+    let path = folder.path().join("scene.sog");
+    formats::write(&path, &SceneFile { rows, ..SceneFile::default() }, Format::Sog)
+        .context("cannot compress the scene")?;
+    fs::read(&path).context("cannot read the compressed scene")
+}
+
+/// The viewpoints of the wanted photographs, with the names of their buttons.
+fn viewpoints(capture: &Capture, wanted: &[String]) -> Result<Vec<Viewpoint>> {
+    if wanted.is_empty() {
+        let count = capture.views.len().min(VIEWS);
+        return Ok((0..count).map(|i| Viewpoint::of_view(&capture.views[i * capture.views.len() / count])).collect());
+    }
+    let found = |name: &str| capture.views.iter().find(|view: &&View| view.name == name);
+    let one = |wanted: &String| {
+        // A photograph's name may hold the sign too.
+        let named = found(wanted).map(|view| (view, wanted.as_str()));
+        let named = named.or_else(|| wanted.split_once('=').and_then(|(name, text)| Some((found(name)?, text))));
+        let (view, text) = named.ok_or_else(|| {
+            let names: Vec<&str> = capture.views.iter().take(4).map(|view| view.name.as_str()).collect();
+            let more = if capture.views.len() > names.len() { ", …" } else { "" };
+            anyhow!(
+                "{} has no view {wanted:?}: give `--view` one of its names ({}{more}), and after `=` the text of the button",
+                capture.folder.display(),
+                names.join(", ")
+            )
+        })?;
+        ensure!(!text.is_empty(), "`--view {wanted}` has no text after `=`: add one, or leave the sign out");
+        Ok(Viewpoint { name: text.to_owned(), ..Viewpoint::of_view(view) })
+    };
+    wanted.iter().map(one).collect()
+}
