@@ -7,6 +7,7 @@ use super::{Adaptive, AdaptiveConfig, Focus, Mcmc, McmcConfig, Strategy};
 /// A strategy and its options.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "strategy", rename_all = "kebab-case")]
+#[allow(clippy::large_enum_variant, reason = "a run has one, and copies it a few times")]
 pub enum DensityConfig {
     /// Copies and splits Gaussians with large gradients, removes faint ones.
     Adaptive(AdaptiveConfig),

@@ -66,7 +66,7 @@ fn cells_stand_upright_in_any_frame() {
     );
     let mut turned = capture.clone();
     for view in &mut turned.views {
-        view.cam_from_world = view.cam_from_world * turned_from_world.inverse();
+        view.cam_from_world *= turned_from_world.inverse();
     }
     for position in &mut turned.points.positions {
         *position = turned_from_world.transform_point3(Vec3::from(*position).as_dvec3()).as_vec3().to_array();
