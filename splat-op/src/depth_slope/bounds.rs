@@ -144,7 +144,7 @@ impl<F: Real> InPicture<F> {
         let by_x = by_u - by_v * e.shear;
         let middle = F::ONE - by_u * dx - by_v * (dy - e.shear * dx);
         let terms = F::ONE + slope_u.abs() * far_u + slope_v.abs() * far_v;
-        let span = by_x.abs() * half[0] + by_v.abs() * half[1] + F::of(ROUNDING) * F::EPSILON * terms;
+        let span = by_x.abs() * half[0] + by_v.abs() * half[1] + F::of(ROUNDING) * terms;
         let (least, most) = ((middle - span).max_of(F::ZERO), middle + span);
         let spread = far_u + far_v;
         // Beyond these limits `rasterize_rays` clamps.
@@ -160,12 +160,12 @@ impl<F: Real> InPicture<F> {
         let (sum, product) = (self.least + self.most, self.least * self.most);
         let middle = slope.map(|slope| F::of(-0.5) * square * sum * slope);
         let away = middle[0] * middle[0] + middle[1] * middle[1];
-        let slack = F::of(ROUNDING) * F::EPSILON * (away + square * (sum + product));
+        let slack = F::of(ROUNDING) * (away + square * (sum + product));
         let radius = away + square * (sum - product) + slack;
         let scale = if radius < F::ZERO {
             -F::ONE
         } else {
-            (radius.sqrt() + F::of(ROUNDING) * F::EPSILON * self.spread) / F::of(EXTENT)
+            (radius.sqrt() + F::of(ROUNDING) * self.spread) / F::of(EXTENT)
         };
         Some(Whitened { middle, column: [F::ZERO; 2], scale })
     }

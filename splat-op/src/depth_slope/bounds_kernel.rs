@@ -101,7 +101,7 @@ struct InPicture {
 
 #[cube]
 fn in_picture(e: &PackedEllipse, slope_u: f32, slope_v: f32, half_x: f32, half_y: f32) -> InPicture {
-    let rounding = comptime!(ROUNDING as f32 * f32::EPSILON);
+    let rounding = comptime!(ROUNDING as f32);
     let (dx, dy) = (half_x - e.x, half_y - e.y);
     let (far_x, far_y) = (dx.abs() + half_x, dy.abs() + half_y);
     let (far_u, far_v) = (far_x / e.sigma_u, (far_y + e.shear.abs() * far_x) / e.sigma_v);
@@ -128,7 +128,7 @@ fn in_picture(e: &PackedEllipse, slope_u: f32, slope_v: f32, half_x: f32, half_y
 /// Returns a disc that holds the part of the visible region in the picture; with a negative scale if there is none.
 #[cube]
 fn disc(seen: &InPicture, slope_u: f32, slope_v: f32, square: f32) -> Whitened {
-    let rounding = comptime!(ROUNDING as f32 * f32::EPSILON);
+    let rounding = comptime!(ROUNDING as f32);
     let (sum, product) = (seen.least + seen.most, seen.least * seen.most);
     let toward = 0.5 * square * sum;
     let (middle_u, middle_v) = (-(toward * slope_u), -(toward * slope_v));

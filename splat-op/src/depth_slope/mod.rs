@@ -87,8 +87,9 @@ pub(crate) const EXTENT: f64 = 2.0;
 /// Relative and absolute excess of the `τ` of bounds: more than the accumulated rounding errors.
 pub(crate) const SLACK: [f64; 2] = [1e-3, 1e-3];
 
-/// Rounding errors of the terms of a disc, in units of the last place: more than they accumulate.
-pub(crate) const ROUNDING: f64 = 64.0;
+/// Relative rounding error of a disc: more than its terms accumulate in f32. Both twins and both floats take this one, so that their
+/// discs agree.
+pub(crate) const ROUNDING: f64 = 64.0 * f32::EPSILON as f64;
 
 /// Smallest `1 − e²` and `1 − τ thickness²` that keep enough digits after rounding.
 pub(crate) const LEAST: f64 = 1e-3;
