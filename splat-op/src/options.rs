@@ -167,12 +167,12 @@ impl RenderOptions {
         self.projection == Projection::RayMax
     }
 
-    /// Options for `project`. `RayMax` is exact however far outside the picture a centre lies, so the Jacobian is not clamped; no
-    /// f32 render has a slope of 1e20.
+    /// Options for `project`. `RayMax` is exact wherever the Jacobian is taken. It is taken at the point of the picture next to the
+    /// centre, whence `rasterize_rays` evaluates the Gaussian: f32 loses all digits where it is taken far outside.
     pub(crate) fn of_project(&self) -> Self {
         match self.projection {
             Projection::Affine => *self,
-            Projection::RayMax => Self { jacobian_margin: 1e20, ..*self },
+            Projection::RayMax => Self { jacobian_margin: 0.0, ..*self },
         }
     }
 

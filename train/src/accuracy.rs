@@ -39,7 +39,7 @@ pub enum ProjectionArg {
     /// Projected ellipse: the projection is taken as affine around the splat's centre
     #[default]
     Affine,
-    /// Largest value along the pixel's ray; about ten times as slow
+    /// Largest value along the pixel's ray; about twice as slow
     RayMax,
 }
 
@@ -49,7 +49,7 @@ pub enum OrderArg {
     /// One global sort by the depths of the splats' centres
     #[default]
     CentreDepth,
-    /// Sort for each pixel, so that nothing pops as the camera turns; about twenty times as slow
+    /// Sort for each pixel, so that nothing pops as the camera turns; about three times as slow
     PerPixelSort,
 }
 

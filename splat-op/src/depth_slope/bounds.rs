@@ -3,8 +3,9 @@
 use rayon::prelude::*;
 
 use super::{DEPTH_SLOPE, EXTENT, LEAST, ROUNDING, SLACK};
+use crate::camera::Intrinsics;
 use crate::intersect::extent::whitened_limit;
-use crate::linalg::norm;
+use crate::linalg::{cross, dot, norm, scale};
 use crate::project::{COLUMNS, Ellipse};
 use crate::rasterize::RasterizeSpec;
 use crate::rasterize_rays::WHITENED_MAX;
@@ -25,11 +26,37 @@ pub(crate) fn bounds_cpu<F: Real>(packed: &[F], depth_slopes: &[F], spec: &Raste
     bounds
 }
 
+/// Returns the point of the picture next to a centre, and the distance of the centre from there, px.
+pub(crate) fn beyond<F: Real>(mean_px: [F; 2], camera: &Intrinsics) -> ([F; 2], [F; 2]) {
+    let size = [camera.width, camera.height].map(|px| F::of(px as f64));
+    let base = [0, 1].map(|axis| mean_px[axis].within(F::ZERO, size[axis]));
+    (base, [0, 1].map(|axis| mean_px[axis] - base[axis]))
+}
+
+/// Returns the ellipse and the depth slope in the ray-space coordinates of the centre, from those of the point that lies `away` px
+/// before the centre.
+fn about_centre<F: Real>(
+    e: &Ellipse<F>,
+    [slope_u, slope_v, thickness]: [F; DEPTH_SLOPE],
+    away: [F; 2],
+) -> (Ellipse<F>, [F; DEPTH_SLOPE]) {
+    let z = [slope_u, slope_v, thickness];
+    let x = [e.sigma_u - away[0] * slope_u, -away[0] * slope_v, -away[0] * thickness];
+    let y = [e.shear * e.sigma_u - away[1] * slope_u, e.sigma_v - away[1] * slope_v, -away[1] * thickness];
+    let sigma_u = norm(x);
+    let n = scale(x, F::ONE / sigma_u);
+    let across = cross(n, y);
+    let sigma_v = norm(across);
+    let p = scale(cross(across, n), F::ONE / sigma_v);
+    let thickness = thickness * (e.sigma_u / sigma_u) * (e.sigma_v / sigma_v);
+    (Ellipse { sigma_u, shear: dot(n, y) / sigma_u, sigma_v, ..*e }, [dot(n, z), dot(p, z), thickness])
+}
+
 /// Returns the bounds of a Gaussian from its packed ellipse and its depth slope. The row of a Gaussian that shows nowhere in the
 /// picture has no opacity.
 pub(crate) fn bounding_ellipse<F: Real>(
     e: &Ellipse<F>,
-    [depth_slope_u, depth_slope_v, thickness]: [F; DEPTH_SLOPE],
+    depth_slope: [F; DEPTH_SLOPE],
     spec: &RasterizeSpec,
 ) -> Ellipse<F> {
     let alpha_min = F::of(spec.options.alpha_min);
@@ -37,6 +64,12 @@ pub(crate) fn bounding_ellipse<F: Real>(
         return *e;
     }
     let camera = &spec.intrinsics;
+    let away = beyond(e.mean_px, camera).1;
+    let (e, [depth_slope_u, depth_slope_v, thickness]) = match away == [F::ZERO; 2] {
+        true => (*e, depth_slope),
+        false => about_centre(e, depth_slope, away),
+    };
+    let e = &e;
     let reached = alpha_min * F::of((0.5 * EXTENT * EXTENT).exp());
     let half = [camera.width, camera.height].map(|px| F::of(0.5 * px as f64));
     let width_and_height = F::of(2.0) * (half[0] + half[1]);
@@ -144,7 +177,7 @@ impl<F: Real> InPicture<F> {
         let by_x = by_u - by_v * e.shear;
         let middle = F::ONE - by_u * dx - by_v * (dy - e.shear * dx);
         let terms = F::ONE + slope_u.abs() * far_u + slope_v.abs() * far_v;
-        let span = by_x.abs() * half[0] + by_v.abs() * half[1] + F::of(ROUNDING) * F::EPSILON * terms;
+        let span = by_x.abs() * half[0] + by_v.abs() * half[1] + F::of(ROUNDING) * terms;
         let (least, most) = ((middle - span).max_of(F::ZERO), middle + span);
         let spread = far_u + far_v;
         // Beyond these limits `rasterize_rays` clamps.
@@ -160,13 +193,10 @@ impl<F: Real> InPicture<F> {
         let (sum, product) = (self.least + self.most, self.least * self.most);
         let middle = slope.map(|slope| F::of(-0.5) * square * sum * slope);
         let away = middle[0] * middle[0] + middle[1] * middle[1];
-        let slack = F::of(ROUNDING) * F::EPSILON * (away + square * (sum + product));
+        let slack = F::of(ROUNDING) * (away + square * (sum + product));
         let radius = away + square * (sum - product) + slack;
-        let scale = if radius < F::ZERO {
-            -F::ONE
-        } else {
-            (radius.sqrt() + F::of(ROUNDING) * F::EPSILON * self.spread) / F::of(EXTENT)
-        };
+        let scale =
+            if radius < F::ZERO { -F::ONE } else { (radius.sqrt() + F::of(ROUNDING) * self.spread) / F::of(EXTENT) };
         Some(Whitened { middle, column: [F::ZERO; 2], scale })
     }
 }

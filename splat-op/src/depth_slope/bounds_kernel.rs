@@ -3,7 +3,7 @@
 use cubecl::prelude::*;
 
 use super::{DEPTH_SLOPE, EXTENT, LEAST, ROUNDING, SLACK};
-use crate::gpu::math::{Vec3, finite};
+use crate::gpu::math::{Vec3, finite, within};
 use crate::project::forward::PackedEllipse;
 use crate::rasterize_rays::WHITENED_MAX;
 
@@ -101,7 +101,7 @@ struct InPicture {
 
 #[cube]
 fn in_picture(e: &PackedEllipse, slope_u: f32, slope_v: f32, half_x: f32, half_y: f32) -> InPicture {
-    let rounding = comptime!(ROUNDING as f32 * f32::EPSILON);
+    let rounding = comptime!(ROUNDING as f32);
     let (dx, dy) = (half_x - e.x, half_y - e.y);
     let (far_x, far_y) = (dx.abs() + half_x, dy.abs() + half_y);
     let (far_u, far_v) = (far_x / e.sigma_u, (far_y + e.shear.abs() * far_x) / e.sigma_v);
@@ -128,7 +128,7 @@ fn in_picture(e: &PackedEllipse, slope_u: f32, slope_v: f32, half_x: f32, half_y
 /// Returns a disc that holds the part of the visible region in the picture; with a negative scale if there is none.
 #[cube]
 fn disc(seen: &InPicture, slope_u: f32, slope_v: f32, square: f32) -> Whitened {
-    let rounding = comptime!(ROUNDING as f32 * f32::EPSILON);
+    let rounding = comptime!(ROUNDING as f32);
     let (sum, product) = (seen.least + seen.most, seen.least * seen.most);
     let toward = 0.5 * square * sum;
     let (middle_u, middle_v) = (-(toward * slope_u), -(toward * slope_v));
@@ -160,6 +160,34 @@ fn smaller(ellipse: &Whitened, disc: &Whitened) -> Whitened {
     }
 }
 
+/// Returns the ellipse and the depth slope in the ray-space coordinates of the centre, as the twin.
+#[cube]
+fn about_centre(e: &PackedEllipse, z: Vec3, away_x: f32, away_y: f32) -> (PackedEllipse, Vec3) {
+    let x = Vec3::new(e.sigma_u, 0.0, 0.0).minus(z.times(away_x));
+    let y = Vec3::new(e.shear * e.sigma_u, e.sigma_v, 0.0).minus(z.times(away_y));
+    let sigma_u = x.length();
+    let n = x.times(1.0 / sigma_u);
+    let across = n.cross(y);
+    let sigma_v = across.length();
+    let p = across.cross(n).times(1.0 / sigma_v);
+    let moved = PackedEllipse {
+        x: e.x,
+        y: e.y,
+        sigma_u,
+        shear: n.dot(y) / sigma_u,
+        sigma_v,
+        depth: e.depth,
+        opacity: e.opacity,
+    };
+    let there = away_x == 0.0 && away_y == 0.0;
+    let slope = Vec3::new(
+        select(there, z.x, n.dot(z)),
+        select(there, z.y, p.dot(z)),
+        select(there, z.z, z.z * (e.sigma_u / sigma_u) * (e.sigma_v / sigma_v)),
+    );
+    (moved, slope)
+}
+
 /// Writes the bounds, `[N, 7]`.
 #[cube(launch_unchecked)]
 pub(super) fn bounds_kernel(
@@ -174,7 +202,10 @@ pub(super) fn bounds_kernel(
     if ABSOLUTE_POS < count as usize {
         let e = PackedEllipse::load(projected, ABSOLUTE_POS);
         let at = ABSOLUTE_POS * comptime!(DEPTH_SLOPE);
-        let (slope_u, slope_v, thickness) = (depth_slopes[at], depth_slopes[at + 1], depth_slopes[at + 2]);
+        let away_x = e.x - within(e.x, 0.0, width);
+        let away_y = e.y - within(e.y, 0.0, height);
+        let (moved, slope) = about_centre(&e, Vec3::load(depth_slopes, at), away_x, away_y);
+        let (slope_u, slope_v, thickness) = (slope.x, slope.y, slope.z);
         let least = comptime!(LEAST as f32);
         let reached = alpha_min * comptime!((0.5 * EXTENT * EXTENT).exp() as f32);
         let faintest = max(alpha_min, f32::MIN_POSITIVE);
@@ -183,11 +214,11 @@ pub(super) fn bounds_kernel(
         let thin = 1.0 - across * across;
         let ends = alpha_min > 0.0 && thin > least && finite(thin);
         let square = tau / max(thin, least);
-        let seen = in_picture(&e, slope_u, slope_v, width * 0.5, height * 0.5);
+        let seen = in_picture(&moved, slope_u, slope_v, width * 0.5, height * 0.5);
         let disc = disc(&seen, slope_u, slope_v, square);
         let hidden = seen.known && (seen.most <= 0.0 || (ends && disc.known && disc.scale < 0.0));
         let found = smaller(&whole_ellipse(slope_u, slope_v, square), &disc);
-        let row = found.row(&e, reached);
+        let row = found.row(&moved, reached);
         let sound = finite(row.x) && finite(row.y) && finite(row.sigma_u) && finite(row.shear) && finite(row.sigma_v);
         if !(finite(e.opacity) && e.opacity > 0.0 && e.opacity >= alpha_min) {
             e.store(bounds, ABSOLUTE_POS);

@@ -144,11 +144,19 @@ fn bounds_agree_with_the_twin() {
         let rows =
             [project_cpu(inputs(&tensors), &spec), depth_slope_cpu(inputs(&tensors), &spec)].map(|t| rounded(&t));
         let reference = PerturbedReference::new(&rows, |rows| vec![bounds_cpu(&rows[0], &rows[1], &rasterize)]);
-        // At the limit between bounded and unbounded regions a row may fall on either side; the slack of that limit is no
-        // rounding error.
+        // Where a region is hardly bounded, or two bounds are equally large, a row may fall on either side.
+        let near = [1.0 - 1e-4, 1.0 + 1e-4].map(|share| {
+            let moved: Vec<f64> = rows[1].iter().map(|slope| slope * share).collect();
+            bounds_cpu(&rows[0], &moved, &rasterize)
+        });
         let jumps = |i: usize| {
             let row = |values: &[f64]| values[COLUMNS * i..COLUMNS * (i + 1)].to_vec();
-            row(&reference.spread[0]).iter().any(|spread| *spread > 1.0)
+            let expected = row(&reference.expected[0]);
+            let apart = |near: &Vec<f64>| {
+                let pairs = row(near).into_iter().zip(expected.clone());
+                pairs.into_iter().any(|(near, value)| !((near - value).abs() <= 1e-2 * (1.0 + value.abs())))
+            };
+            row(&reference.spread[0]).iter().any(|spread| *spread > 1.0) || near.iter().any(apart)
         };
         let classes: Vec<_> = classes.iter().enumerate().map(|(i, class)| class.filter(|_| !jumps(i))).collect();
         assert!(classes.iter().flatten().count() > 1_000, "too many jump");

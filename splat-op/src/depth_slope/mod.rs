@@ -1,9 +1,10 @@
 //! Ray-space depth slopes: 3D Gaussians → slope and thickness of each in depth, for per-ray rasterization. Differentiable.
 //!
-//! The stage works in the coordinates (px from the centre, px from the centre, depth relative to the centre's depth), a linear
-//! map of the camera frame with the camera at `(0, 0, −1)`. In these coordinates the pinhole's ray through the pixel at the
-//! offset `d` is `λ(d, 1)` from the camera, where `λ` is the camera z divided by the camera z of the centre. A Gaussian with
-//! the image-plane blur has the covariance
+//! The stage works in the coordinates (px from the origin, px from the origin, depth relative to the centre's depth), a linear
+//! map of the camera frame. The origin is the centre in the picture; with `RayMax` it is the picture's point next to a centre
+//! beyond the picture, `away` px from it. In these coordinates the pinhole's ray through the pixel at the offset `d` is `λ(d, 1)`
+//! from the camera, where `λ` is the camera z divided by the camera z of the centre, and the centre is `(away, 1)`. A Gaussian
+//! with the image-plane blur has the covariance
 //!
 //! ```text
 //! C = | m0 √ε 0 | | m0 √ε 0 |ᵀ        m0, m1: rows of J W R diag(s), px      mz = (last row of W R diag(s)) / z
@@ -31,7 +32,8 @@
 //!
 //! # Bounds
 //!
-//! An alpha reaches `alpha_min` where `u² + v² <= τ (s² + thickness² (u² + v²))`, `s = 1 − depth_slope·(u, v) > 0`, with
+//! Bounds take the ellipse and the depth slope in the coordinates whose origin is the centre. There the rows `x, y, z` of the
+//! triangular factor become `x − away_x z`, `y − away_y z` and `z`, which are factored again. An alpha reaches `alpha_min` where `u² + v² <= τ (s² + thickness² (u² + v²))`, `s = 1 − depth_slope·(u, v) > 0`, with
 //! `τ = 2 ln(opacity / alpha_min)`. In polar coordinates the region is `r <= c (1 − |depth_slope| r cos φ)`,
 //! `c² = τ / (1 − τ thickness²)`: a conic with a focus at the centre and the eccentricity `e = c |depth_slope|`. Where it is an
 //! ellipse, with `t = depth_slope / |depth_slope|`,
@@ -72,7 +74,7 @@ pub(crate) mod launch;
 #[cfg(test)]
 mod tests;
 
-pub(crate) use bounds::{bounding_ellipse, bounds_cpu};
+pub(crate) use bounds::{beyond, bounding_ellipse, bounds_cpu};
 
 /// Number of columns of the output.
 pub(crate) const DEPTH_SLOPE: usize = 3;
@@ -87,8 +89,9 @@ pub(crate) const EXTENT: f64 = 2.0;
 /// Relative and absolute excess of the `τ` of bounds: more than the accumulated rounding errors.
 pub(crate) const SLACK: [f64; 2] = [1e-3, 1e-3];
 
-/// Rounding errors of the terms of a disc, in units of the last place: more than they accumulate.
-pub(crate) const ROUNDING: f64 = 64.0;
+/// Relative rounding error of a disc: more than its terms accumulate in f32. Both twins and both floats take this one, so that their
+/// discs agree.
+pub(crate) const ROUNDING: f64 = 64.0 * f32::EPSILON as f64;
 
 /// Smallest `1 − e²` and `1 − τ thickness²` that keep enough digits after rounding.
 pub(crate) const LEAST: f64 = 1e-3;

@@ -3,7 +3,7 @@
 use glam::{DMat3, DQuat, DVec3};
 
 use super::cpu::{depth_slope_backward_cpu, depth_slope_cpu};
-use super::{DEPTH_SLOPE, EXTENT, THICKNESS_MAX, bounds_cpu};
+use super::{DEPTH_SLOPE, EXTENT, THICKNESS_MAX, beyond, bounds_cpu};
 use crate::camera::Intrinsics;
 use crate::intersect::cpu::needed_intersections;
 use crate::options::{Projection, RenderOptions};
@@ -59,7 +59,7 @@ fn inputs<F>([means, rotations, scales, opacities, cam_from_world]: &[Vec<F>; 5]
     Geometry { means, rotations, scales, opacities, cam_from_world, mean2d: &[] }
 }
 
-/// The covariance of the module's documentation, formed literally.
+/// The covariance of the module's documentation, formed literally, in the coordinates of the picture's point next to the centre.
 fn covariance(scene: &StageInputs, i: usize, blur: f64) -> DMat3 {
     let [means, rotations, scales, _, p] = &scene.0;
     let pose = DMat3::from_cols_array(&[p[0], p[4], p[8], p[1], p[5], p[9], p[2], p[6], p[10]]);
@@ -68,7 +68,10 @@ fn covariance(scene: &StageInputs, i: usize, blur: f64) -> DMat3 {
     let axes = pose * turn * DMat3::from_diagonal(DVec3::from_slice(&scales[3 * i..]));
     let DVec3 { x, y, z } = pose * DVec3::from_slice(&means[3 * i..]) + DVec3::new(p[3], p[7], p[11]);
     let (fx, fy) = (CAMERA.fx, CAMERA.fy);
-    let map = DMat3::from_cols_array(&[fx / z, 0.0, 0.0, 0.0, fy / z, 0.0, -fx * x / z / z, -fy * y / z / z, 1.0 / z]);
+    let [[low_x, high_x], [low_y, high_y]] = CAMERA.slope_limits(0.0);
+    let (slope_x, slope_y) = ((x / z).clamp(low_x, high_x), (y / z).clamp(low_y, high_y));
+    let map =
+        DMat3::from_cols_array(&[fx / z, 0.0, 0.0, 0.0, fy / z, 0.0, -fx * slope_x / z, -fy * slope_y / z, 1.0 / z]);
     let m = map * axes;
     m * m.transpose() + DMat3::from_diagonal(DVec3::new(blur, blur, 0.0))
 }
@@ -221,7 +224,6 @@ fn check_tiles<F: Real>(seed: u64, alpha_min: f64) -> [usize; 3] {
     let scene = beside(seed, 600);
     let mut project = spec(Projection::RayMax, 0.3);
     project.intrinsics = Intrinsics::centred(160, 112, 130.0);
-    project.intrinsics.near = 0.01;
     let options = RenderOptions { alpha_min, ..RenderOptions::standard().with_projection(Projection::RayMax) };
     let spec = RasterizeSpec { intrinsics: project.intrinsics, options };
     let of = |values: Vec<f64>| values.into_iter().map(F::of).collect::<Vec<F>>();
@@ -234,13 +236,23 @@ fn check_tiles<F: Real>(seed: u64, alpha_min: f64) -> [usize; 3] {
         if !(e.depth > F::ZERO) {
             continue;
         }
+        let (base, away) = beyond(e.mean_px, &spec.intrinsics);
         let mut needed = vec![0; 70];
         for (x, y) in (0..112).flat_map(|y| (0..160).map(move |x| (x, y))) {
-            let [dx, dy] = [F::of(x as f64 + 0.5) - e.mean_px[0], F::of(y as f64 + 0.5) - e.mean_px[1]];
-            let (u, v) = (dx / e.sigma_u, (dy - e.shear * dx) / e.sigma_v);
-            let (s, square) = (F::ONE - t[0] * u - t[1] * v, u * u + v * v);
-            let alpha = e.opacity * (F::of(-0.5) * square / (s * s + t[2] * t[2] * square)).exp();
-            if s > F::ZERO && alpha >= F::of(alpha_min) {
+            let whitened = |[dx, dy]: [F; 2]| {
+                let (u, v) = (dx / e.sigma_u, (dy - e.shear * dx) / e.sigma_v);
+                [u, v, F::ONE - t[0] * u - t[1] * v]
+            };
+            let [u, v, s] = whitened([F::of(x as f64 + 0.5) - base[0], F::of(y as f64 + 0.5) - base[1]]);
+            let [of_u, of_v, of_s] = whitened(away);
+            let (dot, square, thick) = (u * of_u + v * of_v, u * u + v * v, t[2] * t[2]);
+            let d = s * s + thick * square;
+            let lambda = (s * of_s + thick * dot) / d;
+            let (apart_u, apart_v) = (of_u - lambda * u, of_v - lambda * v);
+            let apart_s = (of_s * square - s * dot) / d;
+            let exponent = apart_u * apart_u + apart_v * apart_v + thick * apart_s * apart_s;
+            let alpha = e.opacity * F::of((-0.5 * exponent.f64()).exp());
+            if lambda > F::ZERO && alpha >= F::of(alpha_min) {
                 needed[y / 16 * 10 + x / 16] = 1;
             }
         }

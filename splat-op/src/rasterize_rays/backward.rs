@@ -23,7 +23,7 @@ pub(super) const fn row_len(shape: KernelShape, absolute: bool) -> usize {
 }
 
 /// Number of sums of an intersection over a tile's pixels, besides one per channel.
-const SUMS: usize = MOMENTS + DEPTH_SLOPE + 3;
+const SUMS: usize = MOMENTS + DEPTH_SLOPE + 6;
 
 /// Returns the link to the next layer in front, a place plus one, from the link that the table holds; zero ends the way. `layers` is
 /// the number of layers in front. It bounds the way, whatever the table holds, and a link beyond the list ends it.
@@ -103,7 +103,7 @@ pub(super) fn rasterize_rays_walk_kernel(
                 layers -= 1u32;
                 link = link_before(table[at + 1], layers, places);
                 let gaussian = inputs.lists.gaussian(first + place) as usize;
-                let footprint = RayGaussian::load(&inputs, gaussian);
+                let footprint = RayGaussian::load(&inputs, gaussian, &view);
                 let layer = footprint.at(&pixel, &view);
                 // Alpha acts as one more channel of colour one.
                 let mut here = grad_alpha + grad_depth * footprint.depth_of(&layer, &view);
@@ -155,12 +155,12 @@ pub(super) fn rasterize_rays_sums_kernel(
     if row < end_row - first_row {
         let tile = tile_of(&inputs.lists, view.first_tile, view.end_tile, place);
         let origin = tile_origin(tile, &view.frame);
-        let footprint = RayGaussian::load(&inputs, inputs.lists.gaussian(place) as usize);
+        let footprint = RayGaussian::load(&inputs, inputs.lists.gaussian(place) as usize, &view);
         let plane = (view.frame.width * view.frame.height) as usize;
         let features = comptime!(view.shape.features);
         let columns = comptime!(row_len(view.shape, absolute));
         let own = ABSOLUTE_POS * comptime!(2 * TILE_PIXELS);
-        // The moments, the gradient of the depth slope, the sums of absolute values and the gradient of the depth.
+        // The moments, the gradient of the depth slope, the sums of absolute values and the gradients of the depth, α, β and γ.
         let mut sums = Array::<f32>::new(comptime!(SUMS));
         #[unroll]
         for column in 0..comptime!(SUMS) {
@@ -180,18 +180,27 @@ pub(super) fn rasterize_rays_sums_kernel(
                 // Negative gradients of `u` and `v`, as in the moments of `rasterize`.
                 let mut p = h * u;
                 let mut q = h * v;
+                let mut centre_u = 0.0f32;
+                let mut centre_v = 0.0f32;
                 if comptime!(view.exact) {
-                    let (exponent, lambda, phi) = (layer.exponent, layer.lambda, layer.phi);
+                    let (lambda, apart_u, apart_v, apart_s) =
+                        (layer.lambda, layer.apart_u, layer.apart_v, layer.apart_s);
                     let of_lambda = seen * footprint.ellipse.depth;
-                    let kappa = 2.0 * exponent * phi - lambda * lambda;
-                    // Negative gradients of E and λ along (u, v), and along the depth slope.
-                    let radial = h * lambda * lambda + of_lambda * 2.0 * lambda * phi;
-                    let across = h * 2.0 * exponent * lambda + of_lambda * kappa;
-                    p = radial * u + across * footprint.depth_slope_u;
-                    q = radial * v + across * footprint.depth_slope_v;
+                    let (near, far, along_s) = (h * lambda, of_lambda * layer.phi, of_lambda * layer.along);
+                    // Gradient of s.
+                    let across = near * apart_s + (far * apart_s - lambda * along_s);
+                    p = across * footprint.depth_slope_u - (near * apart_u + far * (apart_u - lambda * u));
+                    q = across * footprint.depth_slope_v - (near * apart_v + far * (apart_v - lambda * v));
+                    // As `fma`, so that no compiler rounds otherwise where the sums of absolute values read these too.
+                    let of_gamma = fma(-h, apart_s, along_s);
+                    centre_u = fma(-footprint.depth_slope_u, of_gamma, fma(far, u, -(h * apart_u)));
+                    centre_v = fma(-footprint.depth_slope_v, of_gamma, fma(far, v, -(h * apart_v)));
                     sums[6] -= across * u;
                     sums[7] -= across * v;
-                    sums[8] += 4.0 * exponent * footprint.thickness * (h * exponent - of_lambda * lambda);
+                    sums[8] += footprint.thickness * apart_s * (h * apart_s - 2.0 * along_s);
+                    sums[12] += centre_u;
+                    sums[13] += centre_v;
+                    sums[14] += of_gamma;
                     seen *= lambda;
                 }
                 sums[0] += h;
@@ -202,11 +211,27 @@ pub(super) fn rasterize_rays_sums_kernel(
                 sums[5] += q * v;
                 sums[11] += seen;
                 if comptime!(absolute) {
-                    let per_v = q / footprint.ellipse.sigma_v;
-                    sums[9] += (footprint.ellipse.shear * per_v - p / footprint.ellipse.sigma_u).abs();
-                    sums[10] += per_v.abs();
+                    let (origin_x, origin_y) = footprint.per_px(p, q);
+                    let (centre_x, centre_y) = footprint.per_px(centre_u, centre_v);
+                    sums[9] += select(footprint.beyond_x, centre_x, origin_x).abs();
+                    sums[10] += select(footprint.beyond_y, centre_y, origin_y).abs();
                 }
             }
+        }
+        if comptime!(view.exact) && (footprint.beyond_x || footprint.beyond_y) {
+            // Along an axis on which the centre lies beyond the picture, the origin stays and the centre moves relative to it.
+            let (moved_u, moved_v, of_gamma) = (sums[12], sums[13], sums[14]);
+            let (origin_x, origin_y) = footprint.per_px(sums[1], sums[2]);
+            let (centre_x, centre_y) = footprint.per_px(moved_u, moved_v);
+            let x = select(footprint.beyond_x, centre_x, origin_x);
+            let y = select(footprint.beyond_y, centre_y, origin_y);
+            sums[1] = (x + footprint.ellipse.shear * y) * footprint.ellipse.sigma_u;
+            sums[2] = y * footprint.ellipse.sigma_v;
+            sums[3] -= moved_u * footprint.alpha;
+            sums[4] -= moved_v * footprint.alpha;
+            sums[5] -= moved_v * footprint.beta;
+            sums[6] -= footprint.alpha * of_gamma;
+            sums[7] -= footprint.beta * of_gamma;
         }
         let at = row as usize * columns;
         #[unroll]

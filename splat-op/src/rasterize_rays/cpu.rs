@@ -5,7 +5,7 @@ use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 
 use super::RayLayers;
-use super::footprint::{RayFootprint, RayRules};
+use super::footprint::{RayBox, RayFootprint, RayRules};
 use super::tile::{ColourSlots, RayTile, RayTileView, rasterize_tile};
 use super::tile_backward::{RayScratch, RayTileGrad, columns, rasterize_tile_backward};
 use crate::depth_slope::DEPTH_SLOPE;
@@ -22,6 +22,7 @@ const CHUNK: usize = 1024;
 /// A view with its Gaussians prepared for evaluation at pixels.
 struct PreparedRayView<'a, F> {
     footprints: Vec<RayFootprint<F>>,
+    boxes: Vec<RayBox<F>>,
     features: &'a [F],
     intersections: &'a IntersectionLists,
     size: PictureSize,
@@ -29,9 +30,11 @@ struct PreparedRayView<'a, F> {
 
 impl<'a, F: Real> PreparedRayView<'a, F> {
     fn new(inputs: &RayLayers<&'a [F]>, spec: &RasterizeSpec, intersections: &'a IntersectionLists) -> Self {
-        let footprints = (0..inputs.projected.len() / COLUMNS).into_par_iter().with_min_len(CHUNK);
+        let gaussians = (0..inputs.projected.len() / COLUMNS).into_par_iter().with_min_len(CHUNK);
+        let (footprints, boxes) = gaussians.map(|i| RayFootprint::new(inputs, i, spec)).unzip();
         Self {
-            footprints: footprints.map(|i| RayFootprint::new(inputs, i, spec)).collect(),
+            footprints,
+            boxes,
             features: inputs.features,
             intersections,
             size: PictureSize {
@@ -52,6 +55,7 @@ impl<'a, F: Real> PreparedRayView<'a, F> {
             size: [0, 1].map(|axis| TILE.min(self.size.pixels[axis] - origin[axis])),
             gaussians: &self.intersections.gaussian[starts[tile]..starts[tile + 1]],
             footprints: &self.footprints,
+            boxes: &self.boxes,
             features: self.features,
             channels: self.size.features,
         }

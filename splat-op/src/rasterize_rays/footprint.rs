@@ -3,7 +3,7 @@
 use fearless_simd::prelude::*;
 
 use super::{D_MIN, RayLayers, WHITENED_MAX};
-use crate::depth_slope::{DEPTH_SLOPE, bounding_ellipse};
+use crate::depth_slope::{DEPTH_SLOPE, beyond, bounding_ellipse};
 use crate::dials::Exponential;
 use crate::intersect::extent::{half_extent, widened_limit};
 use crate::options::Projection;
@@ -17,7 +17,8 @@ use crate::simd::real::{EXP2_CONSTANTS, Real};
 #[derive(Clone, Copy, Default)]
 #[repr(align(64))]
 pub(super) struct RayFootprint<F> {
-    pub mean_px: [F; 2],
+    /// Origin of the whitened coordinates: the centre, or the point of the picture's border nearest to it, px.
+    pub base_px: [F; 2],
     pub inverse_u: F,
     pub inverse_v: F,
     pub shear: F,
@@ -25,40 +26,49 @@ pub(super) struct RayFootprint<F> {
     /// Largest exponent: beyond it the alpha is certainly below `alpha_min`. A negative extent never shows.
     extent: F,
     pub depth_slope: [F; 2],
-    pub thickness: F,
     /// The square of the thickness.
     pub thick: F,
     pub depth: F,
-    /// Middle and half the size, px, of the box around the pixels that may see the Gaussian.
+    /// `(α, β)` and `γ`: the centre relative to the origin.
+    pub centre: [F; 2],
+    pub gamma: F,
+    /// Whether the centre lies beyond the picture along x and y.
+    pub beyond: [bool; 2],
+}
+
+/// Middle and half the size, px, of the box around the pixels that may see a Gaussian.
+#[derive(Clone, Copy, Default)]
+pub(super) struct RayBox<F> {
     middle: [F; 2],
     half: [F; 2],
 }
 
 impl<F: Real> RayFootprint<F> {
     /// Reads the Gaussian `i`.
-    pub fn new(inputs: &RayLayers<&[F]>, i: usize, spec: &RasterizeSpec) -> Self {
+    pub fn new(inputs: &RayLayers<&[F]>, i: usize, spec: &RasterizeSpec) -> (Self, RayBox<F>) {
         let row = &inputs.projected[i * COLUMNS..][..COLUMNS];
         let slopes = &inputs.depth_slope[i * DEPTH_SLOPE..][..DEPTH_SLOPE];
         let (ellipse, alpha_min) = (Ellipse::from_row(row), F::of(spec.options.alpha_min));
         // The bounds of a Gaussian that is not a number are the whole picture; it shows nowhere.
         if !(ellipse.opacity > F::ZERO && row.iter().chain(slopes).all(|value| value.finite())) {
-            return Self { extent: -F::ONE, ..Self::default() };
+            return (Self { extent: -F::ONE, ..Self::default() }, RayBox::default());
         }
         let depth_slope = [slopes[0], slopes[1], slopes[2]];
         let extent_of = |ellipse: &Ellipse<F>| half_extent(ellipse, widened_limit(ellipse.opacity, alpha_min));
-        let (middle, half) = match spec.options.projection {
+        let (extended, base_px, away) = match spec.options.projection {
             Projection::RayMax => {
-                let bounds = bounding_ellipse(&ellipse, depth_slope, spec);
-                (bounds.mean_px, extent_of(&bounds))
+                let (base, away) = beyond(ellipse.mean_px, &spec.intrinsics);
+                (bounding_ellipse(&ellipse, depth_slope, spec), base, away)
             }
-            Projection::Affine => (ellipse.mean_px, extent_of(&ellipse)),
+            Projection::Affine => (ellipse, ellipse.mean_px, [F::ZERO; 2]),
         };
+        let window = RayBox { middle: extended.mean_px, half: extent_of(&extended) };
         // Limits at which no product of `u`, `v` and `s` overflows anywhere in the picture.
         let widest = F::of(WHITENED_MAX);
         let size = [spec.intrinsics.width, spec.intrinsics.height].map(|px| F::of(px as f64));
         let [far_x, far_y] = [0, 1].map(|axis| {
-            let mean = ellipse.mean_px[axis];
-            mean.abs().max_of((size[axis] - mean).abs()).max_of(F::ONE)
+            let base = base_px[axis];
+            base.abs().max_of((size[axis] - base).abs()).max_of(F::ONE)
         });
         let far_v = far_y + ellipse.shear.abs() * far_x;
         let inverse = |sigma: F, far: F| (F::ONE / sigma).min_of(widest / far);
@@ -67,24 +77,46 @@ impl<F: Real> RayFootprint<F> {
             let largest = widest * widest / far;
             value.within(-largest, largest)
         };
-        let thickness = slopes[2];
+        let depth_slope = [slope(slopes[0], far_x * inverse_u), slope(slopes[1], far_v * inverse_v)];
+        let centre = [away[0] * inverse_u, (away[1] - ellipse.shear * away[0]) * inverse_v];
+        let centre = centre.map(|value| value.within(-widest, widest));
         let limit = widened_limit(ellipse.opacity, alpha_min) * F::of(WHITEN * WHITEN);
-        Self {
-            mean_px: ellipse.mean_px,
+        let footprint = Self {
+            base_px,
             inverse_u,
             inverse_v,
             shear: ellipse.shear,
             opacity: ellipse.opacity,
             extent: limit.min_of(F::EXP2_MAX),
-            depth_slope: [slope(slopes[0], far_x * inverse_u), slope(slopes[1], far_v * inverse_v)],
-            thickness,
-            thick: thickness * thickness,
+            depth_slope,
+            thick: slopes[2] * slopes[2],
             depth: ellipse.depth,
-            middle,
-            half,
-        }
+            centre,
+            gamma: F::ONE - depth_slope[0] * centre[0] - depth_slope[1] * centre[1],
+            beyond: away.map(|away| away != F::ZERO),
+        };
+        (footprint, window)
     }
 
+    /// Whether the centre is not the origin.
+    #[inline(always)]
+    pub fn is_beyond(&self) -> bool {
+        self.beyond[0] | self.beyond[1]
+    }
+
+    /// Returns the negative gradient of a position, px, from that of its whitened coordinates.
+    pub fn per_px(&self, [u, v]: [F; 2]) -> [F; 2] {
+        let per_v = v * self.inverse_v;
+        [u * self.inverse_u - self.shear * per_v, per_v]
+    }
+
+    /// The inverse of [`Self::per_px`].
+    pub fn per_whitened(&self, [x, y]: [F; 2]) -> [F; 2] {
+        [(x + self.shear * y) / self.inverse_u, y / self.inverse_v]
+    }
+}
+
+impl<F: Real> RayBox<F> {
     /// Returns the part of the tile at `origin` px that may see the Gaussian.
     #[inline(always)]
     pub fn window(&self, origin: [F; 2]) -> TileWindow {
@@ -128,6 +160,9 @@ pub(super) struct RayLayerSimd<S: Simd, F: Real> {
     pub lambda: F::Block<S>,
     /// `1/D`
     pub inverse: F::Block<S>,
+    /// `s/D`, and `α − λu`, `β − λv`, `(γ − λs)/thickness²`, of a Gaussian whose centre is not the origin.
+    pub along: F::Block<S>,
+    pub apart: [F::Block<S>; 3],
     /// Sort key `λ z`.
     pub key: F::Block<S>,
     /// Zero where the Gaussian does not show.
@@ -171,24 +206,41 @@ impl<S: Simd, F: Real> RayRules<S, F> {
     ) -> RayLayerSimd<S, F> {
         let simd = self.simd;
         let lanes = |value: F| F::Block::<S>::splat(simd, value);
-        let dx = pixels.x - lanes(splat.mean_px[0]);
-        let dy = pixels.y - lanes(splat.mean_px[1]);
+        let dx = pixels.x - lanes(splat.base_px[0]);
+        let dy = pixels.y - lanes(splat.base_px[1]);
         let u = dx * lanes(splat.inverse_u);
         let v = lanes(-splat.shear).mul_add(dx, dy) * lanes(splat.inverse_v);
         let square = u.mul_add(u, v * v);
-        let (mut lambda, mut inverse, mut key) = (self.zero, self.zero, self.zero);
+        let (mut lambda, mut inverse, mut key, mut along) = (self.zero, self.zero, self.zero, self.zero);
+        let mut apart = [self.zero; 3];
         let mut exponent = square * self.half_log2_e;
         let mut near = exponent.simd_le(lanes(splat.extent));
         if EXACT || KEYED {
             let [slope_u, slope_v] = splat.depth_slope.map(|slope| lanes(-slope));
             let s = slope_u.mul_add(u, slope_v.mul_add(v, self.one));
             let d = lanes(splat.thick).mul_add(square, s * s);
-            let sound = if EXACT { s.simd_gt(self.nearest) } else { d.simd_gt(self.d_min) };
-            inverse = sound.select(self.one / d, self.zero);
-            lambda = s * inverse;
+            let mut sound = if EXACT { s.simd_gt(self.nearest) } else { d.simd_gt(self.d_min) };
+            if EXACT && splat.is_beyond() {
+                let ([alpha, beta], gamma, thick) = (splat.centre.map(lanes), lanes(splat.gamma), lanes(splat.thick));
+                let dot = alpha.mul_add(u, beta * v);
+                let product = gamma.mul_add(s, thick * dot);
+                sound = d.simd_gt(self.d_min) & product.simd_gt(self.zero);
+                inverse = sound.select(self.one / d, self.zero);
+                (lambda, along) = (product * inverse, s * inverse);
+                apart = [
+                    (-lambda).mul_add(u, alpha),
+                    (-lambda).mul_add(v, beta),
+                    inverse * gamma.mul_add(square, -s * dot),
+                ];
+                let [of_u, of_v, of_s] = apart;
+                exponent = of_u.mul_add(of_u, of_v.mul_add(of_v, thick * of_s * of_s)) * self.half_log2_e;
+            } else {
+                inverse = sound.select(self.one / d, self.zero);
+                lambda = s * inverse;
+                exponent = if EXACT { exponent * inverse } else { exponent };
+            }
             key = lambda * lanes(splat.depth);
             if EXACT {
-                exponent *= inverse;
                 near = exponent.simd_le(lanes(splat.extent)) & sound;
             }
             near &= key.abs().simd_le(self.farthest);
@@ -200,6 +252,7 @@ impl<S: Simd, F: Real> RayRules<S, F> {
         };
         let value = (lanes(splat.opacity) * power).min(self.alpha_max);
         let shows = near & value.simd_ge(self.alpha_min);
-        RayLayerSimd { u, v, exponent, lambda, inverse, key, alpha: shows.select(value, self.zero), shows }
+        let alpha = shows.select(value, self.zero);
+        RayLayerSimd { u, v, exponent, lambda, inverse, along, apart, key, alpha, shows }
     }
 }

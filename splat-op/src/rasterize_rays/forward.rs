@@ -43,7 +43,7 @@ pub(super) fn rasterize_rays_forward_kernel(inputs: RayInputs, planes: &mut [f32
                                 weight * inputs.features[gaussian * channels + channel];
                         }
                         if comptime!(view.shape.depth) {
-                            let footprint = RayGaussian::load(&inputs, gaussian);
+                            let footprint = RayGaussian::load(&inputs, gaussian, &view);
                             let layer = footprint.at(&pixel, &view);
                             depth += weight * footprint.depth_of(&layer, &view);
                         }

@@ -6,7 +6,7 @@ use super::launch::{launch_rasterize_rays, launch_rasterize_rays_backward};
 use super::{D_MIN, RayLayers};
 use crate::camera::Intrinsics;
 use crate::depth_slope::launch::launch_bounds;
-use crate::depth_slope::{DEPTH_SLOPE, bounds_cpu};
+use crate::depth_slope::{DEPTH_SLOPE, beyond, bounds_cpu};
 use crate::gpu::{Buffer, Gpu};
 use crate::intersect::cpu::intersect_cpu;
 use crate::intersect::launch::{DeviceIntersections, launch_intersect};
@@ -131,16 +131,27 @@ impl StageInputs {
         let rows = self.inputs[0].chunks_exact(COLUMNS).zip(self.inputs[1].chunks_exact(DEPTH_SLOPE));
         let key = |(row, slope): (&[f64], &[f64])| {
             let e = Ellipse::from_row(row);
-            let (dx, dy) = (at[0] - e.mean_px[0], at[1] - e.mean_px[1]);
-            let (u, v) = (dx / e.sigma_u, (dy - e.shear * dx) / e.sigma_v);
-            let s = 1.0 - slope[0] * u - slope[1] * v;
-            let (square, d) = (u * u + v * v, s * s + slope[2] * slope[2] * (u * u + v * v));
-            let (seen, over) = match options.projection {
-                Projection::RayMax => (s > 0.0 && d > D_MIN, d),
-                Projection::Affine => (true, 1.0),
+            let (base, away) = match options.projection {
+                Projection::RayMax => beyond(e.mean_px, &self.spec.intrinsics),
+                Projection::Affine => (e.mean_px, [0.0; 2]),
             };
-            let alpha = e.opacity * (-0.5 * square / over).exp();
-            let lambda = if d > D_MIN { s / d } else { 0.0 };
+            let whitened = |[dx, dy]: [f64; 2]| {
+                let (u, v) = (dx / e.sigma_u, (dy - e.shear * dx) / e.sigma_v);
+                [u, v, 1.0 - slope[0] * u - slope[1] * v]
+            };
+            let [[u, v, s], [of_u, of_v, of_s]] = [[at[0] - base[0], at[1] - base[1]], away].map(whitened);
+            let (square, thick) = (u * u + v * v, slope[2] * slope[2]);
+            let (d, product) = (s * s + thick * square, s * of_s + thick * (u * of_u + v * of_v));
+            let lambda = if d > D_MIN { product / d } else { 0.0 };
+            let (seen, exponent) = match options.projection {
+                Projection::RayMax => {
+                    let apart = (of_s * square - s * (u * of_u + v * of_v)) / d;
+                    let across = (of_u - lambda * u).powi(2) + (of_v - lambda * v).powi(2);
+                    (product > 0.0 && d > D_MIN, across + thick * apart * apart)
+                }
+                Projection::Affine => (true, square),
+            };
+            let alpha = e.opacity * (-0.5 * exponent).exp();
             (e.depth > 0.0 && seen && alpha > 0.0 && alpha >= options.alpha_min).then_some(lambda * e.depth)
         };
         let mut keys: Vec<f64> = rows.filter_map(key).collect();

@@ -5,7 +5,7 @@ use cubecl::prelude::*;
 
 use super::{D_MIN, WHITENED_MAX};
 use crate::depth_slope::DEPTH_SLOPE;
-use crate::gpu::math::{finite, within};
+use crate::gpu::math::{Vec3, finite, within};
 use crate::intersect::forward::TileLists;
 use crate::project::forward::PackedEllipse;
 use crate::rasterize::layer::{KernelShape, RasterFrame, TilePixel};
@@ -39,7 +39,8 @@ pub(super) struct RayFrame {
     pub shape: KernelShape,
 }
 
-/// A Gaussian as pixels evaluate it: its packed ellipse and its depth slope.
+/// A Gaussian as pixels evaluate it: its packed ellipse, its depth slope, and its centre relative to the origin of the whitened
+/// coordinates.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub(super) struct RayGaussian {
@@ -47,6 +48,14 @@ pub(super) struct RayGaussian {
     pub depth_slope_u: f32,
     pub depth_slope_v: f32,
     pub thickness: f32,
+    /// Origin, px, and whether the centre lies beyond the picture along each axis.
+    pub base_x: f32,
+    pub base_y: f32,
+    pub beyond_x: bool,
+    pub beyond_y: bool,
+    pub alpha: f32,
+    pub beta: f32,
+    pub gamma: f32,
 }
 
 /// A Gaussian evaluated at a pixel, with the names of the module's documentation. Alpha is zero where the Gaussian is not
@@ -56,7 +65,11 @@ pub(super) struct RayGaussian {
 pub(super) struct RayLayer {
     pub u: f32,
     pub v: f32,
-    pub exponent: f32,
+    /// `s/D`, and `α − λu`, `β − λv`, `(γ − λs)/thickness²`.
+    pub along: f32,
+    pub apart_u: f32,
+    pub apart_v: f32,
+    pub apart_s: f32,
     pub lambda: f32,
     pub phi: f32,
     /// Sort key `λ z`.
@@ -68,21 +81,48 @@ pub(super) struct RayLayer {
 
 #[cube]
 impl RayGaussian {
-    pub fn load(inputs: &RayInputs, gaussian: usize) -> RayGaussian {
+    pub fn load(inputs: &RayInputs, gaussian: usize, view: &RayFrame) -> RayGaussian {
+        let widest = comptime!(WHITENED_MAX as f32);
         let at = gaussian * comptime!(DEPTH_SLOPE);
-        RayGaussian {
-            ellipse: PackedEllipse::load(&inputs.projected, gaussian),
-            depth_slope_u: inputs.depth_slopes[at],
-            depth_slope_v: inputs.depth_slopes[at + 1],
-            thickness: inputs.depth_slopes[at + 2],
+        let mut e = PackedEllipse::load(&inputs.projected, gaussian);
+        // Clamping takes NaN for a number.
+        e.opacity = select(Vec3::new(e.x, e.y, e.shear).is_finite(), e.opacity, 0.0);
+        let (depth_slope_u, depth_slope_v) = (inputs.depth_slopes[at], inputs.depth_slopes[at + 1]);
+        let mut base_x = e.x;
+        let mut base_y = e.y;
+        if comptime!(view.exact) {
+            base_x = within(e.x, 0.0, f32::cast_from(view.frame.width));
+            base_y = within(e.y, 0.0, f32::cast_from(view.frame.height));
         }
+        let (away_x, away_y) = (e.x - base_x, e.y - base_y);
+        let alpha = within(away_x / e.sigma_u, -widest, widest);
+        let beta = within((away_y - e.shear * away_x) / e.sigma_v, -widest, widest);
+        RayGaussian {
+            ellipse: e,
+            depth_slope_u,
+            depth_slope_v,
+            thickness: inputs.depth_slopes[at + 2],
+            base_x,
+            base_y,
+            beyond_x: away_x != 0.0,
+            beyond_y: away_y != 0.0,
+            alpha,
+            beta,
+            gamma: 1.0 - (depth_slope_u * alpha + depth_slope_v * beta),
+        }
+    }
+
+    /// Returns the negative gradient of a position, px, from that of its whitened coordinates.
+    pub fn per_px(&self, u: f32, v: f32) -> (f32, f32) {
+        let per_v = v / self.ellipse.sigma_v;
+        (u / self.ellipse.sigma_u - self.ellipse.shear * per_v, per_v)
     }
 
     pub fn at(&self, pixel: &TilePixel, view: &RayFrame) -> RayLayer {
         let widest = comptime!(WHITENED_MAX as f32);
         let farthest = comptime!((WHITENED_MAX * WHITENED_MAX) as f32);
         let e = self.ellipse;
-        let (dx, dy) = (pixel.x - e.x, (pixel.top + pixel.row) - e.y);
+        let (dx, dy) = (pixel.x - self.base_x, (pixel.top + pixel.row) - self.base_y);
         let u = within(dx / e.sigma_u, -widest, widest);
         let v = within((dy - e.shear * dx) / e.sigma_v, -widest, widest);
         let square = u * u + v * v;
@@ -91,12 +131,16 @@ impl RayGaussian {
         let d = s * s + thick * square;
         let sound = d > comptime!(D_MIN as f32);
         let inverse = select(sound, 1.0 / select(sound, d, 1.0), 0.0);
-        let lambda = s * inverse;
+        let dot = self.alpha * u + self.beta * v;
+        let product = self.gamma * s + thick * dot;
+        let lambda = product * inverse;
+        let (apart_u, apart_v) = (self.alpha - lambda * u, self.beta - lambda * v);
+        let apart_s = inverse * (self.gamma * square - s * dot);
         let mut exponent = 0.5 * square;
         let mut seen = true;
         if comptime!(view.exact) {
-            exponent *= inverse;
-            seen = s > 0.0 && sound;
+            exponent = 0.5 * (apart_u * apart_u + apart_v * apart_v + thick * apart_s * apart_s);
+            seen = product > 0.0 && sound;
         }
         let whole = e.opacity * (-exponent).exp();
         let alpha = min(whole, view.frame.alpha_max);
@@ -106,7 +150,10 @@ impl RayGaussian {
         RayLayer {
             u,
             v,
-            exponent,
+            along: s * inverse,
+            apart_u,
+            apart_v,
+            apart_s,
             lambda,
             phi: thick * inverse,
             key,
@@ -185,7 +232,7 @@ impl Walk {
         let mut going = self.come_to[2] < places;
         while going {
             let gaussian = inputs.lists.gaussian(first + place);
-            let layer = RayGaussian::load(inputs, gaussian as usize).at(pixel, view);
+            let layer = RayGaussian::load(inputs, gaussian as usize, view).at(pixel, view);
             if layer.alpha > 0.0 {
                 if comptime!(view.per_pixel) {
                     let begun = self.come_to[0] != 0;

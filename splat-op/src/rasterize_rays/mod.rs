@@ -16,6 +16,18 @@
 //! contribute. The affine projection is the case `depth_slope = thickness = 0`: a Gaussian that is small compared with its
 //! distance. (Where the affine Jacobian is clamped, the `λ` that orders the layers uses the clamped Jacobian too.)
 //!
+//! # Centres beyond the picture
+//!
+//! Seen from a centre far outside, the pixels' `u`, `v` and `s` are small differences of large numbers. With `RayMax` the origin of
+//! `(u, v)`, and of the factor and the depth slope, is therefore the picture's point next to the centre, and the centre lies at
+//! the whitened coordinates `(α, β)` with `γ = 1 − depth_slope·(α, β)`. The point `λ` of a ray is then `λ(u, v) − (α, β)` and
+//! `(λs − γ)/thickness` from the centre, which for `α = β = 0` is the case above:
+//!
+//! ```text
+//! λ = (sγ + thickness² (uα + vβ)) / D           a = α − λu    b = β − λv    c = (γρ² − s (uα + vβ)) / D
+//! 2E = a² + b² + thickness² c²,  where λ > 0    (c = (γ − λs)/thickness², without the cancellation)
+//! ```
+//!
 //! The alphas, thresholds, sums and the gradient back to front are as in `rasterize`, over the same lists. The order is the order
 //! of the lists (camera z of the centres, then the index) or a per-pixel sort by `λ z`, then in the order of the lists. Only this order
 //! decides which contributions lie behind a `transmittance_min`. The depth plane is `Σ wᵢ zᵢ` for the affine projection and
@@ -30,6 +42,13 @@
 //! ```text
 //! ∂E/∂(u, v) = λ (λ (u, v) + 2E depth_slope)        ∂E/∂depth_slope = 2Eλ (u, v)      ∂E/∂thickness = −4E² thickness
 //! ∂λ/∂(u, v) = −2λφ (u, v) − κ depth_slope          ∂λ/∂depth_slope = −κ (u, v)       ∂λ/∂thickness = −4Eλ thickness
+//! ```
+//!
+//! and where the centre lies beyond the picture, with `φ` as above and `∂λ/∂γ = s/D`,
+//!
+//! ```text
+//! ∂E/∂(u, v, s) = −λ (a, b, c)                                  ∂E/∂(α, β, γ) = (a, b, c)   ∂E/∂thickness = −thickness c²
+//! ∂λ/∂(u, v, s) = (φ (a − λu), φ (b − λv), φc − λs/D)           ∂λ/∂(α, β) = φ (u, v)       ∂λ/∂thickness = −2 thickness c s/D
 //! ```
 //!
 //! No term divides by `1 − α`, and a term divides by `s` or `D` only where the value itself does. Each intersection has its own

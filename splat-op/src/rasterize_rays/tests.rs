@@ -3,7 +3,7 @@
 use super::RayLayers;
 use super::cpu::{rasterize_rays_backward_cpu, rasterize_rays_cpu};
 use crate::camera::Intrinsics;
-use crate::depth_slope::{DEPTH_SLOPE, bounds_cpu};
+use crate::depth_slope::{DEPTH_SLOPE, beyond, bounds_cpu};
 use crate::intersect::IntersectionLists;
 use crate::intersect::cpu::intersect_cpu;
 use crate::options::{Order, Projection, RenderOptions};
@@ -90,16 +90,27 @@ impl StageInputs {
         let (width, options) = (self.spec.intrinsics.width, &self.spec.options);
         let e = Ellipse::from_row(&self.inputs[0][i * COLUMNS..]);
         let t = &self.inputs[1][i * DEPTH_SLOPE..];
-        let (dx, dy) = ((pixel % width) as f64 + 0.5 - e.mean_px[0], (pixel / width) as f64 + 0.5 - e.mean_px[1]);
-        let (u, v) = (dx / e.sigma_u, (dy - e.shear * dx) / e.sigma_v);
+        // The ellipse is seen from the point of the picture next to the centre, or from the centre itself.
+        let (base, away) = match options.projection {
+            Projection::RayMax => beyond(e.mean_px, &self.spec.intrinsics),
+            Projection::Affine => (e.mean_px, [0.0; 2]),
+        };
+        let whitened = |[dx, dy]: [f64; 2]| {
+            let (u, v) = (dx / e.sigma_u, (dy - e.shear * dx) / e.sigma_v);
+            [u, v, (1.0 - t[0] * u - t[1] * v) / t[2]]
+        };
+        let [to, centre] =
+            [[(pixel % width) as f64 + 0.5 - base[0], (pixel / width) as f64 + 0.5 - base[1]], away].map(whitened);
         // Offset of the point λ of the ray from the centre, in the three whitened coordinates.
-        let offset = |lambda: f64| [lambda * u, lambda * v, (lambda - 1.0 - lambda * (t[0] * u + t[1] * v)) / t[2]];
+        let offset = |lambda: f64| -> [f64; 3] { std::array::from_fn(|k| lambda * to[k] - centre[k]) };
         let (at_0, at_1) = (offset(0.0), offset(1.0));
         let along: Vec<f64> = (0..3).map(|k| at_1[k] - at_0[k]).collect();
         let lambda = -(0..3).map(|k| along[k] * at_0[k]).sum::<f64>() / along.iter().map(|a| a * a).sum::<f64>();
         let nearest: f64 = offset(lambda).iter().map(|w| w * w).sum();
         match options.projection {
-            Projection::Affine => [e.opacity * (-0.5 * (u * u + v * v)).exp(), e.depth, lambda * e.depth],
+            Projection::Affine => {
+                [e.opacity * (-0.5 * (to[0] * to[0] + to[1] * to[1])).exp(), e.depth, lambda * e.depth]
+            }
             Projection::RayMax if lambda > 0.0 => {
                 [e.opacity * (-0.5 * nearest).exp(), lambda * e.depth, lambda * e.depth]
             }

@@ -2,7 +2,7 @@
 
 use fearless_simd::prelude::*;
 
-use super::footprint::{RayFootprint, RayPixels, RayRules};
+use super::footprint::{RayBox, RayFootprint, RayPixels, RayRules};
 use super::order::LayerSlots;
 use crate::intersect::{TILE, TILE_PIXELS};
 use crate::rasterize::footprint::{ROWS, WIDTH};
@@ -62,6 +62,7 @@ pub(super) struct RayTileView<'a, F> {
     /// Gaussians of the tile's intersections, front to back.
     pub gaussians: &'a [u32],
     pub footprints: &'a [RayFootprint<F>],
+    pub boxes: &'a [RayBox<F>],
     /// `[N, channels]`
     pub features: &'a [F],
     /// Number of features.
@@ -82,8 +83,8 @@ impl<F: Real> RayTile<F> {
         for (near, &gaussian) in self.near.iter_mut().zip(view.gaussians) {
             *near = view.footprints[gaussian as usize];
         }
-        for (place, near) in self.near.iter().enumerate() {
-            let window = near.window(corner);
+        for (place, &gaussian) in view.gaussians.iter().enumerate() {
+            let window = view.boxes[gaussian as usize].window(corner);
             for row in window.first_row / ROWS..window.end_row / ROWS {
                 for column in window.first_column..window.end_column {
                     let block = row * (TILE / WIDTH) + column;

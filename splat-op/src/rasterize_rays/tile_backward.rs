@@ -168,6 +168,8 @@ struct RaySums<S: Simd, F: Real> {
     moments: [F::Block<S>; MOMENTS],
     depth: F::Block<S>,
     slopes: [F::Block<S>; DEPTH_SLOPE],
+    /// The gradients of `α`, `β` and `γ`.
+    centre: [F::Block<S>; 3],
     absolute: [F::Block<S>; 2],
 }
 
@@ -191,8 +193,13 @@ fn add_rows<S: Simd, F: Real, const EXACT: bool>(
             continue;
         }
         let splat = &tile.near[i];
-        let mut fixed =
-            RaySums { moments: [zero; MOMENTS], depth: zero, slopes: [zero; DEPTH_SLOPE], absolute: [zero; 2] };
+        let mut fixed = RaySums {
+            moments: [zero; MOMENTS],
+            depth: zero,
+            slopes: [zero; DEPTH_SLOPE],
+            centre: [zero; 3],
+            absolute: [zero; 2],
+        };
         let mut features = [zero; TOGETHER];
         let (mut left, mut places) = (*vectors, [(0, 0); VECTORS]);
         let mut count = 0;
@@ -243,18 +250,30 @@ impl<S: Simd, F: Real> RaySums<S, F> {
         [features, channels]: [usize; 2],
         absolute: bool,
     ) {
-        for (column, sum) in self.moments.iter().enumerate() {
-            row[column] += sum.reduce_sum();
+        let mut moments = self.moments.map(|sum| sum.reduce_sum());
+        let [slope_u, slope_v, thickness] = self.slopes.map(|sum| sum.reduce_sum());
+        let mut slopes = [-slope_u, -slope_v, thickness * splat.thick.sqrt()];
+        if EXACT && splat.is_beyond() {
+            let [of_alpha, of_beta, of_gamma] = self.centre.map(|sum| sum.reduce_sum());
+            let [alpha, beta] = splat.centre;
+            let moved = [of_alpha - splat.depth_slope[0] * of_gamma, of_beta - splat.depth_slope[1] * of_gamma];
+            // Along an axis on which the centre lies beyond the picture, the origin stays and the centre moves relative to it.
+            let (of_origin, of_centre) = (splat.per_px([moments[1], moments[2]]), splat.per_px(moved));
+            let of_mean = [0, 1].map(|axis| if splat.beyond[axis] { of_centre[axis] } else { of_origin[axis] });
+            [moments[1], moments[2]] = splat.per_whitened(of_mean);
+            moments[3] -= moved[0] * alpha;
+            moments[4] -= moved[1] * alpha;
+            moments[5] -= moved[1] * beta;
+            slopes[0] -= alpha * of_gamma;
+            slopes[1] -= beta * of_gamma;
         }
+        row.iter_mut().zip(moments).for_each(|(out, sum)| *out += sum);
         if channels > features {
             row[MOMENTS + features] += self.depth.reduce_sum();
         }
         let rest = &mut row[MOMENTS + channels..];
         if EXACT {
-            let factors = [-F::ONE, -F::ONE, splat.thickness];
-            for (column, sum) in self.slopes.iter().enumerate() {
-                rest[column] += sum.reduce_sum() * factors[column];
-            }
+            rest.iter_mut().zip(slopes).for_each(|(out, sum)| *out += sum);
         }
         if absolute {
             rest[DEPTH_SLOPE] += self.absolute[0].reduce_sum();
@@ -273,21 +292,34 @@ impl<S: Simd, F: Real> RaySums<S, F> {
         absolute: bool,
     ) {
         let lanes = |value: F| F::Block::<S>::splat(h.token(), value);
-        let RayLayerSimd { u, v, exponent, lambda, inverse, .. } = *layer;
-        // Negative gradients of `u` and `v`.
-        let (mut p, mut q) = (h * u, h * v);
+        let RayLayerSimd { u, v, exponent, lambda, inverse, along, apart, .. } = *layer;
+        // Negative gradients of `u` and `v`; gradients of `α`, `β` and `γ`.
+        let (mut p, mut q, mut centre) = (h * u, h * v, [lanes(F::ZERO); 3]);
         if EXACT {
             let of_lambda = seen * lanes(splat.depth);
-            let (twice, phi) = (exponent * lanes(F::of(2.0 * std::f64::consts::LN_2)), lanes(splat.thick) * inverse);
-            let kappa = twice * phi - lambda * lambda;
-            let radial = (h * lambda + (of_lambda + of_lambda) * phi) * lambda;
-            let across = h * twice * lambda + of_lambda * kappa;
+            let phi = lanes(splat.thick) * inverse;
             let [slope_u, slope_v] = splat.depth_slope.map(lanes);
-            p = radial.mul_add(u, across * slope_u);
-            q = radial.mul_add(v, across * slope_v);
+            let across;
+            if splat.is_beyond() {
+                let [apart_u, apart_v, apart_s] = apart;
+                let (near, far) = (h * lambda, of_lambda * phi);
+                let along_s = of_lambda * along;
+                across = near.mul_add(apart_s, far * apart_s - lambda * along_s);
+                p = across * slope_u - near.mul_add(apart_u, far * (-lambda).mul_add(u, apart_u));
+                q = across * slope_v - near.mul_add(apart_v, far * (-lambda).mul_add(v, apart_v));
+                self.slopes[2] += apart_s * (h * apart_s - (along_s + along_s));
+                centre = [far * u - h * apart_u, far * v - h * apart_v, along_s - h * apart_s];
+            } else {
+                let twice = exponent * lanes(F::of(2.0 * std::f64::consts::LN_2));
+                let kappa = twice * phi - lambda * lambda;
+                let radial = (h * lambda + (of_lambda + of_lambda) * phi) * lambda;
+                across = h * twice * lambda + of_lambda * kappa;
+                p = radial.mul_add(u, across * slope_u);
+                q = radial.mul_add(v, across * slope_v);
+                self.slopes[2] += twice * (h * twice - (of_lambda + of_lambda) * lambda);
+            }
             self.slopes[0] = across.mul_add(u, self.slopes[0]);
             self.slopes[1] = across.mul_add(v, self.slopes[1]);
-            self.slopes[2] += twice * (h * twice - (of_lambda + of_lambda) * lambda);
             self.depth = seen.mul_add(lambda, self.depth);
         } else {
             self.depth += seen;
@@ -298,11 +330,20 @@ impl<S: Simd, F: Real> RaySums<S, F> {
         self.moments[3] = p.mul_add(u, self.moments[3]);
         self.moments[4] = q.mul_add(u, self.moments[4]);
         self.moments[5] = q.mul_add(v, self.moments[5]);
+        if splat.is_beyond() {
+            self.centre.iter_mut().zip(centre).for_each(|(sum, value)| *sum += value);
+        }
         if absolute {
-            let (inverse_u, inverse_v) = (lanes(splat.inverse_u), lanes(splat.inverse_v));
-            let per_v = q * inverse_v;
-            self.absolute[0] += (p * inverse_u - per_v * lanes(splat.shear)).abs();
-            self.absolute[1] += per_v.abs();
+            let per_px = |[p, q]: [F::Block<S>; 2]| {
+                let per_v = q * lanes(splat.inverse_v);
+                [p * lanes(splat.inverse_u) - per_v * lanes(splat.shear), per_v]
+            };
+            let [slope_u, slope_v] = splat.depth_slope.map(lanes);
+            let (of_origin, of_centre) =
+                (per_px([p, q]), per_px([centre[0] - slope_u * centre[2], centre[1] - slope_v * centre[2]]));
+            for axis in 0..2 {
+                self.absolute[axis] += if splat.beyond[axis] { of_centre[axis] } else { of_origin[axis] }.abs();
+            }
         }
     }
 }
