@@ -153,7 +153,7 @@ pub type AccuracySubject<'a> = (&'a Capture, Option<&'a GaussianRows>, usize);
 
 impl RequestedAccuracy {
     /// Chooses from the frontier, if there is one, and prints which dials are turned and why. A frontier of another scene or of
-    /// pictures of another size promises nothing here: the choice is then left to [`Self::setting`]. `base` has the model
+    /// frames of another size promises nothing here: the choice is then left to [`Self::setting`]. `base` has the model
     /// choices.
     ///
     /// # Errors
