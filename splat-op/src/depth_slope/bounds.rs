@@ -2,7 +2,8 @@
 
 use rayon::prelude::*;
 
-use super::{DEPTH_SLOPE, EXTENT, LEAST, ROUNDING, SLACK};
+use super::{EXTENT, LEAST, LensFrame, LensLimits, ROUNDING, SLACK, columns};
+use crate::camera::PictureRays;
 use crate::intersect::extent::whitened_limit;
 use crate::linalg::norm;
 use crate::project::{COLUMNS, Ellipse};
@@ -16,21 +17,22 @@ const CHUNK: usize = 1024;
 /// Returns rows `[N, 7]` for `intersect`, from packed ellipses `[N, 7]` and depth slopes `[N, 3]`. Culled Gaussians stay culled.
 pub(crate) fn bounds_cpu<F: Real>(packed: &[F], depth_slopes: &[F], spec: &RasterizeSpec) -> Vec<F> {
     let mut bounds = vec![F::ZERO; packed.len()];
-    let rows = (bounds.par_chunks_mut(COLUMNS), packed.par_chunks(COLUMNS), depth_slopes.par_chunks(DEPTH_SLOPE));
+    let slopes = depth_slopes.par_chunks(columns(&spec.intrinsics));
+    let lens = PictureRays::of(&spec.intrinsics).map(|rays| LensLimits::new(&spec.intrinsics, &rays));
+    let rows = (bounds.par_chunks_mut(COLUMNS), packed.par_chunks(COLUMNS), slopes);
     rows.into_par_iter().with_min_len(CHUNK).for_each(|(out, row, depth_slope)| {
-        out.copy_from_slice(
-            &bounding_ellipse(&Ellipse::from_row(row), [depth_slope[0], depth_slope[1], depth_slope[2]], spec).to_row(),
-        );
+        out.copy_from_slice(&bounding_ellipse(&Ellipse::from_row(row), depth_slope, (spec, lens.as_ref())).to_row());
     });
     bounds
 }
 
-/// Returns the bounds of a Gaussian from its packed ellipse and its depth slope. The row of a Gaussian that shows nowhere in the
+/// Returns the bounds of a Gaussian from its packed ellipse and its row of depth slopes, with the limits of the lens if the camera
+/// is no pinhole. The row of a Gaussian that shows nowhere in the
 /// picture has no opacity.
 pub(crate) fn bounding_ellipse<F: Real>(
     e: &Ellipse<F>,
-    [depth_slope_u, depth_slope_v, thickness]: [F; DEPTH_SLOPE],
-    spec: &RasterizeSpec,
+    depth_slope: &[F],
+    (spec, lens): (&RasterizeSpec, Option<&LensLimits<F>>),
 ) -> Ellipse<F> {
     let alpha_min = F::of(spec.options.alpha_min);
     if !(e.opacity > F::ZERO && e.opacity >= alpha_min) {
@@ -49,9 +51,10 @@ pub(crate) fn bounding_ellipse<F: Real>(
         opacity: if alpha_min > F::ZERO { reached } else { F::ONE },
     };
     let hidden = Ellipse { opacity: F::ZERO, ..*e };
-    let slope = [depth_slope_u, depth_slope_v];
+    let (slope, thickness) = ([depth_slope[0], depth_slope[1]], depth_slope[2]);
     let seen = InPicture::new(e, slope, half);
-    if seen.most <= F::ZERO {
+    let lens = lens.zip(LensFrame::of(depth_slope));
+    if lens.is_none() && seen.most <= F::ZERO {
         return hidden;
     }
     let [relative, absolute] = SLACK.map(F::of);
@@ -62,6 +65,10 @@ pub(crate) fn bounding_ellipse<F: Real>(
         return everywhere;
     }
     let square = tau / thin;
+    if let Some((limits, frame)) = lens {
+        let row = whole_ellipse(slope, square).and_then(|whole| limits.bent(&whole.row(e, reached), e, &frame));
+        return row.filter(|row| row.to_row().iter().all(|value| value.finite())).unwrap_or(everywhere);
+    }
     let disc = match seen.disc(slope, square) {
         Some(disc) if disc.scale < F::ZERO => return hidden,
         disc => disc,

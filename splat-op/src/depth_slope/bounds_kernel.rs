@@ -2,8 +2,9 @@
 
 use cubecl::prelude::*;
 
-use super::{DEPTH_SLOPE, EXTENT, LEAST, ROUNDING, SLACK};
-use crate::gpu::math::{Vec3, finite};
+use super::lens_bounds_kernel::{BentRow, LensFrame, LensLimits};
+use super::{DEPTH_SLOPE, EXTENT, LEAST, LENS_FRAME, ROUNDING, SLACK};
+use crate::gpu::math::{Vec2, Vec3, finite};
 use crate::project::forward::PackedEllipse;
 use crate::rasterize_rays::WHITENED_MAX;
 
@@ -160,6 +161,37 @@ fn smaller(ellipse: &Whitened, disc: &Whitened) -> Whitened {
     }
 }
 
+/// Returns the bounds of a Gaussian from `visible`: it is visible where `u² + v² <= square s²`, a row's opacity is `reached`, and
+/// `square` is known if `ends` is set.
+#[cube]
+fn bounded(
+    e: &PackedEllipse,
+    slope: Vec2,
+    visible: (f32, f32, bool),
+    size: (f32, f32),
+    depth_slopes: &[f32],
+    lens: &ComptimeOption<LensLimits>,
+) -> BentRow {
+    let (slope_u, slope_v) = (slope.x, slope.y);
+    let (square, reached, ends) = visible;
+    let (width, height) = size;
+    let whole = whole_ellipse(slope_u, slope_v, square);
+    #[comptime]
+    match lens {
+        ComptimeOption::Some(lens) => {
+            let found = lens.bent(&whole.row(e, reached), e, &LensFrame::load(depth_slopes, ABSOLUTE_POS));
+            BentRow { row: found.row, known: whole.known && found.known, hidden: ends && whole.known && found.hidden }
+        }
+        ComptimeOption::None => {
+            let seen = in_picture(e, slope_u, slope_v, width * 0.5, height * 0.5);
+            let disc = disc(&seen, slope_u, slope_v, square);
+            let found = smaller(&whole, &disc);
+            let hidden = seen.known && (seen.most <= 0.0 || (ends && disc.known && disc.scale < 0.0));
+            BentRow { row: found.row(e, reached), known: found.known, hidden }
+        }
+    }
+}
+
 /// Writes the bounds, `[N, 7]`.
 #[cube(launch_unchecked)]
 pub(super) fn bounds_kernel(
@@ -169,11 +201,12 @@ pub(super) fn bounds_kernel(
     width: f32,
     height: f32,
     alpha_min: f32,
+    lens: ComptimeOption<LensLimits>,
     count: u32,
 ) {
     if ABSOLUTE_POS < count as usize {
         let e = PackedEllipse::load(projected, ABSOLUTE_POS);
-        let at = ABSOLUTE_POS * comptime!(DEPTH_SLOPE);
+        let at = ABSOLUTE_POS * comptime!(DEPTH_SLOPE + if lens.is_some() { LENS_FRAME } else { 0 });
         let (slope_u, slope_v, thickness) = (depth_slopes[at], depth_slopes[at + 1], depth_slopes[at + 2]);
         let least = comptime!(LEAST as f32);
         let reached = alpha_min * comptime!((0.5 * EXTENT * EXTENT).exp() as f32);
@@ -183,11 +216,9 @@ pub(super) fn bounds_kernel(
         let thin = 1.0 - across * across;
         let ends = alpha_min > 0.0 && thin > least && finite(thin);
         let square = tau / max(thin, least);
-        let seen = in_picture(&e, slope_u, slope_v, width * 0.5, height * 0.5);
-        let disc = disc(&seen, slope_u, slope_v, square);
-        let hidden = seen.known && (seen.most <= 0.0 || (ends && disc.known && disc.scale < 0.0));
-        let found = smaller(&whole_ellipse(slope_u, slope_v, square), &disc);
-        let row = found.row(&e, reached);
+        let found =
+            bounded(&e, Vec2::new(slope_u, slope_v), (square, reached, ends), (width, height), depth_slopes, &lens);
+        let (row, hidden) = (found.row, found.hidden);
         let sound = finite(row.x) && finite(row.y) && finite(row.sigma_u) && finite(row.shear) && finite(row.sigma_v);
         if !(finite(e.opacity) && e.opacity > 0.0 && e.opacity >= alpha_min) {
             e.store(bounds, ABSOLUTE_POS);

@@ -221,7 +221,6 @@ fn check_tiles<F: Real>(seed: u64, alpha_min: f64) -> [usize; 3] {
     let scene = beside(seed, 600);
     let mut project = spec(Projection::RayMax, 0.3);
     project.intrinsics = Intrinsics::centred(160, 112, 130.0);
-    project.intrinsics.near = 0.01;
     let options = RenderOptions { alpha_min, ..RenderOptions::standard().with_projection(Projection::RayMax) };
     let spec = RasterizeSpec { intrinsics: project.intrinsics, options };
     let of = |values: Vec<f64>| values.into_iter().map(F::of).collect::<Vec<F>>();
@@ -239,7 +238,8 @@ fn check_tiles<F: Real>(seed: u64, alpha_min: f64) -> [usize; 3] {
             let [dx, dy] = [F::of(x as f64 + 0.5) - e.mean_px[0], F::of(y as f64 + 0.5) - e.mean_px[1]];
             let (u, v) = (dx / e.sigma_u, (dy - e.shear * dx) / e.sigma_v);
             let (s, square) = (F::ONE - t[0] * u - t[1] * v, u * u + v * v);
-            let alpha = e.opacity * (F::of(-0.5) * square / (s * s + t[2] * t[2] * square)).exp();
+            let exponent = F::of(-0.5) * square / (s * s + t[2] * t[2] * square);
+            let alpha = e.opacity * F::of(exponent.f64().exp());
             if s > F::ZERO && alpha >= F::of(alpha_min) {
                 needed[y / 16 * 10 + x / 16] = 1;
             }

@@ -22,7 +22,7 @@ use splat_model::accuracy::{ChosenSetting, FrontierPoint, Provenance, Spread, Ta
 use splat_model::capture::{Capture, Photo, Split};
 use splat_model::evaluate::evaluate;
 use splat_model::gaussians::GaussianRows;
-use splat_op::{CameraModel, RenderOptions};
+use splat_op::RenderOptions;
 
 use self::dials::{Role, candidates};
 use self::measure::{Bench, BenchOutcome, MeasuredError, SettingMeasurements};
@@ -112,7 +112,7 @@ pub fn run(args: &ParetoArgs) -> Result<()> {
     let extent = input::extent(&capture);
     let base = args.model.config().render_options(extent);
     let bench = Bench::new(&rows, shots, background.colour(), base, &device)?;
-    let all = candidates(&base, [splat_op::is_gpu(&device), bench.pinholes(), true]);
+    let all = candidates(&base, [splat_op::is_gpu(&device), true]);
     progress::note(&format!("{} settings, {} views of {} splats", all.len(), photos.len(), rows.len()));
     let outcome = bench.run(all, Duration::from_secs(args.budget), |options| {
         let scores = evaluate(&bench.place.splats, &photos, &background, options, |_, _| ())?;
@@ -155,11 +155,6 @@ fn prepare(args: &ParetoArgs) -> Result<OutputFolder> {
 }
 
 impl<'a> Bench<'a> {
-    /// Whether all cameras are pinholes.
-    fn pinholes(&self) -> bool {
-        self.shots.iter().all(|shot| shot.intrinsics.model == CameraModel::Pinhole)
-    }
-
     /// Prepares a scene and views of it over a colour.
     ///
     /// # Errors
@@ -193,8 +188,7 @@ pub fn choose_briefly(
         spread(&(0..shots.len()).collect::<Vec<_>>(), VIEWS_BRIEFLY).iter().map(|&i| shots[i]).collect();
     progress::note("measuring what accuracy costs here (`splat pareto` measures it thoroughly, for `--frontier`)");
     let bench = Bench::new(rows, shots, [0.0; 3], *base, device)?;
-    let outcome =
-        bench.run(candidates(base, [splat_op::is_gpu(device), bench.pinholes(), false]), BRIEFLY, |_| Ok(None))?;
+    let outcome = bench.run(candidates(base, [splat_op::is_gpu(device), false]), BRIEFLY, |_| Ok(None))?;
     // The frontier is not saved, so that nobody can take it for another scene's.
     Ok(outcome.frontier(&bench, device_name, Provenance::default()).choose(target, work)?)
 }
