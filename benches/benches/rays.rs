@@ -1,4 +1,5 @@
-//! Times frames with each projection and order, forwards and backwards, beside the plain frame of the same scene.
+//! Times frames with each projection and order, forwards and backwards, beside the plain frame of the same scene, by a pinhole
+//! and through a lens.
 //!
 //! `cargo bench --workspace --bench rays -- small` takes any of the scenes of `stages`, by default `small`.
 
@@ -9,13 +10,16 @@ use burn::tensor::{Device, Tensor};
 use splat_benches::job::{Job, JobSize, OPTIONS};
 use splat_benches::measure::{Prepare, time};
 use splat_benches::passes::{backward, forward, leaves};
-use splat_op::{Camera, Extras, Order, Projection, RenderOptions, Splats, render_view};
+use splat_op::{Camera, CameraModel, Extras, Order, Projection, RenderOptions, Splats, render_view};
 
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
 /// Time budget for all frames of one scene.
 const BUDGET: Duration = Duration::from_secs(40);
+
+/// Lens of the second half of the frames; the first half is a pinhole's.
+const LENS: (CameraModel, [f64; 8]) = (CameraModel::OpenCv, [-0.12, 0.03, 0.004, -0.006, 0.0, 0.0, 0.0, 0.0]);
 
 fn main() -> Result<(), Box<dyn Error>> {
     let device = Device::flex();
@@ -34,18 +38,24 @@ fn main() -> Result<(), Box<dyn Error>> {
             job.intrinsics.height,
             rayon::current_num_threads()
         );
+        let mut bent = camera.clone();
+        (bent.intrinsics.model, bent.intrinsics.distortion) = LENS;
+        let all: Vec<(String, &Camera, RenderOptions)> = [(&camera, ""), (&bent, ", lens")]
+            .into_iter()
+            .flat_map(|(camera, what)| choices.map(|(name, options)| (format!("{name}{what}"), camera, options)))
+            .collect();
         let mut frames: Vec<Prepare> =
-            choices.iter().flat_map(|(_, options)| passes(&splats, &camera, *options)).collect();
+            all.iter().flat_map(|(_, camera, options)| passes(&splats, camera, *options)).collect();
         let times = time(&mut frames, &device, BUDGET)?;
         println!(
-            "{:<30} {:>12} {:>12} {:>13} {:>12}",
+            "{:<36} {:>12} {:>12} {:>13} {:>12}",
             "frame", "forwards, ms", "of plain", "backwards, ms", "of plain"
         );
-        for ((name, _), of) in choices.iter().zip(times.chunks_exact(2)) {
+        for ((name, ..), of) in all.iter().zip(times.chunks_exact(2)) {
             let [forwards, backwards] =
                 [0, 1].map(|pass| [1e3 * of[pass].median_s, of[pass].median_s / times[pass].median_s]);
             println!(
-                "{name:<30} {:>12.2} {:>12.2} {:>13.2} {:>12.2}",
+                "{name:<36} {:>12.2} {:>12.2} {:>13.2} {:>12.2}",
                 forwards[0], forwards[1], backwards[0], backwards[1]
             );
         }

@@ -139,7 +139,7 @@ impl Trainer {
             () if config.sh_degree > splat_op::sh::SH_DEGREE_MAX => {
                 return Err(TrainError::ShDegree(config.sh_degree));
             }
-            () => config.check_with(&photos)?,
+            () => config.check()?,
         }
         let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
         let mut rows = if points.positions.is_empty() {

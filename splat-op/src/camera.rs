@@ -4,6 +4,7 @@
 //! `0..1`. Names of maps read target-from-source: `mean_cam = cam_from_world * mean_world`.
 
 mod lens;
+mod rays;
 #[cfg(test)]
 mod tests;
 
@@ -13,6 +14,7 @@ use glam::DAffine3;
 use crate::error::SplatError;
 
 pub use self::lens::Projector;
+pub(crate) use self::rays::{LEAST_NO_RAY, NO_RAY, PictureRays};
 
 /// Largest width or height of a picture that is accepted, px.
 pub const MAX_SIDE_PX: usize = 32_768;

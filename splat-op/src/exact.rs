@@ -12,7 +12,7 @@ mod ray;
 use glam::{DMat2, DMat3, DQuat, DVec2, DVec3};
 
 use self::ray::Solid;
-use crate::camera::{CameraModel, Intrinsics};
+use crate::camera::Intrinsics;
 use crate::options::{Order, Projection, RenderOptions};
 use crate::project::COMPENSATION_MIN;
 
@@ -82,10 +82,9 @@ pub struct ExactView<'a> {
 /// Renders a picture with the reference renderer and returns its pixels row by row.
 ///
 /// `background` has as many channels as the features of each Gaussian. Equations: Zwicker et al. 2001, eq. 26 to 31, and Kerbl et
-/// al. 2023, eq. 5, for the projection; the maximum along the ray for [`Projection::RayMax`].
-///
-/// # Panics
-/// As [`ExactView::new`].
+/// al. 2023, eq. 5, for the projection; the maximum along the ray for [`Projection::RayMax`]. Rays of a lens are those that its
+/// projection maps to the pixels' centres; with [`Projection::RayMax`] or [`Order::PerPixelSort`], a pixel without a ray shows the
+/// background.
 pub fn render_exact(
     gaussians: &[ExactGaussian],
     pose: &ExactPose,
@@ -100,11 +99,7 @@ pub fn render_exact(
 
 impl<'a> ExactView<'a> {
     /// Projects the Gaussians once for all pixels.
-    ///
-    /// # Panics
-    /// If the camera is not a pinhole and `options` do not choose [`Projection::Affine`] with [`Order::CentreDepth`].
     pub fn new(gaussians: &'a [ExactGaussian], pose: &ExactPose, camera: &Intrinsics, options: &RenderOptions) -> Self {
-        assert!(!options.along_rays() || camera.model == CameraModel::Pinhole, "a render along rays needs a pinhole");
         let ellipses = gaussians.iter().filter_map(|g| project(g, pose, camera, options)).collect();
         Self { ellipses, camera: *camera, options: *options }
     }
@@ -112,7 +107,8 @@ impl<'a> ExactView<'a> {
     /// Renders the pixel in column `x` and row `y` by visiting every Gaussian. `background` has a value for each feature.
     pub fn pixel(&self, [x, y]: [usize; 2], background: &[f64]) -> ExactPixel {
         let centre_px = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
-        let seen = |ellipse: &ExactEllipse<'a>| ellipse.seen(centre_px, &self.camera, &self.options);
+        let ray = if self.options.along_rays() { lens::direction(&self.camera, centre_px) } else { None };
+        let seen = |ellipse: &ExactEllipse<'a>| ellipse.seen(centre_px, ray, &self.options);
         let mut seen: Vec<Contribution> = self.ellipses.iter().map(seen).collect();
         // The sort is stable: Gaussians at equal depths keep their order.
         seen.sort_by(|a, b| a.key.total_cmp(&b.key));
@@ -121,22 +117,24 @@ impl<'a> ExactView<'a> {
 }
 
 impl<'a> ExactEllipse<'a> {
-    fn seen(&self, centre_px: DVec2, camera: &Intrinsics, options: &RenderOptions) -> Contribution<'a> {
+    /// `ray` is the direction of the pixel's ray, with z one; it is read by per-ray rasterization only.
+    fn seen(&self, centre_px: DVec2, ray: Option<DVec3>, options: &RenderOptions) -> Contribution<'a> {
         let d = centre_px - self.mean_px;
         let value = (-0.5 * d.dot(self.conic * d)).exp();
         let plain =
             Contribution { alpha: self.opacity * value, depth: self.depth, key: self.depth, features: self.features };
         let Some(solid) = &self.solid else { return plain };
         let mut seen = plain;
+        let Some(ray) = ray else { return Contribution { alpha: 0.0, ..seen } };
         let met = match options.projection {
             Projection::RayMax => {
-                let met = solid.meet(ray::direction(camera, centre_px));
+                let met = solid.meet(ray);
                 // A maximum behind the camera is not visible.
                 seen.alpha = if met.at > 0.0 { self.opacity * met.value } else { 0.0 };
                 seen.depth = met.at;
                 met.at
             }
-            Projection::Affine => self.depth * solid.meet(d.extend(1.0)).at,
+            Projection::Affine => solid.meet(solid.on_screen_ray(ray)).at,
         };
         if options.order == Order::PerPixelSort {
             seen.key = met;
@@ -194,7 +192,7 @@ fn project<'a>(
         1.0
     };
     let solid = options.along_rays().then(|| match options.projection {
-        Projection::RayMax => Solid::in_camera(mean_cam, covariance_cam, camera, options.blur),
+        Projection::RayMax => Solid::in_camera(mean_cam, covariance_cam, [j0, j1], options.blur),
         Projection::Affine => Solid::on_screen(mean_cam, covariance_cam, [j0, j1], options.blur),
     });
     Some(ExactEllipse {

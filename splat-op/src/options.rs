@@ -59,8 +59,9 @@ pub enum Projection {
     /// al. 2001). Accurate if the Gaussian is small compared with its distance.
     #[default]
     Affine,
-    /// Exact maximum of the Gaussian along the pixel's ray; see [`crate::rasterize_rays`]. For pinhole cameras only. It ignores
-    /// [`RenderOptions::jacobian_margin`].
+    /// Exact maximum of the Gaussian along the pixel's ray; see [`crate::rasterize_rays`]. It ignores
+    /// [`RenderOptions::jacobian_margin`]. Through a lens, a pixel without a ray shows the background, also with
+    /// [`Order::PerPixelSort`].
     RayMax,
 }
 
@@ -73,7 +74,7 @@ pub enum Order {
     #[default]
     CentreDepth,
     /// One order per pixel, by the camera z of each Gaussian's maximum along the pixel's ray, then in the order of the centres (Radl
-    /// et al. 2024, StopThePop). For pinhole cameras only.
+    /// et al. 2024, StopThePop).
     PerPixelSort,
 }
 

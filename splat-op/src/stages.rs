@@ -6,7 +6,7 @@ use burn::tensor::{Int, Tensor};
 use crate::abilities::check_fits;
 use crate::backend::stages::SplatBackend;
 use crate::backend::tensors::GeometryTensors;
-use crate::camera::{Camera, CameraModel, Intrinsics};
+use crate::camera::{Camera, Intrinsics};
 use crate::check::{Reference, check_positive};
 use crate::error::SplatError;
 use crate::intersect::{IntersectionCell, tile_grid};
@@ -41,7 +41,7 @@ pub struct Ellipses {
 #[derive(Clone, Debug)]
 pub struct Projected {
     packed: Tensor<2>,
-    /// `[N, 3]`: ray-space depth slopes, see `depth_slope/`; present for per-ray rasterization only.
+    /// `[N, 3 (+ 6)]`: ray-space depth slopes, see `depth_slope/`; present for per-ray rasterization only.
     depth_slope: Option<Tensor<2>>,
     intrinsics: Intrinsics,
 }
@@ -145,8 +145,7 @@ impl Ellipses {
 /// 90° or more from its axis.
 ///
 /// # Errors
-/// If a tensor's shape, type or device does not fit, or if the camera or an option is out of range. If the camera is not a
-/// pinhole and `options` do not choose [`Projection::Affine`](crate::Projection) with [`Order::CentreDepth`](crate::Order).
+/// If a tensor's shape, type or device does not fit, or if the camera or an option is out of range.
 pub fn project(
     splats: &Splats,
     camera: &Camera,
@@ -272,14 +271,6 @@ fn check_geometry(splats: &Splats, camera: &Camera, options: &RenderOptions) -> 
     reference.check("scales", &splats.scales, [Some(count), Some(3)], "[N, 3]")?;
     reference.check("opacities", &splats.opacities, [Some(count)], "[N]")?;
     reference.check("cam_from_world", &camera.cam_from_world, [Some(3), Some(4)], "[3, 4]")?;
-    if options.along_rays() && camera.intrinsics.model != CameraModel::Pinhole {
-        let (found, expected) = (
-            format!("{:?}", camera.intrinsics.model),
-            "a pinhole, whose pixels see along straight rays from \
-            one point: undistort the photographs, or choose `Projection::Affine` and `Order::CentreDepth`",
-        );
-        return Err(SplatError::Value { field: "camera model", found, expected });
-    }
     Ok(reference)
 }
 

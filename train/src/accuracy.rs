@@ -23,12 +23,10 @@ pub struct ModelArgs {
     /// scene with the setting it was trained with
     #[arg(long)]
     pub antialias: bool,
-    /// How a splat contributes to a pixel, for pinhole cameras. Evaluate and render a scene with the setting it was
-    /// trained with
+    /// How a splat contributes to a pixel. Evaluate and render a scene with the setting it was trained with
     #[arg(long, value_enum, value_name = "WHAT", default_value_t)]
     pub projection: ProjectionArg,
-    /// How splats are sorted by depth, for pinhole cameras. Evaluate and render a scene with the setting it was trained
-    /// with
+    /// How splats are sorted by depth. Evaluate and render a scene with the setting it was trained with
     #[arg(long, value_enum, value_name = "WHAT", default_value_t)]
     pub order: OrderArg,
 }

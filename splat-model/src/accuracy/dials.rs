@@ -38,8 +38,6 @@ pub struct Dial {
     pub same_picture: bool,
     /// Whether the dial has no effect on a CPU.
     pub gpu_only: bool,
-    /// Whether only cameras without a lens support the dial.
-    pub pinhole_only: bool,
     /// The values that are measured, the most accurate first.
     pub values: &'static [DialValue],
     /// Sets a numerical dial to the value without approximation, for the exact render in f64, however long that takes. Leaves a
@@ -59,7 +57,7 @@ const fn choice(name: &'static str, set: fn(RenderOptions) -> RenderOptions) -> 
 /// A numerical dial of all devices and cameras. Its first value approximates nothing.
 const fn numerical(name: &'static str, what: &'static str, values: &'static [DialValue]) -> Dial {
     let (judge, exact) = (Judge::Exact, values[0].set);
-    Dial { name, what, judge, same_picture: false, gpu_only: false, pinhole_only: false, values, exact }
+    Dial { name, what, judge, same_picture: false, gpu_only: false, values, exact }
 }
 
 /// A model choice of all devices and cameras.
@@ -156,28 +154,22 @@ pub const DIALS: &[Dial] = &[
             value("half", 2e-3, |o| o.with_coefficients(Storage::Half)),
         ],
     ),
-    Dial {
-        pinhole_only: true,
-        ..model(
-            "projection",
-            "how a Gaussian contributes to a pixel: by its projected ellipse, or by its maximum along the ray",
-            &[
-                choice("ray-max", |o| o.with_projection(Projection::RayMax)),
-                choice("affine", |o| o.with_projection(Projection::Affine)),
-            ],
-        )
-    },
-    Dial {
-        pinhole_only: true,
-        ..model(
-            "order",
-            "unit of the depth sort: whole Gaussians, or the contributions to each pixel",
-            &[
-                choice("per-pixel-sort", |o| o.with_order(Order::PerPixelSort)),
-                choice("centre-depth", |o| o.with_order(Order::CentreDepth)),
-            ],
-        )
-    },
+    model(
+        "projection",
+        "how a Gaussian contributes to a pixel: by its projected ellipse, or by its maximum along the ray",
+        &[
+            choice("ray-max", |o| o.with_projection(Projection::RayMax)),
+            choice("affine", |o| o.with_projection(Projection::Affine)),
+        ],
+    ),
+    model(
+        "order",
+        "unit of the depth sort: whole Gaussians, or the contributions to each pixel",
+        &[
+            choice("per-pixel-sort", |o| o.with_order(Order::PerPixelSort)),
+            choice("centre-depth", |o| o.with_order(Order::CentreDepth)),
+        ],
+    ),
     model(
         "sh_degree",
         "spherical harmonics above this degree are left out",

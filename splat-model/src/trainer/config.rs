@@ -1,11 +1,10 @@
 //! The options of a run, and whether they fit together.
 
 use serde::{Deserialize, Deserializer, Serialize};
-use splat_op::{CameraModel, Order, Projection, RenderOptions};
+use splat_op::{Order, Projection, RenderOptions};
 
 use super::{Resolution, TrainError};
 use crate::accuracy::Setting;
-use crate::capture::Photograph;
 use crate::density::{AdaptiveConfig, DensityConfig, GRADUAL_OPACITY_WEIGHT};
 use crate::effects::background::Backdrop;
 use crate::effects::depth::DepthConfig;
@@ -150,46 +149,23 @@ impl TrainConfig {
         let options = self.dials.apply(RenderOptions::standard());
         options.projection != Projection::Affine || options.order != Order::CentreDepth
     }
-
-    /// [`Self::check`], and whether the run can use the photographs.
-    pub(super) fn check_with(&self, photos: &[Photograph]) -> Result<(), TrainError> {
-        self.check()?;
-        let lens = photos.iter().find(|photo| photo.intrinsics.model != CameraModel::Pinhole);
-        match lens.filter(|_| self.along_rays()) {
-            Some(photo) => Err(TrainError::Lens { photo: photo.name.clone(), model: photo.intrinsics.model }),
-            None => Ok(()),
-        }
-    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::effects::optics::OpticsConfig;
-    use crate::trainer::testing;
-
-    fn photos() -> Vec<Photograph> {
-        testing::photos([0.0; 3]).into_iter().map(Photograph::from).collect()
-    }
-
-    fn refused(config: TrainConfig) -> String {
-        config.check_with(&photos()).unwrap_err().to_string()
-    }
 
     fn dials(dial: &str, value: &str) -> Setting {
         Setting::new([(dial, value)]).unwrap()
     }
 
     #[test]
-    fn rays_go_neither_with_lenses_nor_with_what_changes_ellipses() {
+    fn rays_do_not_go_with_what_changes_ellipses() {
         let rays = TrainConfig { dials: dials("order", "per-pixel-sort"), ..TrainConfig::default() };
-        let mut lens = photos();
-        lens[2].intrinsics.model = CameraModel::OpenCv;
-        TrainConfig::default().check_with(&lens).unwrap();
-        rays.check_with(&photos()).unwrap();
-        let error = rays.check_with(&lens).unwrap_err().to_string();
-        assert!(error.contains("`d`") && error.contains("OpenCv") && error.contains("undistort"), "{error}");
+        rays.check().unwrap();
         let optics = OpticsConfig { rolling: true, ..OpticsConfig::default() };
-        assert!(refused(TrainConfig { optics, ..rays }).contains("rolling shutters"));
+        let error = TrainConfig { optics, ..rays }.check().unwrap_err().to_string();
+        assert!(error.contains("rolling shutters"), "{error}");
     }
 }

@@ -1,6 +1,6 @@
 //! Errors of a run.
 
-use splat_op::{CameraModel, SplatError};
+use splat_op::SplatError;
 use thiserror::Error;
 
 use super::{Resolution, Stage};
@@ -40,17 +40,6 @@ pub enum TrainError {
          `--order per-pixel-sort` do not compute: leave out one of them (`--effects=-NAME`)"
     )]
     Ellipses,
-    /// Per-ray rasterization through a lens.
-    #[error(
-        "photograph `{photo}` was taken through a lens ({model:?}), and `--projection ray-max` and `--order per-pixel-sort` are for \
-         pinholes, whose pixels see straight rays of one origin: undistort the photographs, or leave out both"
-    )]
-    Lens {
-        /// Name of the photograph.
-        photo: String,
-        /// Its camera model.
-        model: CameraModel,
-    },
     /// A background cannot be learned from a photograph with transparent parts.
     #[error(
         "photograph `{0}` has transparent parts, which do not show a background to learn: train with `--effects=-alpha` \

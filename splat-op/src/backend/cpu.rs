@@ -14,7 +14,7 @@ use super::tensors::{
     RayLayerTensors, ShadingGrads, ShadingTensors,
 };
 use crate::depth_slope::cpu::{depth_slope_backward_cpu, depth_slope_cpu};
-use crate::depth_slope::{DEPTH_SLOPE, bounds_cpu};
+use crate::depth_slope::{bounds_cpu, columns};
 use crate::intersect::cpu::intersect_cpu;
 use crate::intersect::{Cut, IntersectionCell, IntersectionLists, StoredIntersections, tile_grid};
 use crate::project::cpu::{project_backward_cpu, project_cpu};
@@ -242,8 +242,9 @@ macro_rules! cpu_backend {
                 by_type!(inputs.means.0, F => {
                     let read = inputs.each_ref().map(host::<Self, F>);
                     let depth_slopes = depth_slope_cpu(read.each_ref().map(|host| &host[..]), &spec);
-                    let count = depth_slopes.len() / DEPTH_SLOPE;
-                    Self::from_host(depth_slopes, &[count, DEPTH_SLOPE], &inputs.means.0)
+                    let columns = columns(&spec.intrinsics);
+                    let count = depth_slopes.len() / columns;
+                    Self::from_host(depth_slopes, &[count, columns], &inputs.means.0)
                 })
             }
 

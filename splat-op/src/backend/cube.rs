@@ -13,7 +13,7 @@ use super::tensors::{
     GeometryGrads, GeometryTensors, InputTensor, LayerGrads, LayerTensors, OptionalTensor, RayLayerGrads,
     RayLayerTensors, ShadingGrads, ShadingTensors,
 };
-use crate::depth_slope::DEPTH_SLOPE;
+use crate::depth_slope::columns;
 use crate::depth_slope::launch::{launch_bounds, launch_depth_slope, launch_depth_slope_backward};
 use crate::gpu::{Buffer, Gpu, launch_scale};
 use crate::intersect::launch::{DeviceIntersections, launch_intersect};
@@ -247,7 +247,7 @@ impl SplatBackend for CubeBackend {
     fn depth_slope(inputs: GeometryTensors<Self>, spec: ProjectSpec) -> FloatTensor<Self> {
         let like = &inputs.means.0;
         let depth_slopes = launch_depth_slope(&Gpu::new(&like.client), &inputs.each_ref().map(on_device), &spec);
-        tensor(depth_slopes, [like.shape()[0], DEPTH_SLOPE], DType::F32, like)
+        tensor(depth_slopes, [like.shape()[0], columns(&spec.intrinsics)], DType::F32, like)
     }
 
     fn depth_slope_backward(

@@ -12,7 +12,7 @@ use super::tensors::{
     ShadingGrads, ShadingTensors,
 };
 #[cfg(feature = "fusion")]
-use crate::depth_slope::DEPTH_SLOPE;
+use crate::depth_slope;
 use crate::intersect::IntersectionCell;
 #[cfg(feature = "fusion")]
 use crate::project::COLUMNS;
@@ -97,8 +97,9 @@ pub trait SplatBackend: Backend {
         trace: TraceCell,
     ) -> LayerGrads<Self>;
 
-    /// Ray-space depth slopes; see `depth_slope/`. Returns `[N, 3]`.
-    #[fusion(meta = |inputs, _| fusion::float([inputs.opacities.0.shape[0], DEPTH_SLOPE], &inputs.means.0))]
+    /// Ray-space depth slopes; see `depth_slope/`. Returns `[N, 3]`, with a lens `[N, 9]`.
+    #[fusion(meta = |inputs, spec| fusion::float(
+        [inputs.opacities.0.shape[0], depth_slope::columns(&spec.intrinsics)], &inputs.means.0))]
     fn depth_slope(#[extension_type] inputs: GeometryTensors<Self>, spec: ProjectSpec) -> FloatTensor<Self>;
 
     /// Returns the gradients of `depth_slope` that `mask` selects, from the gradient of its output. Opacities and projected
@@ -111,7 +112,7 @@ pub trait SplatBackend: Backend {
         mask: Geometry<bool>,
     ) -> GeometryGrads<Self>;
 
-    /// Returns bounds as rows `[N, 7]` for `intersect`, from packed ellipses `[N, 7]` and depth slopes `[N, 3]`; see
+    /// Returns bounds as rows `[N, 7]` for `intersect`, from packed ellipses `[N, 7]` and depth slopes; see
     /// `depth_slope/`. Not differentiable.
     #[fusion(dtype = projected, shape = projected)]
     fn bounds(projected: FloatTensor<Self>, depth_slope: FloatTensor<Self>, spec: RasterizeSpec) -> FloatTensor<Self>;

@@ -15,12 +15,12 @@
 
 use std::f64::consts::FRAC_PI_2;
 
-use glam::{DVec2, DVec3};
+use glam::{DMat2, DVec2, DVec3};
 
 use super::{CameraModel, Intrinsics};
 
 /// Largest slope or angle that is considered: a slope of a million is a microradian from the image plane.
-const FAR: f64 = 1e6;
+pub(super) const FAR: f64 = 1e6;
 
 /// Number of points on each border of a picture from which its extent in slopes is computed.
 const BORDER_POINTS: usize = 8;
@@ -54,6 +54,55 @@ impl LensCoefficients {
 
     fn map(&self, s: DVec2) -> DVec2 {
         s * self.radial(s.length_squared())[0] + self.decentred(s)
+    }
+
+    /// The Jacobian of the map.
+    fn jacobian(&self, s: DVec2) -> DMat2 {
+        let (tangential, prism) = (DVec2::from_array(self.tangential), DVec2::from_array(self.prism));
+        let [g, slope] = self.radial(s.length_squared());
+        let outer = |a: DVec2, b: DVec2| DMat2::from_cols(a * b.x, a * b.y);
+        DMat2::from_diagonal(DVec2::splat(g + 2.0 * tangential.dot(s)))
+            + (outer(s, slope * s + tangential) + outer(tangential + prism, s)) * 2.0
+    }
+
+    /// Bounds of the map's Jacobian and of its second derivative, per length of the direction, at the radius `r`.
+    fn steepness(&self, r: f64) -> [f64; 2] {
+        let w = r * r;
+        let [n, n_slope, n_bend] = with_slopes(&self.radial, w);
+        let [d, d_slope, d_bend] = with_slopes(&self.denominator, w);
+        let g = n / d;
+        let slope = (n_slope - g * d_slope) / d;
+        let bend = (n_bend - 2.0 * slope * d_slope - g * d_bend) / d;
+        let norm = |v: [f64; 2]| DVec2::from_array(v).length();
+        let decentred = 6.0 * norm(self.tangential) + 2.0 * norm(self.prism);
+        [g.abs() + 2.0 * w * slope.abs() + decentred * r, 6.0 * r * slope.abs() + 4.0 * r * w * bend.abs() + decentred]
+    }
+
+    /// Upper bounds of [`Self::steepness`] up to the radius `r`, from samples.
+    pub fn steepest(&self, r: f64) -> [f64; 2] {
+        const SAMPLES: usize = 1000;
+        let samples = (0..=SAMPLES).map(|i| self.steepness(r * i as f64 / SAMPLES as f64));
+        // The polynomials vary little between two samples.
+        samples.fold([0.0_f64; 2], |most, at| [0, 1].map(|k| most[k].max(1.1 * at[k])))
+    }
+
+    /// The `s` closer to the axis than `max_radius` whose image is `d`; `None` if there is none. `start` is a first guess.
+    pub fn inverse_within(&self, d: DVec2, max_radius: f64, start: DVec2) -> Option<DVec2> {
+        let polished = |start: DVec2| {
+            let mut s = start;
+            let mut error = self.map(s) - d;
+            for _ in 0..10 {
+                let next = s - self.jacobian(s).inverse() * error;
+                let left = self.map(next) - d;
+                if !(left.length_squared() < error.length_squared()) {
+                    break;
+                }
+                (s, error) = (next, left);
+            }
+            (error.length() <= 1e-12 * (1.0 + d.length()) && s.length() < max_radius).then_some(s)
+        };
+        // The map is one to one within the domain, so every solution there is the only one.
+        polished(start).or_else(|| polished(self.inverse(d, max_radius)))
     }
 
     /// Radius up to which the map is one to one; infinite if it is one to one up to [`FAR`].
@@ -215,7 +264,7 @@ impl Intrinsics {
     }
 
     /// Position relative to the principal point, in units of the focal length.
-    fn focal_from_px(&self, px: DVec2) -> DVec2 {
+    pub(super) fn focal_from_px(&self, px: DVec2) -> DVec2 {
         DVec2::new((px.x - self.cx) / self.fx, (px.y - self.cy) / self.fy)
     }
 
@@ -237,9 +286,15 @@ impl Intrinsics {
 
 /// Evaluates `1 + Σ coefficientsᵢ wⁱ⁺¹` and its derivative.
 fn with_slope(coefficients: &[f64], w: f64) -> [f64; 2] {
-    let mut out = [0.0, 0.0];
+    let [value, slope, _] = with_slopes(coefficients, w);
+    [value, slope]
+}
+
+/// Evaluates `1 + Σ coefficientsᵢ wⁱ⁺¹` and its first two derivatives.
+fn with_slopes(coefficients: &[f64], w: f64) -> [f64; 3] {
+    let mut out = [0.0; 3];
     for &coefficient in coefficients.iter().rev().chain(&[1.0]) {
-        out = [out[0] * w + coefficient, out[1] * w + out[0]];
+        out = [out[0] * w + coefficient, out[1] * w + out[0], out[2] * w + 2.0 * out[1]];
     }
     out
 }

@@ -7,11 +7,13 @@
 
 use cubecl::prelude::*;
 
-use super::DEPTH_SLOPE;
 use super::forward::{DepthSlopeTerms, lean};
+use super::lens_bounds_kernel::{LensFrame, jacobian_at};
+use super::{DEPTH_SLOPE, LENS_FRAME};
 use crate::gpu::math::{Pose, Vec3};
 use crate::project::backward::{GeometryGradMask, no_gradient, seen_backward, store_pose};
 use crate::project::forward::{Gaussian, PackedEllipse, ProjectCamera, ProjectionTerms, project_one};
+use crate::project::lens_backward::bent_backward;
 
 /// Gradients of `m0`, `m1` and `mz`.
 #[cube]
@@ -80,11 +82,16 @@ pub(super) fn depth_slope_backward_kernel(
     let gaussian = ABSOLUTE_POS;
     let mut of = no_gradient();
     if gaussian < count as usize {
-        let at = gaussian * comptime!(DEPTH_SLOPE);
+        let columns = comptime!(DEPTH_SLOPE + if lens.distortion.is_some() { LENS_FRAME } else { 0 });
+        let at = gaussian * columns;
         let (grad_u, grad_v, grad_thickness) = (grad[at], grad[at + 1], grad[at + 2]);
         // Most Gaussians of a large scene are out of view, with a gradient of exactly zero. The test is by bits, so that NaN
         // counts.
-        let any = u32::reinterpret(grad_u) | u32::reinterpret(grad_v) | u32::reinterpret(grad_thickness);
+        let mut any = u32::reinterpret(grad_u) | u32::reinterpret(grad_v) | u32::reinterpret(grad_thickness);
+        #[unroll]
+        for column in comptime!(DEPTH_SLOPE)..columns {
+            any |= u32::reinterpret(grad[at + column]);
+        }
         if (any & 0x7fff_ffff) != 0 {
             let pose = Pose::load(cam_from_world);
             let g = Gaussian::load(means, rotations, scales, opacities, gaussian);
@@ -109,6 +116,15 @@ pub(super) fn depth_slope_backward_kernel(
                 let inverse_z = 1.0 / f.depth;
                 seen.turned.z = seen.turned.z.plus(grad_j.times(inverse_z));
                 seen.centre.z -= grad_j.dot(l.j) * inverse_z;
+                #[comptime]
+                if let ComptimeOption::Some(distortion) = lens.distortion {
+                    let (mean, frame) = (pose.apply(g.mean), LensFrame::load(grad, gaussian));
+                    let (x, y, bent) = jacobian_at(mean, &lens, &distortion);
+                    seen.centre.z += frame.x.x * x.x + frame.x.y * x.y + frame.y.x * y.x + frame.y.y * y.y;
+                    let (of_x, of_y) = (frame.x.times(mean.z), frame.y.times(mean.z));
+                    let grad_jacobian = (Vec3::new(of_x.x, of_x.y, 0.0), Vec3::new(of_y.x, of_y.y, 0.0));
+                    seen.centre = seen.centre.plus(bent_backward(&bent, &lens, grad_jacobian, &none).centre);
+                }
                 if comptime!(wanted.means) {
                     of.mean = pose.matrix.apply_transposed(seen.centre);
                 }

@@ -2,8 +2,8 @@
 
 use rayon::prelude::*;
 
-use super::{DEPTH_SLOPE, EXTENT, LEAST, ROUNDING, SLACK};
-use crate::camera::Intrinsics;
+use super::{DEPTH_SLOPE, EXTENT, LEAST, LensFrame, LensLimits, ROUNDING, SLACK, columns};
+use crate::camera::{CameraModel, Intrinsics, PictureRays};
 use crate::intersect::extent::whitened_limit;
 use crate::linalg::{cross, dot, norm, scale};
 use crate::project::{COLUMNS, Ellipse};
@@ -17,17 +17,20 @@ const CHUNK: usize = 1024;
 /// Returns rows `[N, 7]` for `intersect`, from packed ellipses `[N, 7]` and depth slopes `[N, 3]`. Culled Gaussians stay culled.
 pub(crate) fn bounds_cpu<F: Real>(packed: &[F], depth_slopes: &[F], spec: &RasterizeSpec) -> Vec<F> {
     let mut bounds = vec![F::ZERO; packed.len()];
-    let rows = (bounds.par_chunks_mut(COLUMNS), packed.par_chunks(COLUMNS), depth_slopes.par_chunks(DEPTH_SLOPE));
+    let slopes = depth_slopes.par_chunks(columns(&spec.intrinsics));
+    let lens = PictureRays::of(&spec.intrinsics).map(|rays| LensLimits::new(&spec.intrinsics, &rays));
+    let rows = (bounds.par_chunks_mut(COLUMNS), packed.par_chunks(COLUMNS), slopes);
     rows.into_par_iter().with_min_len(CHUNK).for_each(|(out, row, depth_slope)| {
-        out.copy_from_slice(
-            &bounding_ellipse(&Ellipse::from_row(row), [depth_slope[0], depth_slope[1], depth_slope[2]], spec).to_row(),
-        );
+        out.copy_from_slice(&bounding_ellipse(&Ellipse::from_row(row), depth_slope, (spec, lens.as_ref())).to_row());
     });
     bounds
 }
 
-/// Returns the point of the picture next to a centre, and the distance of the centre from there, px.
+/// Returns the point of the picture next to a centre, and the distance of the centre from there, px. With a lens it is the centre.
 pub(crate) fn beyond<F: Real>(mean_px: [F; 2], camera: &Intrinsics) -> ([F; 2], [F; 2]) {
+    if camera.model != CameraModel::Pinhole {
+        return (mean_px, [F::ZERO; 2]);
+    }
     let size = [camera.width, camera.height].map(|px| F::of(px as f64));
     let base = [0, 1].map(|axis| mean_px[axis].within(F::ZERO, size[axis]));
     (base, [0, 1].map(|axis| mean_px[axis] - base[axis]))
@@ -52,12 +55,12 @@ fn about_centre<F: Real>(
     (Ellipse { sigma_u, shear: dot(n, y) / sigma_u, sigma_v, ..*e }, [dot(n, z), dot(p, z), thickness])
 }
 
-/// Returns the bounds of a Gaussian from its packed ellipse and its depth slope. The row of a Gaussian that shows nowhere in the
-/// picture has no opacity.
+/// Returns the bounds of a Gaussian from its packed ellipse and its row of depth slopes, with the limits of the lens if the camera
+/// is no pinhole. The row of a Gaussian that shows nowhere in the picture has no opacity.
 pub(crate) fn bounding_ellipse<F: Real>(
     e: &Ellipse<F>,
-    depth_slope: [F; DEPTH_SLOPE],
-    spec: &RasterizeSpec,
+    depth_slope: &[F],
+    (spec, lens): (&RasterizeSpec, Option<&LensLimits<F>>),
 ) -> Ellipse<F> {
     let alpha_min = F::of(spec.options.alpha_min);
     if !(e.opacity > F::ZERO && e.opacity >= alpha_min) {
@@ -65,9 +68,11 @@ pub(crate) fn bounding_ellipse<F: Real>(
     }
     let camera = &spec.intrinsics;
     let away = beyond(e.mean_px, camera).1;
-    let (e, [depth_slope_u, depth_slope_v, thickness]) = match away == [F::ZERO; 2] {
-        true => (*e, depth_slope),
-        false => about_centre(e, depth_slope, away),
+    let lens = lens.zip(LensFrame::of(depth_slope));
+    let own = [depth_slope[0], depth_slope[1], depth_slope[2]];
+    let (e, [slope_u, slope_v, thickness]) = match away == [F::ZERO; 2] {
+        true => (*e, own),
+        false => about_centre(e, own, away),
     };
     let e = &e;
     let reached = alpha_min * F::of((0.5 * EXTENT * EXTENT).exp());
@@ -82,9 +87,9 @@ pub(crate) fn bounding_ellipse<F: Real>(
         opacity: if alpha_min > F::ZERO { reached } else { F::ONE },
     };
     let hidden = Ellipse { opacity: F::ZERO, ..*e };
-    let slope = [depth_slope_u, depth_slope_v];
+    let slope = [slope_u, slope_v];
     let seen = InPicture::new(e, slope, half);
-    if seen.most <= F::ZERO {
+    if lens.is_none() && seen.most <= F::ZERO {
         return hidden;
     }
     let [relative, absolute] = SLACK.map(F::of);
@@ -95,6 +100,10 @@ pub(crate) fn bounding_ellipse<F: Real>(
         return everywhere;
     }
     let square = tau / thin;
+    if let Some((limits, frame)) = lens {
+        let row = whole_ellipse(slope, square).and_then(|whole| limits.bent(&whole.row(e, reached), e, &frame));
+        return row.filter(|row| row.to_row().iter().all(|value| value.finite())).unwrap_or(everywhere);
+    }
     let disc = match seen.disc(slope, square) {
         Some(disc) if disc.scale < F::ZERO => return hidden,
         disc => disc,

@@ -2,8 +2,9 @@
 
 use cubecl::prelude::*;
 
-use super::{DEPTH_SLOPE, EXTENT, LEAST, ROUNDING, SLACK};
-use crate::gpu::math::{Vec3, finite, within};
+use super::lens_bounds_kernel::{BentRow, LensFrame, LensLimits};
+use super::{DEPTH_SLOPE, EXTENT, LEAST, LENS_FRAME, ROUNDING, SLACK};
+use crate::gpu::math::{Vec2, Vec3, finite, within};
 use crate::project::forward::PackedEllipse;
 use crate::rasterize_rays::WHITENED_MAX;
 
@@ -188,6 +189,37 @@ fn about_centre(e: &PackedEllipse, z: Vec3, away_x: f32, away_y: f32) -> (Packed
     (moved, slope)
 }
 
+/// Returns the bounds of a Gaussian from `visible`: it is visible where `u² + v² <= square s²`, a row's opacity is `reached`, and
+/// `square` is known if `ends` is set.
+#[cube]
+fn bounded(
+    e: &PackedEllipse,
+    slope: Vec2,
+    visible: (f32, f32, bool),
+    size: (f32, f32),
+    depth_slopes: &[f32],
+    lens: &ComptimeOption<LensLimits>,
+) -> BentRow {
+    let (slope_u, slope_v) = (slope.x, slope.y);
+    let (square, reached, ends) = visible;
+    let (width, height) = size;
+    let whole = whole_ellipse(slope_u, slope_v, square);
+    #[comptime]
+    match lens {
+        ComptimeOption::Some(lens) => {
+            let found = lens.bent(&whole.row(e, reached), e, &LensFrame::load(depth_slopes, ABSOLUTE_POS));
+            BentRow { row: found.row, known: whole.known && found.known, hidden: ends && whole.known && found.hidden }
+        }
+        ComptimeOption::None => {
+            let seen = in_picture(e, slope_u, slope_v, width * 0.5, height * 0.5);
+            let disc = disc(&seen, slope_u, slope_v, square);
+            let found = smaller(&whole, &disc);
+            let hidden = seen.known && (seen.most <= 0.0 || (ends && disc.known && disc.scale < 0.0));
+            BentRow { row: found.row(e, reached), known: found.known, hidden }
+        }
+    }
+}
+
 /// Writes the bounds, `[N, 7]`.
 #[cube(launch_unchecked)]
 pub(super) fn bounds_kernel(
@@ -197,13 +229,18 @@ pub(super) fn bounds_kernel(
     width: f32,
     height: f32,
     alpha_min: f32,
+    lens: ComptimeOption<LensLimits>,
     count: u32,
 ) {
     if ABSOLUTE_POS < count as usize {
         let e = PackedEllipse::load(projected, ABSOLUTE_POS);
-        let at = ABSOLUTE_POS * comptime!(DEPTH_SLOPE);
-        let away_x = e.x - within(e.x, 0.0, width);
-        let away_y = e.y - within(e.y, 0.0, height);
+        let at = ABSOLUTE_POS * comptime!(DEPTH_SLOPE + if lens.is_some() { LENS_FRAME } else { 0 });
+        let mut away_x = 0.0f32.runtime();
+        let mut away_y = 0.0f32.runtime();
+        if comptime!(lens.is_none()) {
+            away_x = e.x - within(e.x, 0.0, width);
+            away_y = e.y - within(e.y, 0.0, height);
+        }
         let (moved, slope) = about_centre(&e, Vec3::load(depth_slopes, at), away_x, away_y);
         let (slope_u, slope_v, thickness) = (slope.x, slope.y, slope.z);
         let least = comptime!(LEAST as f32);
@@ -214,11 +251,9 @@ pub(super) fn bounds_kernel(
         let thin = 1.0 - across * across;
         let ends = alpha_min > 0.0 && thin > least && finite(thin);
         let square = tau / max(thin, least);
-        let seen = in_picture(&moved, slope_u, slope_v, width * 0.5, height * 0.5);
-        let disc = disc(&seen, slope_u, slope_v, square);
-        let hidden = seen.known && (seen.most <= 0.0 || (ends && disc.known && disc.scale < 0.0));
-        let found = smaller(&whole_ellipse(slope_u, slope_v, square), &disc);
-        let row = found.row(&moved, reached);
+        let found =
+            bounded(&moved, Vec2::new(slope_u, slope_v), (square, reached, ends), (width, height), depth_slopes, &lens);
+        let (row, hidden) = (found.row, found.hidden);
         let sound = finite(row.x) && finite(row.y) && finite(row.sigma_u) && finite(row.shear) && finite(row.sigma_v);
         if !(finite(e.opacity) && e.opacity > 0.0 && e.opacity >= alpha_min) {
             e.store(bounds, ABSOLUTE_POS);

@@ -2,11 +2,12 @@
 
 use rayon::prelude::*;
 
-use super::{DEPTH_SLOPE, THICKNESS_MAX};
+use super::{DEPTH_SLOPE, LENS_FRAME, THICKNESS_MAX, columns};
 use crate::linalg::{
     Mat3, add, cross, dot, hadamard, matmul, matvec, norm, rotation_of, scale, sub, transpose, transposed_matvec,
 };
 use crate::project::cpu::zero_grads;
+use crate::project::lens_jacobian::LensJacobian;
 use crate::project::simd::ProjectCameraSimd;
 use crate::project::{Geometry, ProjectSpec};
 use crate::simd::real::Real;
@@ -23,8 +24,10 @@ struct DepthSlopeTermsCpu<F> {
     quaternion: [F; 4],
     quaternion_length: F,
     world_from_gaussian: Mat3<F>,
-    /// Last row of `W R`.
-    last: [F; 3],
+    /// `W R`
+    cam_from_gaussian: Mat3<F>,
+    /// Jacobian of the lens, if there is one.
+    bent: Option<LensJacobian<F>>,
     /// `j`: the rows of `J W R`, and the last row of `W R` over z; `m`: the rows of `j` times the scales.
     j: Mat3<F>,
     m: Mat3<F>,
@@ -39,10 +42,12 @@ struct DepthSlopeTermsCpu<F> {
     along: [F; 3],
     depth_slope: [F; DEPTH_SLOPE],
     thickness_free: bool,
+    /// False if the Gaussian is too long for a depth slope.
+    sound: bool,
 }
 
 impl<F: Real> DepthSlopeTermsCpu<F> {
-    /// Returns `None` for a Gaussian without a depth slope.
+    /// Returns `None` for a Gaussian that `project` culls.
     fn new(lens: &ProjectCameraSimd<F>, inputs: &Geometry<&[F]>, i: usize) -> Option<Self> {
         let three = |values: &[F]| [values[3 * i], values[3 * i + 1], values[3 * i + 2]];
         let (mean, scales) = (three(inputs.means), three(inputs.scales));
@@ -62,7 +67,14 @@ impl<F: Real> DepthSlopeTermsCpu<F> {
 
         let ratio = [mean_cam[0] / z, mean_cam[1] / z];
         let slope: [F; 2] = std::array::from_fn(|axis| ratio[axis].within(lens.low[axis], lens.high[axis]));
-        let row = |axis: usize| scale(sub(cam_from_gaussian[axis], scale(last, slope[axis])), lens.focal[axis] / z);
+        let bent = lens.lens_jacobian(mean_cam);
+        if lens.bends() && bent.is_none() {
+            return None;
+        }
+        let row = |axis: usize| match &bent {
+            Some(jacobian) => transposed_matvec(&cam_from_gaussian, jacobian[axis]),
+            None => scale(sub(cam_from_gaussian[axis], scale(last, slope[axis])), lens.focal[axis] / z),
+        };
         let j = [row(0), row(1), scale(last, F::ONE / z)];
         let m = j.map(|row| hadamard(row, scales));
         let [m0, m1, mz] = m;
@@ -79,7 +91,7 @@ impl<F: Real> DepthSlopeTermsCpu<F> {
         let held = thickness.min_of(F::of(THICKNESS_MAX));
         let depth_slope = [dot(mz, n), dot(p, c) + b_u * dot(a, mz), held];
         let sound = norm(mz) <= F::of(1e30) && depth_slope.iter().all(|value| value.finite());
-        sound.then(|| Self {
+        Some(Self {
             mean_cam,
             ratio,
             slope,
@@ -87,7 +99,8 @@ impl<F: Real> DepthSlopeTermsCpu<F> {
             quaternion,
             quaternion_length: length * largest,
             world_from_gaussian,
-            last,
+            cam_from_gaussian,
+            bent,
             j,
             m,
             sigma_u,
@@ -100,7 +113,14 @@ impl<F: Real> DepthSlopeTermsCpu<F> {
             along,
             depth_slope,
             thickness_free: held == thickness,
+            sound,
         })
+    }
+
+    /// Returns the columns of a lens.
+    fn frame(&self) -> Option<[F; LENS_FRAME]> {
+        let ([[a, b, _], [c, d, _]], z) = (self.bent?, self.mean_cam[2]);
+        Some([self.ratio[0], self.ratio[1], z * a, z * b, z * c, z * d])
     }
 
     /// Returns the gradients of the rows of `m` from the gradient of the depth slope.
@@ -142,13 +162,19 @@ impl<F: Real> DepthSlopeTermsCpu<F> {
     }
 }
 
-/// Returns the depth slopes and thicknesses, `[N, 3]`.
+/// Returns the depth slopes and thicknesses and, with a lens, its columns: `[N, 3 (+ 6)]`.
 pub(crate) fn depth_slope_cpu<F: Real>(inputs: Geometry<&[F]>, spec: &ProjectSpec) -> Vec<F> {
     let lens = ProjectCameraSimd::new(inputs.cam_from_world, spec);
-    let mut depth_slopes = vec![F::ZERO; inputs.opacities.len() * DEPTH_SLOPE];
-    depth_slopes.par_chunks_mut(DEPTH_SLOPE).with_min_len(CHUNK).enumerate().for_each(|(i, row)| {
+    let columns = columns(&spec.intrinsics);
+    let mut depth_slopes = vec![F::ZERO; inputs.opacities.len() * columns];
+    depth_slopes.par_chunks_mut(columns).with_min_len(CHUNK).enumerate().for_each(|(i, row)| {
         if let Some(leaning) = DepthSlopeTermsCpu::new(&lens, &inputs, i) {
-            row.copy_from_slice(&leaning.depth_slope);
+            if leaning.sound {
+                row[..DEPTH_SLOPE].copy_from_slice(&leaning.depth_slope);
+            }
+            if let Some(frame) = leaning.frame() {
+                row[DEPTH_SLOPE..].copy_from_slice(&frame);
+            }
         }
     });
     depth_slopes
@@ -167,12 +193,13 @@ fn backward_one<F: Real>(
     lens: &ProjectCameraSimd<F>,
     inputs: &Geometry<&[F]>,
     i: usize,
-    grad: [F; DEPTH_SLOPE],
+    row: &[F],
 ) -> Option<DepthSlopeGaussianGrads<F>> {
-    if grad.iter().all(|value| *value == F::ZERO) {
+    if row.iter().all(|value| *value == F::ZERO) {
         return None;
     }
-    let leaning = DepthSlopeTermsCpu::new(lens, inputs, i)?;
+    let grad = [row[0], row[1], row[2]];
+    let leaning = DepthSlopeTermsCpu::new(lens, inputs, i).filter(|leaning| leaning.sound)?;
     let three = |values: &[F]| [values[3 * i], values[3 * i + 1], values[3 * i + 2]];
     let (mean, scales) = (three(inputs.means), three(inputs.scales));
     let grad_m = leaning.factor_backward(grad);
@@ -184,12 +211,23 @@ fn backward_one<F: Real>(
     let inverse_z = F::ONE / leaning.mean_cam[2];
     let mut rows = [[F::ZERO; 3], [F::ZERO; 3], scale(grad_j[2], inverse_z)];
     let mut centre = [F::ZERO, F::ZERO, -dot(grad_j[2], leaning.j[2]) * inverse_z];
-    for axis in 0..2 {
+    if let Some(jacobian) = &leaning.bent {
+        let mut grad_jacobian = [0, 1].map(|axis| matvec(&leaning.cam_from_gaussian, grad_j[axis]));
+        for k in 0..3 {
+            rows[k] = add(rows[k], add(scale(grad_j[0], jacobian[0][k]), scale(grad_j[1], jacobian[1][k])));
+        }
+        for (at, of_frame) in row[DEPTH_SLOPE + 2..].iter().enumerate() {
+            grad_jacobian[at / 2][at % 2] += *of_frame * leaning.mean_cam[2];
+            centre[2] += *of_frame * jacobian[at / 2][at % 2];
+        }
+        centre = add(centre, lens.lens_jacobian_backward(leaning.mean_cam, grad_jacobian));
+    }
+    for axis in (0..2).filter(|_| leaning.bent.is_none()) {
         rows[axis] = scale(grad_j[axis], lens.focal[axis] * inverse_z);
         rows[2] = sub(rows[2], scale(rows[axis], leaning.slope[axis]));
         centre[2] -= dot(grad_j[axis], leaning.j[axis]) * inverse_z;
         if leaning.slope_free[axis] {
-            let grad_ratio = -dot(rows[axis], leaning.last);
+            let grad_ratio = -dot(rows[axis], leaning.cam_from_gaussian[2]);
             centre[axis] = grad_ratio * inverse_z;
             centre[2] -= grad_ratio * leaning.ratio[axis] * inverse_z;
         }
@@ -209,7 +247,7 @@ fn backward_one<F: Real>(
     })
 }
 
-/// Returns the gradients of the inputs from `grad`, `[N, 3]`. Opacities and projected centres have no gradient.
+/// Returns the gradients of the inputs from `grad`, `[N, 3 (+ 6)]`. Opacities and projected centres have no gradient.
 pub(crate) fn depth_slope_backward_cpu<F: Real>(
     inputs: Geometry<&[F]>,
     grad: &[F],
@@ -219,10 +257,10 @@ pub(crate) fn depth_slope_backward_cpu<F: Real>(
     let lens = ProjectCameraSimd::new(inputs.cam_from_world, spec);
     let mut grads = zero_grads(inputs.opacities.len(), needs);
     let found: Vec<Option<DepthSlopeGaussianGrads<F>>> = grad
-        .par_chunks(DEPTH_SLOPE)
+        .par_chunks(columns(&spec.intrinsics))
         .with_min_len(CHUNK)
         .enumerate()
-        .map(|(i, row)| backward_one(&lens, &inputs, i, [row[0], row[1], row[2]]))
+        .map(|(i, row)| backward_one(&lens, &inputs, i, row))
         .collect();
     fn put<F: Real>(to: &mut [F], i: usize, row: &[F]) {
         if !to.is_empty() {

@@ -2,8 +2,9 @@
 
 use cubecl::prelude::*;
 
-use super::{DEPTH_SLOPE, THICKNESS_MAX};
-use crate::gpu::math::{Pose, Vec3, finite};
+use super::lens_bounds_kernel::{LensFrame, jacobian_at};
+use super::{DEPTH_SLOPE, LENS_FRAME, THICKNESS_MAX};
+use crate::gpu::math::{Pose, Vec2, Vec3, finite};
 use crate::project::forward::{Gaussian, ProjectCamera, ProjectionTerms, project_one};
 
 /// Intermediate results of the forward pass that the backward pass needs again, with the names of the module's documentation.
@@ -60,7 +61,7 @@ pub(super) fn lean(projection: &ProjectionTerms, gaussian: &Gaussian, lens: &Pro
     }
 }
 
-/// Writes the depth slopes, `[N, 3]`.
+/// Writes the depth slopes, `[N, 3]`, with a lens `[N, 9]`.
 #[cube(launch_unchecked)]
 pub(super) fn depth_slope_forward_kernel(
     means: &[f32],
@@ -74,11 +75,23 @@ pub(super) fn depth_slope_forward_kernel(
 ) {
     if ABSOLUTE_POS < count as usize {
         let gaussian = Gaussian::load(means, rotations, scales, opacities, ABSOLUTE_POS);
-        let projection = project_one(&gaussian, &Pose::load(cam_from_world), &lens);
+        let pose = Pose::load(cam_from_world);
+        let projection = project_one(&gaussian, &pose, &lens);
         let found = lean(&projection, &gaussian, &lens);
-        let at = ABSOLUTE_POS * comptime!(DEPTH_SLOPE);
+        let at = ABSOLUTE_POS * comptime!(DEPTH_SLOPE + if lens.distortion.is_some() { LENS_FRAME } else { 0 });
         depth_slopes[at] = select(found.sound, found.depth_slope_u, 0.0);
         depth_slopes[at + 1] = select(found.sound, found.depth_slope_v, 0.0);
         depth_slopes[at + 2] = select(found.sound, found.thickness, 0.0);
+        #[comptime]
+        if let ComptimeOption::Some(distortion) = lens.distortion {
+            let mean = pose.apply(gaussian.mean);
+            let (x, y, _bent) = jacobian_at(mean, &lens, &distortion);
+            let frame = LensFrame {
+                centre: Vec2::new(mean.x / mean.z, mean.y / mean.z),
+                x: Vec2::new(mean.z * x.x, mean.z * x.y),
+                y: Vec2::new(mean.z * y.x, mean.z * y.y),
+            };
+            frame.store(depth_slopes, ABSOLUTE_POS, projection.visible);
+        }
     }
 }

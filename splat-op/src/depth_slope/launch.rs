@@ -1,18 +1,19 @@
 //! Launches of `depth_slope`.
 
-use super::DEPTH_SLOPE;
 use super::backward::depth_slope_backward_kernel;
 use super::bounds_kernel::bounds_kernel;
+use super::columns;
 use super::forward::depth_slope_forward_kernel;
+use super::lens_bounds_kernel::lens_limits;
 use crate::gpu::{Buffer, Gpu, elementwise};
 use crate::project::launch::{geometry_grads, lens};
 use crate::project::{COLUMNS, Geometry, ProjectSpec};
 use crate::rasterize::RasterizeSpec;
 
-/// Launches the forward pass and returns the depth slopes, `[N, 3]`.
+/// Launches the forward pass and returns the depth slopes, `[N, 3 (+ 6)]`.
 pub(crate) fn launch_depth_slope(gpu: &Gpu, inputs: &Geometry<Buffer<f32>>, spec: &ProjectSpec) -> Buffer<f32> {
     let count = inputs.opacities.len;
-    let depth_slopes = Buffer::new(gpu, count * DEPTH_SLOPE);
+    let depth_slopes = Buffer::new(gpu, count * columns(&spec.intrinsics));
     if count == 0 {
         return depth_slopes;
     }
@@ -61,13 +62,14 @@ pub(crate) fn launch_bounds(
             spec.intrinsics.width as f32,
             spec.intrinsics.height as f32,
             spec.options.alpha_min as f32,
+            lens_limits(&spec.intrinsics).into(),
             count as u32,
         );
     }
     bounds
 }
 
-/// Returns the gradients of the inputs from `grad`, `[N, 3]`. Opacities and projected centres have no gradient.
+/// Returns the gradients of the inputs from `grad`, `[N, 3 (+ 6)]`. Opacities and projected centres have no gradient.
 pub(crate) fn launch_depth_slope_backward(
     gpu: &Gpu,
     inputs: &Geometry<Buffer<f32>>,

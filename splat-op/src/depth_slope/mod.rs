@@ -56,8 +56,30 @@
 //! Where `s₁ <= 0` or `radius² < 0`, the Gaussian shows nowhere in the picture, and its row has no opacity. Otherwise the
 //! row is the smaller of ellipse and disc. Only a Gaussian that holds the camera, `τ thickness² >= 1`, covers the whole picture.
 //!
-//! Shapes: inputs as in `project` → `[N, 3]`; packed ellipses `[N, 7]` and depth slopes `[N, 3]` → bounds `[N, 7]`, not
-//! differentiable, for `intersect` only. Rows of Gaussians that `project` culls are undefined and have no gradient.
+//! # Lenses
+//!
+//! The slopes `t = (x/z, y/z)` of a camera with a lens are those of a pinhole, in whose picture rays are straight. With the slopes
+//! `t₀` of the centre and the Jacobian `G` of the lens, px per slope, at the centre, `d = G (t − t₀)` takes the place of a pixel's
+//! offset: `J W R` has the rows of `project` for the lens, `(d, 1) λ` is exactly the ray with the slopes `t`, and the blur is that of
+//! the lens's picture around the centre. Everything above holds with this `d`. (For a pinhole `G` is diagonal and `d` the offset.)
+//! The rows of the output gain the columns `t₀` and `G`, row by row. The stage differentiates `G`; the gradient of `t₀` is that of
+//! the projected centre, whose derivative it has: `∂mean_px/∂t₀ = G = −∂d/∂t₀`.
+//!
+//! Where the Jacobian is clamped (perspective lenses with the affine projection), `G` is too. Nothing at 90° from the axis or beyond
+//! has slopes, and nothing is seen there.
+//!
+//! `intersect` needs bounds in the picture. The lens maps the slopes `t₀ + G⁻¹ d` to `mean_px + d + r` with
+//! `|r| <= δ = ½ K |t − t₀|²` for an upper bound `K` of the second derivative, so the bounds are the row above and `δ` px all around it.
+//! For perspective lenses `K` holds up to a quarter beyond the picture; rows of centres farther out cover the picture, unless their
+//! slopes miss those of the picture. A fisheye maps slopes to angles `a(t)` first, whose second derivative falls towards the border:
+//! for `h = (hᵣ, hₜ)` along and across the direction from the axis, at the distance `r` from it, with `θ = atan r`,
+//!
+//! ```text
+//! a'' = (θ'' hᵣ² + (θ/r)' hₜ², 2 (θ/r)' hᵣ hₜ)     |θ''| <= min(0.65, 2/r³)     |(θ/r)'| <= min(0.3, π/(2r²))
+//! ```
+//!
+//! Shapes: inputs as in `project` → `[N, 3]`, with a lens `[N, 9]`; packed ellipses `[N, 7]` and depth slopes → bounds
+//! `[N, 7]`, not differentiable, for `intersect` only. Rows of Gaussians that `project` culls are undefined and have no gradient.
 
 #[cfg(feature = "cube")]
 mod backward;
@@ -71,13 +93,31 @@ mod forward;
 mod kernel_tests;
 #[cfg(feature = "cube")]
 pub(crate) mod launch;
+mod lens_bounds;
+#[cfg(feature = "cube")]
+mod lens_bounds_kernel;
+#[cfg(test)]
+mod lens_tests;
 #[cfg(test)]
 mod tests;
 
 pub(crate) use bounds::{beyond, bounding_ellipse, bounds_cpu};
+pub(crate) use lens_bounds::{LensFrame, LensLimits};
+#[cfg(feature = "cube")]
+pub(crate) use lens_bounds_kernel::LensFrame as LensFrameKernel;
+
+use crate::camera::{CameraModel, Intrinsics};
+
+/// Number of columns of the output without those of a lens.
+pub(crate) const DEPTH_SLOPE: usize = 3;
+
+/// Number of columns of a lens: the slopes of the centre, and `G` row by row.
+pub(crate) const LENS_FRAME: usize = 6;
 
 /// Number of columns of the output.
-pub(crate) const DEPTH_SLOPE: usize = 3;
+pub(crate) fn columns(camera: &Intrinsics) -> usize {
+    DEPTH_SLOPE + if camera.model == CameraModel::Pinhole { 0 } else { LENS_FRAME }
+}
 
 /// Largest thickness. With the camera a billionth of a standard deviation from the centre, the Gaussian is one to the last digit
 /// of an f64.

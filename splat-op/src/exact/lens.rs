@@ -3,7 +3,7 @@
 
 use std::ops::{Add, Div, Mul, Sub};
 
-use glam::DVec3;
+use glam::{DMat2, DVec2, DVec3};
 
 use crate::camera::{CameraModel, Intrinsics};
 
@@ -99,4 +99,41 @@ pub(super) fn seen(camera: &Intrinsics, point: DVec3) -> Option<[Dual; 2]> {
     };
     let [fx, fy, cx, cy] = [camera.fx, camera.fy, camera.cx, camera.cy].map(number);
     Some([fx * (u * radial + du) + cx, fy * (v * radial + dv) + cy])
+}
+
+/// Returns the direction, with z one, that is projected to a position, px; `None` if there is none. Newton's method from the
+/// directions of a coarse grid, because the projection of a strong lens folds outside its domain.
+pub(super) fn direction(camera: &Intrinsics, pixel: DVec2) -> Option<DVec3> {
+    // For an angle θ, a fisheye's projection is far closer to linear in θ than in tan θ.
+    let fisheye = camera.model.is_fisheye();
+    let ray = |s: DVec2| {
+        let angle = s.length();
+        if fisheye && angle > 0.0 { (s * (angle.tan() / angle)).extend(1.0) } else { s.extend(1.0) }
+    };
+    let ahead = |s: DVec2| !fisheye || s.length() < std::f64::consts::FRAC_PI_2;
+    let seen_at = |s: DVec2| {
+        let [u, v] = seen(camera, ray(s)).filter(|_| ahead(s))?;
+        Some(DVec2::new(u.value, v.value))
+    };
+    let solve = |start: DVec2| {
+        let mut s = start;
+        let mut error = seen_at(s)? - pixel;
+        for _ in 0..100 {
+            // Central differences are enough for the steps; the end is judged by the projection itself.
+            let h = 1e-6;
+            let slope = |step: DVec2| Some((seen_at(s + h * step)? - seen_at(s - h * step)?) / (2.0 * h));
+            let step = DMat2::from_cols(slope(DVec2::X)?, slope(DVec2::Y)?).inverse() * error;
+            // A step that leads away from the position is halved.
+            let shorter = (0..40).find_map(|halvings| {
+                let next = s - step * 0.5_f64.powi(halvings);
+                let left = seen_at(next)? - pixel;
+                (left.length() < error.length()).then_some((next, left))
+            });
+            let Some((next, left)) = shorter else { break };
+            (s, error) = (next, left);
+        }
+        (error.length() < 1e-9 * (1.0 + pixel.length())).then(|| ray(s))
+    };
+    let coarse = [0.0, 0.4, -0.4, 0.8, -0.8, 1.2, -1.2];
+    coarse.into_iter().flat_map(|x| coarse.map(|y| DVec2::new(x, y))).find_map(solve)
 }

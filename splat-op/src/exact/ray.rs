@@ -1,8 +1,6 @@
 //! Per-ray rasterization in its direct form: covariances in the camera's frame, inverted.
 
-use glam::{DMat3, DVec2, DVec3};
-
-use crate::camera::Intrinsics;
+use glam::{DMat2, DMat3, DVec3};
 
 /// A Gaussian in the camera's frame or in coordinates that are a linear map of that frame.
 pub(super) struct Solid {
@@ -10,6 +8,8 @@ pub(super) struct Solid {
     centre: DVec3,
     /// Inverse of the covariance.
     precision: DMat3,
+    /// The map of [`Solid::on_screen`] with the translation that takes the direction to the centre to `(0, 0, 1)`.
+    on_screen: DMat3,
 }
 
 /// Maximum of a Gaussian along a ray.
@@ -21,17 +21,29 @@ pub(super) struct Met {
 }
 
 impl Solid {
-    /// Gaussian in the camera's frame, widened by `blur`, px² on the picture, at the centre's depth.
-    pub fn in_camera(centre: DVec3, covariance: DMat3, camera: &Intrinsics, blur: f64) -> Self {
-        let px = DVec3::new(centre.z / camera.fx, centre.z / camera.fy, 0.0);
-        Self { centre, precision: (covariance + DMat3::from_diagonal(blur * px * px)).inverse() }
+    /// Gaussian in the camera's frame, widened across the plane of the centre's depth by as much as the projection with the Jacobian
+    /// `[j0, j1]` maps to `blur`, px².
+    pub fn in_camera(centre: DVec3, covariance: DMat3, [j0, j1]: [DVec3; 2], blur: f64) -> Self {
+        let from_px = DMat2::from_cols(j0.truncate(), j1.truncate()).transpose().inverse();
+        let wide = blur * from_px * from_px.transpose();
+        let blur = DMat3::from_cols(wide.x_axis.extend(0.0), wide.y_axis.extend(0.0), DVec3::ZERO);
+        Self { centre, precision: (covariance + blur).inverse(), on_screen: DMat3::IDENTITY }
     }
 
     /// Gaussian in px across the picture, by the projection's Jacobian `[j0, j1]`, and in units of the centre's depth along z.
     pub fn on_screen(centre: DVec3, covariance: DMat3, [j0, j1]: [DVec3; 2], blur: f64) -> Self {
         let map = DMat3::from_cols(j0, j1, DVec3::Z / centre.z).transpose();
         let blur = DMat3::from_diagonal(DVec3::new(blur, blur, 0.0));
-        Self { centre: DVec3::Z, precision: (map * covariance * map.transpose() + blur).inverse() }
+        let precision = (map * covariance * map.transpose() + blur).inverse();
+        // A clamped Jacobian does not map the centre to the origin of the pixels.
+        let off = map * centre - DVec3::Z;
+        let on_screen = map - DMat3::from_cols(DVec3::ZERO, DVec3::ZERO, off / centre.z);
+        Self { centre: DVec3::Z, precision, on_screen }
+    }
+
+    /// The ray with a direction in the camera's frame, in the coordinates of [`Solid::on_screen`].
+    pub fn on_screen_ray(&self, direction: DVec3) -> DVec3 {
+        self.on_screen * direction
     }
 
     pub fn meet(&self, direction: DVec3) -> Met {
@@ -40,9 +52,4 @@ impl Solid {
         let offset = at * direction - self.centre;
         Met { at, value: (-0.5 * offset.dot(self.precision * offset)).exp() }
     }
-}
-
-/// Direction of a pinhole camera's ray through a position, px, with z one.
-pub(super) fn direction(camera: &Intrinsics, pixel: DVec2) -> DVec3 {
-    DVec3::new((pixel.x - camera.cx) / camera.fx, (pixel.y - camera.cy) / camera.fy, 1.0)
 }

@@ -19,7 +19,7 @@ fn second(distortion: &Distortion, at: &PlanarMap, m: &Mat2) -> Vec2 {
 
 /// Gradients of `W R` and of the centre from those of the rows of `J W R` and of the ellipse.
 #[cube]
-pub(super) fn bent_backward(
+pub(crate) fn bent_backward(
     bent: &LensProjection,
     lens: &ProjectCamera,
     grad_j: (Vec3, Vec3),

@@ -164,7 +164,7 @@ pub(crate) struct SeenGrad {
 
 /// Projections of a Gaussian along both axes of the picture, from its centre in the camera's frame and `W R`.
 #[cube]
-pub(super) fn bent_rows(
+pub(crate) fn bent_rows(
     mean_cam: Vec3,
     rows: Mat3,
     scale: Vec3,

@@ -30,9 +30,10 @@ mod kernel_tests;
 pub(crate) mod launch;
 mod lens;
 #[cfg(feature = "cube")]
-mod lens_backward;
+pub(crate) mod lens_backward;
 #[cfg(feature = "cube")]
-mod lens_forward;
+pub(crate) mod lens_forward;
+pub(crate) mod lens_jacobian;
 mod lens_simd;
 pub(crate) mod simd;
 #[cfg(test)]

@@ -23,7 +23,7 @@ pub(crate) struct ProjectCameraSimd<L> {
     pub blur_sigma: L,
     antialias: bool,
     /// `None` for a pinhole.
-    distortion: Option<DistortionSimd<L>>,
+    pub(super) distortion: Option<DistortionSimd<L>>,
 }
 
 impl<F: Real> ProjectCameraSimd<F> {

@@ -86,7 +86,7 @@ pub(crate) type Plane<F> = [F; TILE_PIXELS];
 
 /// Brings values in the order of a tile's rows into the order of its blocks.
 #[inline(always)]
-fn in_blocks<F: Real>(rows: &Plane<F>) -> Plane<F> {
+pub(crate) fn in_blocks<F: Real>(rows: &Plane<F>) -> Plane<F> {
     let mut plane = [F::ZERO; TILE_PIXELS];
     for (eight, values) in rows.as_chunks::<WIDTH>().0.iter().enumerate() {
         plane.as_chunks_mut::<WIDTH>().0[in_block_order(eight)] = *values;

@@ -10,7 +10,7 @@
 
 use cubecl::prelude::*;
 
-use super::layer::{CHUNK, RayFrame, RayGaussian, RayInputs, Walk};
+use super::layer::{CHUNK, RayFrame, RayGaussian, RayInputs, RayPixel, Walk};
 use crate::depth_slope::DEPTH_SLOPE;
 use crate::intersect::TILE_PIXELS;
 use crate::intersect::forward::TileLists;
@@ -58,6 +58,7 @@ pub(super) fn rasterize_rays_walk_kernel(
             table[at + 1] = 0u32;
         }
         if pixel.inside {
+            let ray = RayPixel::of(pixel, &inputs);
             let mut transmittance = 1.0f32;
             // The place of the last layer plus one; zero for no layer. Number of layers.
             let mut link = 0u32;
@@ -65,7 +66,7 @@ pub(super) fn rasterize_rays_walk_kernel(
             let mut walk = Walk::new();
             let mut open = true;
             while open {
-                let count = walk.advance(&inputs, first, places, &pixel, &view);
+                let count = walk.advance(&inputs, first, places, &ray, &view);
                 for i in 0..count {
                     if open {
                         let alpha = walk.alphas[i as usize];
@@ -104,7 +105,7 @@ pub(super) fn rasterize_rays_walk_kernel(
                 link = link_before(table[at + 1], layers, places);
                 let gaussian = inputs.lists.gaussian(first + place) as usize;
                 let footprint = RayGaussian::load(&inputs, gaussian, &view);
-                let layer = footprint.at(&pixel, &view);
+                let layer = footprint.at(&ray, &view);
                 // Alpha acts as one more channel of colour one.
                 let mut here = grad_alpha + grad_depth * footprint.depth_of(&layer, &view);
                 for channel in 0..channels {
@@ -170,7 +171,7 @@ pub(super) fn rasterize_rays_sums_kernel(
             let weight = f32::reinterpret(table[own + 2 * unit as usize + 1]);
             if weight > 0.0 {
                 let pixel = TilePixel::of(origin, unit, &view.frame);
-                let layer = footprint.at(&pixel, &view);
+                let layer = footprint.at(&RayPixel::of(pixel, &inputs), &view);
                 let (u, v) = (layer.u, layer.v);
                 let h = f32::reinterpret(table[own + 2 * unit as usize]);
                 let mut seen = 0.0f32;

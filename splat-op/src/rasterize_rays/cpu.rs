@@ -1,14 +1,18 @@
 //! The CPU twin of `rasterize_rays`: both passes, parallel over tiles. The gradient of each intersection has its own place,
 //! and the gradients of a Gaussian are added in a fixed order, so the number of threads never changes a result.
 
+use std::sync::Arc;
+
 use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 
 use super::RayLayers;
 use super::footprint::{RayBox, RayFootprint, RayRules};
+use super::lens::with_frames;
 use super::tile::{ColourSlots, RayTile, RayTileView, rasterize_tile};
 use super::tile_backward::{RayScratch, RayTileGrad, columns, rasterize_tile_backward};
-use crate::depth_slope::DEPTH_SLOPE;
+use crate::camera::PictureRays;
+use crate::depth_slope::{DEPTH_SLOPE, LensLimits};
 use crate::intersect::{IntersectionLists, TILE, tile_grid};
 use crate::options::{Order, Projection};
 use crate::project::COLUMNS;
@@ -26,12 +30,16 @@ struct PreparedRayView<'a, F> {
     features: &'a [F],
     intersections: &'a IntersectionLists,
     size: PictureSize,
+    /// The rays of a camera with a lens.
+    rays: Option<Arc<PictureRays>>,
 }
 
 impl<'a, F: Real> PreparedRayView<'a, F> {
     fn new(inputs: &RayLayers<&'a [F]>, spec: &RasterizeSpec, intersections: &'a IntersectionLists) -> Self {
         let gaussians = (0..inputs.projected.len() / COLUMNS).into_par_iter().with_min_len(CHUNK);
-        let (footprints, boxes) = gaussians.map(|i| RayFootprint::new(inputs, i, spec)).unzip();
+        let rays = PictureRays::of(&spec.intrinsics);
+        let lens = rays.as_ref().map(|rays| LensLimits::new(&spec.intrinsics, rays));
+        let (footprints, boxes) = gaussians.map(|i| RayFootprint::new(inputs, i, (spec, lens.as_ref()))).unzip();
         Self {
             footprints,
             boxes,
@@ -42,6 +50,7 @@ impl<'a, F: Real> PreparedRayView<'a, F> {
                 features: inputs.background.len(),
                 depth: spec.options.depth,
             },
+            rays,
         }
     }
 
@@ -52,6 +61,7 @@ impl<'a, F: Real> PreparedRayView<'a, F> {
         let starts = &self.intersections.tile_start;
         RayTileView {
             origin,
+            rays: self.rays.as_ref().map(|rays| (width, &rays.slopes[..])),
             size: [0, 1].map(|axis| TILE.min(self.size.pixels[axis] - origin[axis])),
             gaussians: &self.intersections.gaussian[starts[tile]..starts[tile + 1]],
             footprints: &self.footprints,
@@ -127,13 +137,17 @@ pub(crate) fn rasterize_rays_backward_cpu<F: Real>(
     });
     let sums = RowSums { rows: &rows, columns, channels: size.channels(), unscale: 1.0 };
     let RayLayers { projected, depth_slope, features, mean2d_abs, .. } = needs;
-    let needed = Layers { projected, features, background: false, mean2d_abs };
+    let bends = depth_slope && prepared.rays.is_some();
+    let needed = Layers { projected: projected || bends, features, background: false, mean2d_abs };
     let slopes = if depth_slope { DEPTH_SLOPE } else { 0 };
-    let (grads, depth_slope) = gather(inputs.projected, size.features, intersections, &sums, (needed, slopes));
-    let Layers { projected, features, mean2d_abs, .. } = grads;
+    let (grads, mut grad_slopes) = gather(inputs.projected, size.features, intersections, &sums, (needed, slopes));
+    if bends {
+        grad_slopes = with_frames(&inputs, &grads.projected, &grad_slopes, spec);
+    }
+    let Layers { projected: grad_projected, features, mean2d_abs, .. } = grads;
     RayLayers {
-        projected,
-        depth_slope,
+        projected: if projected { grad_projected } else { Vec::new() },
+        depth_slope: grad_slopes,
         features,
         background: if needs.background { background } else { Vec::new() },
         mean2d_abs,

@@ -3,7 +3,8 @@
 use fearless_simd::prelude::*;
 
 use super::{D_MIN, RayLayers, WHITENED_MAX};
-use crate::depth_slope::{DEPTH_SLOPE, beyond, bounding_ellipse};
+use crate::camera::LEAST_NO_RAY;
+use crate::depth_slope::{LensFrame, LensLimits, beyond, bounding_ellipse, columns};
 use crate::dials::Exponential;
 use crate::intersect::extent::{half_extent, widened_limit};
 use crate::options::Projection;
@@ -34,6 +35,8 @@ pub(super) struct RayFootprint<F> {
     pub gamma: F,
     /// Whether the centre lies beyond the picture along x and y.
     pub beyond: [bool; 2],
+    /// Columns of a lens, unused for a pinhole.
+    frame: LensFrame<F>,
 }
 
 /// Middle and half the size, px, of the box around the pixels that may see a Gaussian.
@@ -45,20 +48,24 @@ pub(super) struct RayBox<F> {
 
 impl<F: Real> RayFootprint<F> {
     /// Reads the Gaussian `i`.
-    pub fn new(inputs: &RayLayers<&[F]>, i: usize, spec: &RasterizeSpec) -> (Self, RayBox<F>) {
+    pub fn new(
+        inputs: &RayLayers<&[F]>,
+        i: usize,
+        (spec, lens): (&RasterizeSpec, Option<&LensLimits<F>>),
+    ) -> (Self, RayBox<F>) {
         let row = &inputs.projected[i * COLUMNS..][..COLUMNS];
-        let slopes = &inputs.depth_slope[i * DEPTH_SLOPE..][..DEPTH_SLOPE];
+        let columns = columns(&spec.intrinsics);
+        let slopes = &inputs.depth_slope[i * columns..][..columns];
         let (ellipse, alpha_min) = (Ellipse::from_row(row), F::of(spec.options.alpha_min));
         // The bounds of a Gaussian that is not a number are the whole picture; it shows nowhere.
         if !(ellipse.opacity > F::ZERO && row.iter().chain(slopes).all(|value| value.finite())) {
             return (Self { extent: -F::ONE, ..Self::default() }, RayBox::default());
         }
-        let depth_slope = [slopes[0], slopes[1], slopes[2]];
         let extent_of = |ellipse: &Ellipse<F>| half_extent(ellipse, widened_limit(ellipse.opacity, alpha_min));
         let (extended, base_px, away) = match spec.options.projection {
             Projection::RayMax => {
                 let (base, away) = beyond(ellipse.mean_px, &spec.intrinsics);
-                (bounding_ellipse(&ellipse, depth_slope, spec), base, away)
+                (bounding_ellipse(&ellipse, slopes, (spec, lens)), base, away)
             }
             Projection::Affine => (ellipse, ellipse.mean_px, [F::ZERO; 2]),
         };
@@ -66,9 +73,11 @@ impl<F: Real> RayFootprint<F> {
         // Limits at which no product of `u`, `v` and `s` overflows anywhere in the picture.
         let widest = F::of(WHITENED_MAX);
         let size = [spec.intrinsics.width, spec.intrinsics.height].map(|px| F::of(px as f64));
+        let frame = LensFrame::of(slopes).unwrap_or_default();
         let [far_x, far_y] = [0, 1].map(|axis| {
             let base = base_px[axis];
-            base.abs().max_of((size[axis] - base).abs()).max_of(F::ONE)
+            let far = base.abs().max_of((size[axis] - base).abs()).max_of(F::ONE);
+            lens.map_or(far, |lens| far.max_of(frame.farthest(lens, axis)))
         });
         let far_v = far_y + ellipse.shear.abs() * far_x;
         let inverse = |sigma: F, far: F| (F::ONE / sigma).min_of(widest / far);
@@ -94,6 +103,7 @@ impl<F: Real> RayFootprint<F> {
             centre,
             gamma: F::ONE - depth_slope[0] * centre[0] - depth_slope[1] * centre[1],
             beyond: away.map(|away| away != F::ZERO),
+            frame,
         };
         (footprint, window)
     }
@@ -136,6 +146,8 @@ pub(super) struct RayRules<S: Simd, F: Real> {
     nearest: F::Block<S>,
     d_min: F::Block<S>,
     farthest: F::Block<S>,
+    /// Slopes up to this one are those of rays.
+    widest: F::Block<S>,
     pub alpha_max: F::Block<S>,
     /// A value below zero disables the threshold.
     pub transmittance_min: F::Block<S>,
@@ -144,11 +156,12 @@ pub(super) struct RayRules<S: Simd, F: Real> {
     library: bool,
 }
 
-/// Centres of a vector of pixels, px.
+/// Centres of a vector of pixels, px, and the slopes of their rays if the camera has a lens.
 #[derive(Clone, Copy)]
 pub(super) struct RayPixels<S: Simd, F: Real> {
     pub x: F::Block<S>,
     pub y: F::Block<S>,
+    pub slopes: Option<[F::Block<S>; 2]>,
 }
 
 /// A Gaussian at a vector of pixels.
@@ -188,6 +201,7 @@ impl<S: Simd, F: Real> RayRules<S, F> {
             nearest: lanes(D_MIN.sqrt()),
             d_min: lanes(D_MIN),
             farthest: F::Block::<S>::splat(simd, F::MAX),
+            widest: lanes(LEAST_NO_RAY),
             alpha_max: lanes(options.alpha_max),
             // A threshold of zero omits nothing, not even layers behind an alpha of one.
             transmittance_min: lanes(if options.transmittance_min > 0.0 { options.transmittance_min } else { -1.0 }),
@@ -208,17 +222,33 @@ impl<S: Simd, F: Real> RayRules<S, F> {
         let lanes = |value: F| F::Block::<S>::splat(simd, value);
         let dx = pixels.x - lanes(splat.base_px[0]);
         let dy = pixels.y - lanes(splat.base_px[1]);
-        let u = dx * lanes(splat.inverse_u);
-        let v = lanes(-splat.shear).mul_add(dx, dy) * lanes(splat.inverse_v);
-        let square = u.mul_add(u, v * v);
+        let whiten = |dx: F::Block<S>, dy: F::Block<S>| {
+            let u = dx * lanes(splat.inverse_u);
+            let v = lanes(-splat.shear).mul_add(dx, dy) * lanes(splat.inverse_v);
+            (u, v, u.mul_add(u, v * v))
+        };
+        let (mut u, mut v, mut square) = whiten(dx, dy);
+        let mut met = (u, v, square);
+        if let Some([x, y]) = pixels.slopes.filter(|_| EXACT || KEYED) {
+            // A pixel without a ray is hidden below; zero keeps its numbers finite.
+            let sees = x.abs().simd_lt(self.widest);
+            let offset =
+                |slope: F::Block<S>, axis: usize| sees.select(slope - lanes(splat.frame.centre[axis]), self.zero);
+            let (x, y) = (offset(x, 0), offset(y, 1));
+            let [dx, dy] = splat.frame.by.map(|[by_x, by_y]| lanes(by_x).mul_add(x, y * lanes(by_y)));
+            met = whiten(dx, dy);
+            if EXACT {
+                (u, v, square) = met;
+            }
+        }
         let (mut lambda, mut inverse, mut key, mut along) = (self.zero, self.zero, self.zero, self.zero);
         let mut apart = [self.zero; 3];
         let mut exponent = square * self.half_log2_e;
         let mut near = exponent.simd_le(lanes(splat.extent));
         if EXACT || KEYED {
             let [slope_u, slope_v] = splat.depth_slope.map(|slope| lanes(-slope));
-            let s = slope_u.mul_add(u, slope_v.mul_add(v, self.one));
-            let d = lanes(splat.thick).mul_add(square, s * s);
+            let s = slope_u.mul_add(met.0, slope_v.mul_add(met.1, self.one));
+            let d = lanes(splat.thick).mul_add(met.2, s * s);
             let mut sound = if EXACT { s.simd_gt(self.nearest) } else { d.simd_gt(self.d_min) };
             if EXACT && splat.is_beyond() {
                 let ([alpha, beta], gamma, thick) = (splat.centre.map(lanes), lanes(splat.gamma), lanes(splat.thick));
@@ -244,6 +274,9 @@ impl<S: Simd, F: Real> RayRules<S, F> {
                 near = exponent.simd_le(lanes(splat.extent)) & sound;
             }
             near &= key.abs().simd_le(self.farthest);
+        }
+        if let Some([x, _]) = pixels.slopes {
+            near &= x.abs().simd_lt(self.widest);
         }
         let power = if self.library {
             F::exp2_library(exponent)

@@ -6,7 +6,7 @@
 
 use cubecl::prelude::*;
 
-use super::layer::{CHUNK, RayFrame, RayGaussian, RayInputs, Walk};
+use super::layer::{CHUNK, RayFrame, RayGaussian, RayInputs, RayPixel, Walk};
 use crate::intersect::TILE_PIXELS;
 use crate::rasterize::layer::{TilePixel, tile_origin};
 
@@ -24,12 +24,13 @@ pub(super) fn rasterize_rays_forward_kernel(inputs: RayInputs, planes: &mut [f32
         for channel in 0..channels {
             planes[channel * plane + pixel.index] = 0.0f32;
         }
+        let ray = RayPixel::of(pixel, &inputs);
         let mut depth = 0.0f32;
         let mut transmittance = 1.0f32;
         let mut walk = Walk::new();
         let mut open = true;
         while open {
-            let count = walk.advance(&inputs, first, places, &pixel, &view);
+            let count = walk.advance(&inputs, first, places, &ray, &view);
             for i in 0..count {
                 if open {
                     let alpha = walk.alphas[i as usize];
@@ -44,7 +45,7 @@ pub(super) fn rasterize_rays_forward_kernel(inputs: RayInputs, planes: &mut [f32
                         }
                         if comptime!(view.shape.depth) {
                             let footprint = RayGaussian::load(&inputs, gaussian, &view);
-                            let layer = footprint.at(&pixel, &view);
+                            let layer = footprint.at(&ray, &view);
                             depth += weight * footprint.depth_of(&layer, &view);
                         }
                         transmittance = behind;

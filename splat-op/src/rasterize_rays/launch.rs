@@ -8,6 +8,8 @@ use super::RayLayers;
 use super::backward::{rasterize_rays_sums_kernel, rasterize_rays_walk_kernel, row_len};
 use super::forward::rasterize_rays_forward_kernel;
 use super::layer::{RayFrameLaunch, RayInputsLaunch};
+use super::lens_kernel::launch_frames;
+use crate::camera::{Intrinsics, PictureRays};
 use crate::depth_slope::DEPTH_SLOPE;
 use crate::gpu::reduce::launch_sums;
 use crate::gpu::{Buffer, Gpu, cubes, elementwise, split};
@@ -27,10 +29,18 @@ pub(crate) const TABLE: usize = 32_768;
 const FEWER_INTERSECTIONS: &str = "train on smaller pictures, raise `alpha_min`, or use fewer Gaussians";
 
 impl RayLayers<Buffer<f32>> {
-    fn arg(&self, lists: &DeviceIntersections) -> RayInputsLaunch {
+    fn arg(&self, lists: &DeviceIntersections, rays: &Option<Buffer<f32>>) -> RayInputsLaunch {
         let [projected, depth_slope, features, background, _] = self.each_ref().into_array().map(Buffer::arg);
-        RayInputsLaunch::new(projected, depth_slope, features, background, lists.arg())
+        let rays = rays.as_ref().map(Buffer::arg).into();
+        RayInputsLaunch::new(projected, depth_slope, features, background, rays, lists.arg())
     }
+}
+
+/// Uploads the slopes of the rays of a camera with a lens, `[H, W, 2]`.
+fn rays(gpu: &Gpu, camera: &Intrinsics) -> Option<Buffer<f32>> {
+    let rays = PictureRays::of(camera)?;
+    let slopes: Vec<f32> = rays.slopes.as_flattened().iter().map(|slope| *slope as f32).collect();
+    Some(Buffer::from_slice(gpu, &slopes))
 }
 
 /// The view as a kernel argument, for the tiles `first..end`.
@@ -48,6 +58,7 @@ pub(crate) fn launch_rasterize_rays(
     spec: &RasterizeSpec,
 ) -> Buffer<f32> {
     let (shape, tiles) = (KernelShape::of(inputs.background.len, &spec.options), lists.counts.len);
+    let rays = rays(gpu, &spec.intrinsics);
     let planes = Buffer::new(gpu, spec.planes(shape.features) * spec.intrinsics.width * spec.intrinsics.height);
     // SAFETY: places, intersections and Gaussians come from the lists, whose entries are in range; pixels are guarded.
     unsafe {
@@ -55,7 +66,7 @@ pub(crate) fn launch_rasterize_rays(
             &gpu.client,
             cubes(tiles),
             CubeDim::new_1d(TILE_PIXELS as u32),
-            inputs.arg(lists),
+            inputs.arg(lists, &rays),
             planes.arg(),
             view(spec, shape, (0, tiles)),
         );
@@ -75,6 +86,7 @@ pub(crate) fn launch_rasterize_rays_backward(
 ) -> RayLayers<Option<Buffer<f32>>> {
     let (shape, pixels) =
         (KernelShape::of(inputs.background.len, &spec.options), spec.intrinsics.width * spec.intrinsics.height);
+    let rays = rays(gpu, &spec.intrinsics);
     let starts = lists.tile_start.read(gpu);
     let start = |tile: usize| starts[tile] as usize;
     let runs = split(lists.counts.len, room.min(gpu.buffer_limit as usize / (8 * TILE_PIXELS)), start);
@@ -98,7 +110,7 @@ pub(crate) fn launch_rasterize_rays_backward(
                 &gpu.client,
                 cubes(run.len()),
                 CubeDim::new_1d(TILE_PIXELS as u32),
-                inputs.arg(lists),
+                inputs.arg(lists, &rays),
                 grad.arg(),
                 table.arg(),
                 left.arg(),
@@ -113,7 +125,7 @@ pub(crate) fn launch_rasterize_rays_backward(
                     &gpu.client,
                     grid,
                     dim,
-                    inputs.arg(lists),
+                    inputs.arg(lists, &rays),
                     grad.arg(),
                     table.arg(),
                     part.sums.arg(),
@@ -130,10 +142,17 @@ pub(crate) fn launch_rasterize_rays_backward(
         return RayLayers { background, ..RayLayers::default() };
     }
     let RayLayers { projected, depth_slope, features, mean2d_abs, .. } = needs;
-    let needs = Layers { projected, features, background: false, mean2d_abs };
+    let bends = depth_slope && rays.is_some();
+    let needs = Layers { projected: projected || bends, features, background: false, mean2d_abs };
     let slopes = if depth_slope { DEPTH_SLOPE } else { 0 };
     let (grads, depth_slope) =
         launch_gather(gpu, &inputs.projected, lists, (&rows, columns, true), shape, (needs, slopes));
-    let Layers { projected, features, mean2d_abs, .. } = grads;
-    RayLayers { projected, depth_slope, features, background, mean2d_abs }
+    let depth_slope = match (&grads.projected, depth_slope) {
+        (Some(of_projected), Some(of_slopes)) if bends => {
+            Some(launch_frames(gpu, inputs, of_projected, &of_slopes, spec))
+        }
+        (_, depth_slope) => depth_slope,
+    };
+    let Layers { projected: of_projected, features, mean2d_abs, .. } = grads;
+    RayLayers { projected: of_projected.filter(|_| projected), depth_slope, features, background, mean2d_abs }
 }

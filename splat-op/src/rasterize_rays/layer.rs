@@ -4,8 +4,9 @@
 use cubecl::prelude::*;
 
 use super::{D_MIN, WHITENED_MAX};
-use crate::depth_slope::DEPTH_SLOPE;
-use crate::gpu::math::{Vec3, finite, within};
+use crate::camera::LEAST_NO_RAY;
+use crate::depth_slope::{DEPTH_SLOPE, LENS_FRAME, LensFrameKernel as LensFrame};
+use crate::gpu::math::{Vec2, Vec3, finite, within};
 use crate::intersect::forward::TileLists;
 use crate::project::forward::PackedEllipse;
 use crate::rasterize::layer::{KernelShape, RasterFrame, TilePixel};
@@ -20,6 +21,8 @@ pub(super) struct RayInputs {
     pub depth_slopes: Box<[f32]>,
     pub features: Box<[f32]>,
     pub background: Box<[f32]>,
+    /// `[H, W, 2]`: slopes of the pixels' rays, if the camera has a lens.
+    pub rays: ComptimeOption<Box<[f32]>>,
     pub lists: TileLists,
 }
 
@@ -39,8 +42,31 @@ pub(super) struct RayFrame {
     pub shape: KernelShape,
 }
 
-/// A Gaussian as pixels evaluate it: its packed ellipse, its depth slope, and its centre relative to the origin of the whitened
-/// coordinates.
+/// A pixel and, if the camera has a lens, the slopes of its ray.
+#[derive(CubeType, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+pub(super) struct RayPixel {
+    pub pixel: TilePixel,
+    pub ray: ComptimeOption<Vec2>,
+}
+
+#[cube]
+impl RayPixel {
+    /// Reads the ray of a pixel inside the picture.
+    pub fn of(pixel: TilePixel, inputs: &RayInputs) -> RayPixel {
+        #[comptime]
+        match &inputs.rays {
+            ComptimeOption::Some(rays) => {
+                let ray = Vec2::new(rays[2 * pixel.index], rays[2 * pixel.index + 1]);
+                RayPixel { pixel, ray: ComptimeOption::new_Some(ray) }
+            }
+            ComptimeOption::None => RayPixel { pixel, ray: ComptimeOption::new_None() },
+        }
+    }
+}
+
+/// A Gaussian as pixels evaluate it: its packed ellipse, its depth slope, its centre relative to the origin of the whitened
+/// coordinates, and the columns of a lens.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub(super) struct RayGaussian {
@@ -56,6 +82,33 @@ pub(super) struct RayGaussian {
     pub alpha: f32,
     pub beta: f32,
     pub gamma: f32,
+    frame: ComptimeOption<LensFrame>,
+}
+
+/// Whitened coordinates.
+#[derive(CubeType, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+struct Whitened {
+    u: f32,
+    v: f32,
+}
+
+#[cube]
+fn whiten(e: &PackedEllipse, dx: f32, dy: f32) -> Whitened {
+    let widest = comptime!(WHITENED_MAX as f32);
+    let u = within(dx / e.sigma_u, -widest, widest);
+    let v = within((dy - e.shear * dx) / e.sigma_v, -widest, widest);
+    Whitened { u, v }
+}
+
+/// Returns the columns of a lens, if there is one.
+#[cube]
+fn frame_of(inputs: &RayInputs, gaussian: usize) -> ComptimeOption<LensFrame> {
+    #[comptime]
+    match &inputs.rays {
+        ComptimeOption::Some(_rays) => ComptimeOption::new_Some(LensFrame::load(&inputs.depth_slopes, gaussian)),
+        ComptimeOption::None => ComptimeOption::new_None(),
+    }
 }
 
 /// A Gaussian evaluated at a pixel, with the names of the module's documentation. Alpha is zero where the Gaussian is not
@@ -83,14 +136,14 @@ pub(super) struct RayLayer {
 impl RayGaussian {
     pub fn load(inputs: &RayInputs, gaussian: usize, view: &RayFrame) -> RayGaussian {
         let widest = comptime!(WHITENED_MAX as f32);
-        let at = gaussian * comptime!(DEPTH_SLOPE);
+        let at = gaussian * comptime!(DEPTH_SLOPE + if inputs.rays.is_some() { LENS_FRAME } else { 0 });
         let mut e = PackedEllipse::load(&inputs.projected, gaussian);
         // Clamping takes NaN for a number.
         e.opacity = select(Vec3::new(e.x, e.y, e.shear).is_finite(), e.opacity, 0.0);
         let (depth_slope_u, depth_slope_v) = (inputs.depth_slopes[at], inputs.depth_slopes[at + 1]);
         let mut base_x = e.x;
         let mut base_y = e.y;
-        if comptime!(view.exact) {
+        if comptime!(view.exact && inputs.rays.is_none()) {
             base_x = within(e.x, 0.0, f32::cast_from(view.frame.width));
             base_y = within(e.y, 0.0, f32::cast_from(view.frame.height));
         }
@@ -109,6 +162,7 @@ impl RayGaussian {
             alpha,
             beta,
             gamma: 1.0 - (depth_slope_u * alpha + depth_slope_v * beta),
+            frame: frame_of(inputs, gaussian),
         }
     }
 
@@ -118,17 +172,36 @@ impl RayGaussian {
         (u / self.ellipse.sigma_u - self.ellipse.shear * per_v, per_v)
     }
 
-    pub fn at(&self, pixel: &TilePixel, view: &RayFrame) -> RayLayer {
-        let widest = comptime!(WHITENED_MAX as f32);
+    /// Returns the whitened coordinates of a pixel's ray, and whether there is a ray. For a pinhole the pixel's own coordinates are
+    /// those of its ray.
+    fn ray(&self, pixel: &RayPixel, own: Whitened) -> (Whitened, bool) {
+        #[comptime]
+        match self.frame {
+            ComptimeOption::Some(frame) => {
+                let ray = pixel.ray.unwrap();
+                let t = Vec2::new(ray.x - frame.centre.x, ray.y - frame.centre.y);
+                let sees = ray.x.abs() < comptime!(LEAST_NO_RAY as f32);
+                (whiten(&self.ellipse, frame.x.dot(t), frame.y.dot(t)), sees)
+            }
+            ComptimeOption::None => (own, true.runtime()),
+        }
+    }
+
+    pub fn at(&self, at: &RayPixel, view: &RayFrame) -> RayLayer {
         let farthest = comptime!((WHITENED_MAX * WHITENED_MAX) as f32);
-        let e = self.ellipse;
-        let (dx, dy) = (pixel.x - self.base_x, (pixel.top + pixel.row) - self.base_y);
-        let u = within(dx / e.sigma_u, -widest, widest);
-        let v = within((dy - e.shear * dx) / e.sigma_v, -widest, widest);
-        let square = u * u + v * v;
-        let s = within(1.0 - (self.depth_slope_u * u + self.depth_slope_v * v), -farthest, farthest);
+        let (e, pixel) = (self.ellipse, at.pixel);
+        let own = whiten(&e, pixel.x - self.base_x, (pixel.top + pixel.row) - self.base_y);
+        let (ray, sees) = self.ray(at, own);
+        let ray_square = ray.u * ray.u + ray.v * ray.v;
+        let (mut u, mut v, mut square) = (ray.u, ray.v, ray_square);
+        if comptime!(!view.exact) {
+            u = own.u;
+            v = own.v;
+            square = u * u + v * v;
+        }
+        let s = within(1.0 - (self.depth_slope_u * ray.u + self.depth_slope_v * ray.v), -farthest, farthest);
         let thick = self.thickness * self.thickness;
-        let d = s * s + thick * square;
+        let d = s * s + thick * ray_square;
         let sound = d > comptime!(D_MIN as f32);
         let inverse = select(sound, 1.0 / select(sound, d, 1.0), 0.0);
         let dot = self.alpha * u + self.beta * v;
@@ -137,10 +210,10 @@ impl RayGaussian {
         let (apart_u, apart_v) = (self.alpha - lambda * u, self.beta - lambda * v);
         let apart_s = inverse * (self.gamma * square - s * dot);
         let mut exponent = 0.5 * square;
-        let mut seen = true;
+        let mut seen = sees;
         if comptime!(view.exact) {
             exponent = 0.5 * (apart_u * apart_u + apart_v * apart_v + thick * apart_s * apart_s);
-            seen = product > 0.0 && sound;
+            seen = sees && product > 0.0 && sound;
         }
         let whole = e.opacity * (-exponent).exp();
         let alpha = min(whole, view.frame.alpha_max);
@@ -222,7 +295,7 @@ impl Walk {
     /// Finds the next layers in a list of `places` places that begins at `first`. Returns their number, which is less than
     /// [`CHUNK`] at the end. No list and no keys make the walk endless: it ends at the last place or, with the per-pixel sort, when
     /// it has found as many layers as there are places.
-    pub fn advance(&mut self, inputs: &RayInputs, first: u32, places: u32, pixel: &TilePixel, view: &RayFrame) -> u32 {
+    pub fn advance(&mut self, inputs: &RayInputs, first: u32, places: u32, pixel: &RayPixel, view: &RayFrame) -> u32 {
         let mut count = 0u32;
         // With the per-pixel sort, the next layers may lie anywhere in the list.
         let mut place = 0u32;

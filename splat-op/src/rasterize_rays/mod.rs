@@ -55,7 +55,26 @@
 //! row of sums over the tile's pixels, and a Gaussian's rows are added in the order of its intersections: on every device, every
 //! run gives the same bits, whatever [`Accumulation`](crate::Accumulation) says.
 //!
-//! Shapes: packed ellipses `[N, 7]`, depth slopes `[N, 3]`, features `[N, C]`, background `[C]` → planes as in `rasterize`.
+//! # Lenses
+//!
+//! With a lens, a pixel's ray has the slopes `t`, which the host computes once for a camera, and `(u, v)` are the whitened `G (t − t₀)` of
+//! `depth_slope` in place of the pixel's offset. The affine projection takes them for `λ` alone. A pixel without a ray shows the
+//! background.
+//!
+//! The gradient of `G` follows from those of the factor `L` and of the depth slope `a`. With `U = ∂/∂u`, `V = ∂/∂v`, summed over
+//! pixels,
+//!
+//! ```text
+//! M = | Σ Uu  Σ Uv |     Σ Uu = −sigma_u ∂sigma_u                   Σ Vu = −(sigma_v/sigma_u) ∂shear
+//!     | Σ Vu  Σ Vv |     Σ Uv = Σ Vu + aᵤ ∂aᵥ − aᵥ ∂aᵤ              Σ Vv = −sigma_v ∂sigma_v
+//!
+//! ∂G = L⁻ᵀ M Lᵀ G⁻ᵀ
+//! ```
+//!
+//! because all but the depth slope takes `(u, v)` in `ρ²` alone, and `t − t₀ = G⁻¹ L (u, v)`. The gradient of `t₀` is
+//! that of the projected centre, and its columns have none.
+//!
+//! Shapes: packed ellipses `[N, 7]`, depth slopes `[N, 3]`, with a lens `[N, 9]`, features `[N, C]`, background `[C]` → planes as in `rasterize`.
 
 #[cfg(feature = "cube")]
 mod backward;
@@ -69,6 +88,11 @@ mod kernel_tests;
 pub(crate) mod launch;
 #[cfg(feature = "cube")]
 mod layer;
+mod lens;
+#[cfg(feature = "cube")]
+mod lens_kernel;
+#[cfg(test)]
+mod lens_tests;
 mod order;
 #[cfg(test)]
 mod tests;
@@ -89,7 +113,7 @@ record! {
     pub struct RayLayers {
         /// `[N, 7]`, packed by `project`.
         projected,
-        /// `[N, 3]`, from `depth_slope`.
+        /// `[N, 3]`, with a lens `[N, 9]`, from `depth_slope`.
         depth_slope,
         /// `[N, C]`.
         features,

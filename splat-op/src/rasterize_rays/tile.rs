@@ -4,10 +4,11 @@ use fearless_simd::prelude::*;
 
 use super::footprint::{RayBox, RayFootprint, RayPixels, RayRules};
 use super::order::LayerSlots;
+use crate::camera::NO_RAY;
 use crate::intersect::{TILE, TILE_PIXELS};
 use crate::rasterize::footprint::{ROWS, WIDTH};
 use crate::rasterize::tile::{
-    BLOCK, BLOCK_ROW, Plane, centres, in_rows, lanes, len, open_transmittance, pixel_rows, store,
+    BLOCK, BLOCK_ROW, Plane, centres, in_blocks, in_rows, lanes, len, open_transmittance, pixel_rows, store,
 };
 use crate::simd::real::Real;
 
@@ -31,6 +32,8 @@ pub(super) struct RayTile<F> {
     /// Centre of the first row of pixels, px.
     pub top: F,
     pub rows: Plane<F>,
+    /// Slopes of the pixels' rays, if the camera has a lens.
+    slopes: Option<Box<[Plane<F>; 2]>>,
     /// One inside the picture, less than zero outside.
     pub open: Plane<F>,
 }
@@ -47,6 +50,7 @@ impl<F: Real> Default for RayTile<F> {
             x: [F::ZERO; BLOCK_ROW],
             top: F::ZERO,
             rows: pixel_rows(),
+            slopes: None,
             open: [F::ZERO; TILE_PIXELS],
         }
     }
@@ -59,6 +63,8 @@ pub(super) struct RayTileView<'a, F> {
     pub origin: [usize; 2],
     /// Number of the tile's pixels inside the picture along x and y.
     pub size: [usize; 2],
+    /// Width of the picture, px, and the slopes of its rays, if the camera has a lens.
+    pub rays: Option<(usize, &'a [[f64; 2]])>,
     /// Gaussians of the tile's intersections, front to back.
     pub gaussians: &'a [u32],
     pub footprints: &'a [RayFootprint<F>],
@@ -102,6 +108,15 @@ impl<F: Real> RayTile<F> {
         self.x = centres(corner[0]);
         self.top = corner[1] + F::of(0.5);
         self.open = open_transmittance(view.size);
+        self.slopes = view.rays.map(|(width, rays)| {
+            let mut slopes = Box::new([[F::of(NO_RAY); TILE_PIXELS]; 2]);
+            for (row, column) in (0..view.size[1]).flat_map(|row| (0..view.size[0]).map(move |column| (row, column))) {
+                let slope = rays[(view.origin[1] + row) * width + view.origin[0] + column];
+                (0..2).for_each(|axis| slopes[axis][row * TILE + column] = F::of(slope[axis]));
+            }
+            slopes.iter_mut().for_each(|plane| *plane = in_blocks(plane));
+            slopes
+        });
     }
 
     /// Fills `values` with the channels from `first` on: features, then the depth of the centre.
@@ -118,7 +133,11 @@ impl<F: Real> RayTile<F> {
     /// Returns the vector of pixels at `place`.
     #[inline(always)]
     pub fn pixels<S: Simd>(&self, simd: S, place: usize) -> RayPixels<S, F> {
-        RayPixels { x: lanes(simd, &self.x, place % BLOCK_ROW), y: lanes::<S, F>(simd, &self.rows, place) + self.top }
+        RayPixels {
+            x: lanes(simd, &self.x, place % BLOCK_ROW),
+            y: lanes::<S, F>(simd, &self.rows, place) + self.top,
+            slopes: self.slopes.as_ref().map(|slopes| [lanes(simd, &slopes[0], place), lanes(simd, &slopes[1], place)]),
+        }
     }
 
     /// Returns the places in the list of the Gaussians that the vector of pixels at `place` may see.

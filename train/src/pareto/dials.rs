@@ -47,10 +47,9 @@ impl Candidate {
 }
 
 /// Returns all settings around `base`, the standard with the scene's own model choices. The flags include dials
-/// that matter on a GPU only (`gpu`), dials for pinhole cameras only (`pinholes`), and settings that turn a model
-/// choice (`choices`).
-pub fn candidates(base: &RenderOptions, [gpu, pinholes, choices]: [bool; 3]) -> Vec<Candidate> {
-    let dials = || DIALS.iter().filter(move |dial| (gpu || !dial.gpu_only) && (pinholes || !dial.pinhole_only));
+/// that matter on a GPU only (`gpu`), and settings that turn a model choice (`choices`).
+pub fn candidates(base: &RenderOptions, [gpu, choices]: [bool; 2]) -> Vec<Candidate> {
+    let dials = || DIALS.iter().filter(move |dial| gpu || !dial.gpu_only);
     let presets =
         Preset::ALL.into_iter().map(|preset| Candidate::new(preset.name(), Role::Preset, preset.setting(), base));
     let mut all: Vec<Candidate> = presets.collect();
@@ -95,7 +94,7 @@ mod tests {
     #[test]
     fn every_value_of_every_dial_is_measured_once() {
         let base = RenderOptions::standard().with_near(0.3);
-        let all = candidates(&base, [true; 3]);
+        let all = candidates(&base, [true; 2]);
         for dial in DIALS {
             for value in dial.values {
                 let options = (value.set)(base);
@@ -115,18 +114,16 @@ mod tests {
     #[test]
     fn what_changes_nothing_on_a_cpu_is_not_measured_there() {
         let base = RenderOptions::standard();
-        let all = candidates(&base, [false, true, true]);
+        let all = candidates(&base, [false, true]);
         assert!(!all.iter().any(|candidate| candidate.name.contains("accumulation")));
         assert!(all.iter().any(|candidate| candidate.judge() == Judge::Photographs));
-        assert!(
-            !candidates(&base, [false, true, false]).iter().any(|candidate| candidate.judge() == Judge::Photographs)
-        );
+        assert!(!candidates(&base, [false, false]).iter().any(|candidate| candidate.judge() == Judge::Photographs));
     }
 
     #[test]
     fn a_scene_with_a_choice_of_its_own_is_measured_around_it() {
         let base = RenderOptions::standard().with_antialias(true);
-        let all = candidates(&base, [false, true, true]);
+        let all = candidates(&base, [false, true]);
         assert!(all[..3].iter().all(|candidate| candidate.options.antialias));
         assert!(all.iter().any(|candidate| candidate.name == "antialias off"));
         assert!(!all.iter().any(|candidate| candidate.name == "antialias on"));

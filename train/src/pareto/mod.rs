@@ -25,7 +25,7 @@ use splat_model::accuracy::{FrontierPoint, Provenance, Spread, decibels, frontie
 use splat_model::capture::{Capture, Photo, Split};
 use splat_model::evaluate::evaluate;
 use splat_model::gaussians::GaussianRows;
-use splat_op::{CameraModel, RenderOptions, Splats};
+use splat_op::{RenderOptions, Splats};
 
 pub use self::brief::{UnmeasuredScene, beyond_f32, choose, error_db};
 use self::dials::{Role, candidates};
@@ -114,7 +114,7 @@ pub fn run(args: &ParetoArgs) -> Result<()> {
     let extent = input::extent(&capture);
     let base = args.model.config().render_options(extent);
     let bench = Bench::new(&rows, shots, background.colour(), base, &device)?;
-    let all = candidates(&base, [splat_op::is_gpu(&device), bench.pinholes(), true]);
+    let all = candidates(&base, [splat_op::is_gpu(&device), true]);
     progress::note(&format!("{} settings, {} views of {} splats", all.len(), photos.len(), rows.len()));
     let score = |splats: &Splats, options: &RenderOptions| -> Result<_> {
         let scores = evaluate(splats, &photos, &background, options, |_, _| ())?;
@@ -161,11 +161,6 @@ fn prepare(args: &ParetoArgs) -> Result<OutputFolder> {
 }
 
 impl<'a> Bench<'a> {
-    /// Whether all cameras are pinholes.
-    fn pinholes(&self) -> bool {
-        self.shots.iter().all(|shot| shot.intrinsics.model == CameraModel::Pinhole)
-    }
-
     /// Prepares a scene and views of it over a colour.
     ///
     /// # Errors

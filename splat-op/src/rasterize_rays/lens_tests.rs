@@ -1,0 +1,263 @@
+//! Cameras with lenses: planes by the definition, gradients by finite differences, and the kernels against the twin.
+
+use super::RayLayers;
+use super::cpu::{rasterize_rays_backward_cpu, rasterize_rays_cpu};
+use crate::camera::{CameraModel, Intrinsics, NO_RAY, PictureRays};
+use crate::depth_slope::cpu::depth_slope_cpu;
+use crate::depth_slope::{DEPTH_SLOPE, LENS_FRAME, bounds_cpu};
+use crate::intersect::IntersectionLists;
+use crate::intersect::cpu::intersect_cpu;
+use crate::options::{Order, Projection, RenderOptions};
+use crate::project::cpu::project_cpu;
+use crate::project::{COLUMNS, Ellipse, Geometry, ProjectSpec};
+use crate::rasterize::RasterizeSpec;
+use crate::testing::blending::{PixelLayer, assert_close, blended, smooth};
+use crate::testing::ceiling::rounded;
+use crate::testing::finite::{check_gradient, inner_product};
+use crate::testing::lenses::lenses;
+use crate::testing::random::Random;
+
+const ALL: RayLayers<bool> =
+    RayLayers { projected: true, depth_slope: true, features: true, background: true, mean2d_abs: true };
+
+const CHOICES: [(Projection, Order); 3] = [
+    (Projection::RayMax, Order::CentreDepth),
+    (Projection::Affine, Order::PerPixelSort),
+    (Projection::RayMax, Order::PerPixelSort),
+];
+
+const ROW: usize = DEPTH_SLOPE + LENS_FRAME;
+
+/// Packed ellipses, depth slopes, features, background.
+#[derive(Clone)]
+struct StageInputs {
+    inputs: [Vec<f64>; 4],
+    spec: RasterizeSpec,
+}
+
+impl StageInputs {
+    /// Gaussians far apart in depth, so that no step and no rounding exchanges two of them. Some are much thinner than wide.
+    fn random(
+        seed: u64,
+        (count, channels): (usize, usize),
+        (width, height): (usize, usize),
+        (model, distortion): (CameraModel, [f64; 8]),
+        options: RenderOptions,
+    ) -> Self {
+        let mut random = Random::new(seed);
+        let mut tensors = vec![Vec::new(); 3];
+        for i in 0..count {
+            let z = 0.8 * 1.4_f64.powi((5 * i % count) as i32);
+            tensors[0].extend([random.between(-0.6, 0.6) * z, random.between(-0.5, 0.5) * z, z]);
+            tensors[1].extend((0..4).map(|_| random.between(-1.5, 1.5)));
+            let size = random.between(0.02, 0.07) * z;
+            tensors[2].extend([size, size * random.between(0.1, 1.0), size * random.between(0.5, 1.0)]);
+        }
+        let pose = [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0];
+        let opacities = random.fill(count, 0.3, 0.9);
+        let plain = Intrinsics { fy: 0.8 * width as f64, ..Intrinsics::centred(width, height, 0.75 * width as f64) };
+        let spec = RasterizeSpec { intrinsics: Intrinsics { model, distortion, ..plain }, options };
+        let geometry = Geometry {
+            means: &tensors[0][..],
+            rotations: &tensors[1],
+            scales: &tensors[2],
+            opacities: &opacities,
+            cam_from_world: &pose,
+            mean2d: &[],
+        };
+        let project = ProjectSpec { intrinsics: spec.intrinsics, options: options.of_project() };
+        let (packed, slopes) = (project_cpu(geometry, &project), depth_slope_cpu(geometry, &project));
+        let features = random.fill(count * channels, -1.0, 1.0);
+        let inputs = [packed, slopes, features, random.fill(channels, -1.0, 1.0)];
+        Self { inputs: inputs.map(|values| rounded(&values)), spec }
+    }
+
+    fn view(&self) -> RayLayers<&'_ [f64]> {
+        let [projected, depth_slope, features, background] = &self.inputs;
+        RayLayers { projected, depth_slope, features, background, mean2d_abs: &[] }
+    }
+
+    fn lists(&self) -> IntersectionLists {
+        let (camera, alpha_min) = (&self.spec.intrinsics, self.spec.options.alpha_min);
+        match self.spec.options.projection {
+            Projection::RayMax => {
+                intersect_cpu(&bounds_cpu(&self.inputs[0], &self.inputs[1], &self.spec), camera, alpha_min.into())
+            }
+            Projection::Affine => intersect_cpu(&self.inputs[0], camera, alpha_min.into()),
+        }
+    }
+
+    fn planes(&self) -> Vec<f64> {
+        rasterize_rays_cpu(self.view(), &self.spec, &self.lists())
+    }
+
+    fn backward(&self, grad: &[f64], needs: RayLayers<bool>) -> RayLayers<Vec<f64>> {
+        rasterize_rays_backward_cpu(self.view(), grad, &self.spec, &self.lists(), needs)
+    }
+
+    fn random_grad(&self) -> Vec<f64> {
+        let pixels = self.spec.intrinsics.width * self.spec.intrinsics.height;
+        Random::new(77).fill(self.spec.planes(self.inputs[3].len()) * pixels, -1.0, 1.0)
+    }
+
+    /// Gaussian `i` at `pixel`, whose ray has these slopes: alpha, the depth of the layer, and the sort key.
+    fn seen(&self, pixel: usize, slopes: [f64; 2], i: usize) -> [f64; 3] {
+        let (width, options) = (self.spec.intrinsics.width, &self.spec.options);
+        let e = Ellipse::from_row(&self.inputs[0][i * COLUMNS..]);
+        let t = &self.inputs[1][i * ROW..][..ROW];
+        if slopes[0] == NO_RAY || e.opacity == 0.0 {
+            return [0.0, 0.0, 0.0];
+        }
+        let whiten = |dx: f64, dy: f64| (dx / e.sigma_u, (dy - e.shear * dx) / e.sigma_v);
+        let (x, y) = (slopes[0] - t[3], slopes[1] - t[4]);
+        let (u, v) = whiten(t[5] * x + t[6] * y, t[7] * x + t[8] * y);
+        let (s, square) = (1.0 - t[0] * u - t[1] * v, u * u + v * v);
+        let d = s * s + t[2] * t[2] * square;
+        let key = s / d * e.depth;
+        match options.projection {
+            Projection::RayMax if s > 0.0 => [e.opacity * (-0.5 * square / d).exp(), key, key],
+            Projection::RayMax => [0.0, 0.0, 0.0],
+            Projection::Affine => {
+                let centre = [(pixel % width) as f64 + 0.5, (pixel / width) as f64 + 0.5];
+                let (u, v) = whiten(centre[0] - e.mean_px[0], centre[1] - e.mean_px[1]);
+                [e.opacity * (-0.5 * (u * u + v * v)).exp(), e.depth, key]
+            }
+        }
+    }
+}
+
+#[test]
+fn planes_are_those_of_the_definition() {
+    for (seed, lens) in lenses().into_iter().enumerate() {
+        for (projection, order) in CHOICES {
+            for options in [RenderOptions::standard(), RenderOptions::exact(), smooth(0.95)] {
+                let options = options.with_projection(projection).with_order(order).with_depth(seed % 2 == 0);
+                let scene = StageInputs::random(seed as u64, (14, 3), (61, 37), lens, options);
+                let rays = PictureRays::of(&scene.spec.intrinsics).expect("a lens");
+                let [_, _, features, background] = &scene.inputs;
+                let expected = blended(&scene.spec, features, background, |pixel| {
+                    let seen = |i: usize| (scene.seen(pixel, rays.slopes[pixel], i), i);
+                    let mut all: Vec<_> = (0..14).map(seen).collect();
+                    let key = |(seen, i): &([f64; 3], usize)| match order {
+                        Order::CentreDepth => scene.inputs[0][i * COLUMNS + 5],
+                        Order::PerPixelSort => seen[2],
+                    };
+                    all.sort_by(|a, b| key(a).total_cmp(&key(b)));
+                    let layer =
+                        |([alpha, depth, _], gaussian): ([f64; 3], usize)| PixelLayer { gaussian, alpha, depth };
+                    all.into_iter().map(layer).collect()
+                });
+                let what = format!("{lens:?}, {projection:?}, {order:?}, {}", options.alpha_min);
+                assert_close(&what, &scene.planes(), &expected, 1e-11);
+            }
+        }
+    }
+}
+
+/// The projected centre and the centre's slopes move together, as `project` and `depth_slope` move them: the gradient of both is
+/// that of the projected centre.
+#[test]
+fn every_gradient_agrees_with_finite_differences() {
+    for (seed, lens) in lenses().into_iter().enumerate() {
+        for (projection, order) in CHOICES {
+            let options = smooth(1.0).with_projection(projection).with_order(order).with_depth(true);
+            let scene = StageInputs::random(seed as u64, (7, 2), (24, 17), lens, options);
+            let grad = scene.random_grad();
+            let g = scene.backward(&grad, ALL);
+            assert!(g.depth_slope.chunks_exact(ROW).all(|row| row[3] == 0.0 && row[4] == 0.0));
+            let any = g.depth_slope.chunks_exact(ROW).flat_map(|row| &row[5..]).any(|value| *value != 0.0);
+            assert_eq!(any, projection == Projection::RayMax);
+            let gradients = [&g.projected, &g.depth_slope, &g.features, &g.background];
+            for (i, part) in ["ellipses", "depth slopes", "features", "background"].into_iter().enumerate() {
+                let what = format!("{part}, {lens:?}, {projection:?}, {order:?}");
+                check_gradient(&what, &scene.inputs[i], gradients[i], 1, |moved| {
+                    let mut at = scene.clone();
+                    at.inputs[i] = moved.to_vec();
+                    let [projected, depth_slope, ..] = &mut at.inputs;
+                    let means = scene.inputs[0].chunks_exact(COLUMNS).zip(projected.chunks_exact(COLUMNS));
+                    for (row, (old, new)) in depth_slope.chunks_exact_mut(ROW).zip(means) {
+                        let by = glam::DMat2::from_cols_array(&[row[5], row[7], row[6], row[8]]);
+                        let step = by.inverse() * glam::DVec2::new(new[0] - old[0], new[1] - old[1]);
+                        (row[3], row[4]) = (row[3] + step.x, row[4] + step.y);
+                    }
+                    if i == 1 {
+                        // The slopes of the centre have no gradient of their own.
+                        for (row, old) in at.inputs[1].chunks_exact_mut(ROW).zip(scene.inputs[1].chunks_exact(ROW)) {
+                            row[3..5].copy_from_slice(&old[3..5]);
+                        }
+                    }
+                    inner_product(&at.planes(), &grad)
+                });
+            }
+        }
+    }
+}
+
+#[test]
+fn each_gradient_is_the_same_alone() {
+    let options = smooth(0.9).with_projection(Projection::RayMax);
+    let scene = StageInputs::random(80, (12, 3), (20, 13), lenses()[1], options);
+    let grad = scene.random_grad();
+    let list = |g: RayLayers<Vec<f64>>| [g.projected, g.depth_slope, g.features, g.background, g.mean2d_abs];
+    let all = list(scene.backward(&grad, ALL));
+    for alone in 0..5 {
+        let [projected, depth_slope, features, background, mean2d_abs] = std::array::from_fn(|i| i == alone);
+        let needs = RayLayers { projected, depth_slope, features, background, mean2d_abs };
+        for (i, gradient) in list(scene.backward(&grad, needs)).iter().enumerate() {
+            let expected = if i == alone { all[i].as_slice() } else { &[] };
+            assert_eq!(gradient, expected, "gradient {i}, asked for {alone}");
+        }
+    }
+}
+
+#[cfg(feature = "cube")]
+mod kernels {
+    use super::*;
+    use crate::gpu::Buffer;
+    use crate::intersect::launch::launch_intersect;
+    use crate::rasterize_rays::launch::{launch_rasterize_rays, launch_rasterize_rays_backward};
+    use crate::testing::ceiling::{PerturbedReference, to_f32};
+    use crate::testing::gpu::gpus;
+
+    #[test]
+    fn kernels_agree_with_the_twin() {
+        for (seed, lens) in lenses().into_iter().enumerate() {
+            let (projection, order) = CHOICES[seed % 3];
+            let mut options = smooth(1.0).with_projection(projection).with_order(order).with_depth(true);
+            options.alpha_max = f64::from(0.95f32);
+            let mut scene = StageInputs::random(seed as u64, (14, 3), (45, 37), lens, options);
+            // No opacity is near the limit of alphas.
+            scene.inputs[0].chunks_exact_mut(COLUMNS).for_each(|row| row[6] = row[6].min(0.875));
+            let grad = rounded(&scene.random_grad());
+            let inputs: Vec<Vec<f64>> = scene.inputs.iter().cloned().chain([grad]).collect();
+            let reference = PerturbedReference::new(&inputs, |inputs| {
+                let at = StageInputs { inputs: std::array::from_fn(|i| inputs[i].clone()), ..scene.clone() };
+                let g = at.backward(&inputs[4], ALL);
+                vec![at.planes(), g.projected, g.depth_slope, g.features, g.background, g.mean2d_abs]
+            });
+            for (form, gpu) in gpus() {
+                let buffer = |i: usize| Buffer::from_slice(&gpu, &to_f32(&inputs[i]));
+                let device = RayLayers {
+                    projected: buffer(0),
+                    depth_slope: buffer(1),
+                    features: buffer(2),
+                    background: buffer(3),
+                    mean2d_abs: Buffer::new(&gpu, 0),
+                };
+                let lists = launch_intersect(&gpu, &device.projected, &scene.spec.intrinsics, 0.0.into());
+                let planes = launch_rasterize_rays(&gpu, &device, &lists, &scene.spec).read(&gpu);
+                let name = |what: &str| format!("{what}, {form}, {lens:?}, {projection:?}, {order:?}");
+                reference.check(&name("planes"), 0, &planes, &vec![Some(0); planes.len()]);
+                let needs = ALL;
+                let g =
+                    launch_rasterize_rays_backward(&gpu, &device, &buffer(4), (&lists, 1 << 20), &scene.spec, needs);
+                let found = [g.projected, g.depth_slope, g.features, g.background, g.mean2d_abs];
+                for (which, (found, rows)) in found.into_iter().zip([14, 14, 14, 3, 14]).enumerate() {
+                    let name = name(["projected", "depth slopes", "features", "background", "mean2d_abs"][which]);
+                    let found = found.expect("asked for").read(&gpu);
+                    reference.check_gradient(&name, which + 1, &found, &vec![Some(0); rows], &[]);
+                }
+            }
+        }
+    }
+}
