@@ -60,7 +60,7 @@ pub enum Projection {
     #[default]
     Affine,
     /// Exact maximum of the Gaussian along the pixel's ray; see [`crate::rasterize_rays`]. For pinhole cameras only. It ignores
-    /// [`RenderOptions::jacobian_margin`].
+    /// [`RenderOptions::jacobian_margin`]: the ellipse of a centre beyond the picture is that at the picture's border.
     RayMax,
 }
 
