@@ -60,8 +60,8 @@ pub enum Projection {
     #[default]
     Affine,
     /// Exact maximum of the Gaussian along the pixel's ray; see [`crate::rasterize_rays`]. It ignores
-    /// [`RenderOptions::jacobian_margin`]. Through a lens, a pixel without a ray shows the background, also with
-    /// [`Order::PerPixelSort`].
+    /// [`RenderOptions::jacobian_margin`]: the ellipse of a pinhole's centre beyond the picture is that at the picture's border. Through
+    /// a lens, a pixel without a ray shows the background, also with [`Order::PerPixelSort`].
     RayMax,
 }
 

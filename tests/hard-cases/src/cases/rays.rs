@@ -72,7 +72,7 @@ pub fn cases() -> Vec<HardCase> {
         chosen.map(|case| along_rays(case, what, options)).collect()
     };
     let loose = |case: HardCase| match LOOSE.iter().find(|(name, ..)| case.name.starts_with(name)) {
-        Some((_, factor, why)) => case.loose(Processor::Cpu, *factor, *why).loose(Processor::Gpu, *factor, *why),
+        Some(&(_, factor, why)) => case.loose(Processor::Cpu, factor, why).loose(Processor::Gpu, factor, why),
         None => case,
     };
     let mut cases: Vec<HardCase> = again(&PROJECTED, "ray-max projection", exact).into_iter().map(loose).collect();
