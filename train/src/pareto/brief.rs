@@ -72,7 +72,7 @@ pub fn choose(scene: &UnmeasuredScene, target: &Target) -> Result<ChosenSetting>
     progress::note("measuring what accuracy costs here (`splat pareto` measures it thoroughly, for `--frontier`)");
     let views = ExactViews::new(scene, target.error_db)?;
     let gpu = splat_op::is_gpu(scene.device.0);
-    let candidates = candidates(&scene.base, [gpu, views.bench.pinholes(), false]);
+    let candidates = candidates(&scene.base, [gpu, false]);
     let (first, every) = (0..VIEWS_TIMED.min(views.pictures.len()), 0..views.pictures.len());
     let counter = progress::counter("checking settings", candidates.len());
     let mut errors = Vec::new();
