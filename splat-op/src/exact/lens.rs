@@ -60,6 +60,11 @@ impl Div for Dual {
 
 /// Projects a point of the camera's frame to its position, px, with the Jacobian; `None` outside the lens's domain.
 pub(super) fn seen(camera: &Intrinsics, point: DVec3) -> Option<[Dual; 2]> {
+    seen_within(camera, camera.max_radius(), point)
+}
+
+/// [`seen`] with a known radius of the domain.
+fn seen_within(camera: &Intrinsics, max_radius: f64, point: DVec3) -> Option<[Dual; 2]> {
     let axis = |value, grad| Dual { value, grad };
     let [x, y, z] = [axis(point.x, DVec3::X), axis(point.y, DVec3::Y), axis(point.z, DVec3::Z)];
     let (mut u, mut v) = (x / z, y / z);
@@ -69,7 +74,7 @@ pub(super) fn seen(camera: &Intrinsics, point: DVec3) -> Option<[Dual; 2]> {
         let theta = r.atan();
         (u, v) = (u * theta / r, v * theta / r);
     }
-    if u.value.hypot(v.value) >= camera.max_radius() {
+    if u.value.hypot(v.value) >= max_radius {
         return None;
     }
     let (r2, c, one, two) = (u * u + v * v, camera.distortion.map(number), number(1.0), number(2.0));
@@ -105,26 +110,26 @@ pub(super) fn seen(camera: &Intrinsics, point: DVec3) -> Option<[Dual; 2]> {
 /// directions of a coarse grid, because the projection of a strong lens folds outside its domain.
 pub(super) fn direction(camera: &Intrinsics, pixel: DVec2) -> Option<DVec3> {
     // For an angle θ, a fisheye's projection is far closer to linear in θ than in tan θ.
-    let fisheye = camera.model.is_fisheye();
+    let (fisheye, max_radius) = (camera.model.is_fisheye(), camera.max_radius());
     let ray = |s: DVec2| {
         let angle = s.length();
         if fisheye && angle > 0.0 { (s * (angle.tan() / angle)).extend(1.0) } else { s.extend(1.0) }
     };
     let ahead = |s: DVec2| !fisheye || s.length() < std::f64::consts::FRAC_PI_2;
     let seen_at = |s: DVec2| {
-        let [u, v] = seen(camera, ray(s)).filter(|_| ahead(s))?;
+        let [u, v] = seen_within(camera, max_radius, ray(s)).filter(|_| ahead(s))?;
         Some(DVec2::new(u.value, v.value))
     };
     let solve = |start: DVec2| {
         let mut s = start;
         let mut error = seen_at(s)? - pixel;
-        for _ in 0..100 {
+        for _ in 0..50 {
             // Central differences are enough for the steps; the end is judged by the projection itself.
             let h = 1e-6;
             let slope = |step: DVec2| Some((seen_at(s + h * step)? - seen_at(s - h * step)?) / (2.0 * h));
             let step = DMat2::from_cols(slope(DVec2::X)?, slope(DVec2::Y)?).inverse() * error;
             // A step that leads away from the position is halved.
-            let shorter = (0..40).find_map(|halvings| {
+            let shorter = (0..16).find_map(|halvings| {
                 let next = s - step * 0.5_f64.powi(halvings);
                 let left = seen_at(next)? - pixel;
                 (left.length() < error.length()).then_some((next, left))
@@ -134,6 +139,6 @@ pub(super) fn direction(camera: &Intrinsics, pixel: DVec2) -> Option<DVec3> {
         }
         (error.length() < 1e-9 * (1.0 + pixel.length())).then(|| ray(s))
     };
-    let coarse = [0.0, 0.4, -0.4, 0.8, -0.8, 1.2, -1.2];
+    let coarse = [0.0, 0.6, -0.6];
     coarse.into_iter().flat_map(|x| coarse.map(|y| DVec2::new(x, y))).find_map(solve)
 }

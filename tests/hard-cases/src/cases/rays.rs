@@ -62,6 +62,10 @@ const LOOSE: [(&str, f64, &str); 2] = [
     ),
 ];
 
+/// Reason why kernels miss the ceiling at the limit of a fisheye.
+const NEAR_90: &str = "the depth of a splat at 89.4° from the axis is a third of its size, and `s = 1 − slope·(u, v)` is a small \
+                       difference of two numbers that are rounded separately";
+
 pub fn cases() -> Vec<HardCase> {
     let exact = SMOOTH.with_projection(Projection::RayMax);
     let sorted = SMOOTH.with_order(Order::PerPixelSort);
@@ -106,14 +110,13 @@ pub fn cases() -> Vec<HardCase> {
             )
             .hardness("1/4 of the magnification"),
         );
-        cases.push(
-            HardCase::scenes(
-                format!("fisheye up to 90° and beyond, {what}"),
-                "the slopes of rays reach hundreds, and pixels beyond 90° have no ray",
-                seen(fisheye()),
-            )
-            .hardness("slope 105"),
-        );
+        let limit = HardCase::scenes(
+            format!("fisheye up to 90° and beyond, {what}"),
+            "the slopes of rays reach hundreds, and pixels beyond 90° have no ray",
+            seen(fisheye()),
+        )
+        .hardness("slope 105");
+        cases.push(if options == exact { limit.loose(Processor::Gpu, 3.0, NEAR_90) } else { limit });
     }
     cases
 }
