@@ -176,7 +176,7 @@ fn project<'a>(
 
     // The Jacobian of a perspective camera is evaluated at most the margin outside the picture, and within the picture for
     // `RayMax`, which takes no more than the compensation from it. A fisheye's Jacobian is not clamped.
-    let [[low_x, high_x], [low_y, high_y]] = camera.slope_limits(options.of_project().jacobian_margin);
+    let [[low_x, high_x], [low_y, high_y]] = camera.slope_limits(options.of_project(camera).jacobian_margin);
     let held = match camera.model.is_fisheye() {
         true => mean_cam,
         false => DVec3::new((x / z).clamp(low_x, high_x) * z, (y / z).clamp(low_y, high_y) * z, z),

@@ -1,5 +1,6 @@
 //! Options of a render: model choices, numerical dials and outputs.
 
+use crate::camera::{CameraModel, Intrinsics};
 use crate::dials::{Culling, Exponential, Storage};
 use crate::error::SplatError;
 
@@ -168,12 +169,14 @@ impl RenderOptions {
         self.projection == Projection::RayMax
     }
 
-    /// Options for `project`. `RayMax` is exact wherever the Jacobian is taken. It is taken at the point of the picture next to the
-    /// centre, whence `rasterize_rays` evaluates the Gaussian: f32 loses all digits where it is taken far outside.
-    pub(crate) fn of_project(&self) -> Self {
+    /// Options for `project`. `RayMax` is exact wherever the Jacobian is taken. A pinhole's is taken at the point of the picture
+    /// next to the centre, whence `rasterize_rays` evaluates the Gaussian: f32 loses all digits where it is taken far outside. A
+    /// lens's is taken at the centre, however far outside that lies; no f32 render has a slope of 1e20.
+    pub(crate) fn of_project(&self, camera: &Intrinsics) -> Self {
         match self.projection {
             Projection::Affine => *self,
-            Projection::RayMax => Self { jacobian_margin: 0.0, ..*self },
+            Projection::RayMax if camera.model == CameraModel::Pinhole => Self { jacobian_margin: 0.0, ..*self },
+            Projection::RayMax => Self { jacobian_margin: 1e20, ..*self },
         }
     }
 

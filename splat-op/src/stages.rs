@@ -155,7 +155,7 @@ pub fn project(
     let reference = check_geometry(splats, camera, options)?;
     let probe = probe_or_empty(&reference, "mean2d_probe", extras.mean2d_probe.as_ref(), splats.means.dims()[0])?;
     reference.check_fits(&[packed_need(splats.means.dims()[0])])?;
-    let spec = ProjectSpec { intrinsics: camera.intrinsics, options: options.of_project() };
+    let spec = ProjectSpec { intrinsics: camera.intrinsics, options: options.of_project(&camera.intrinsics) };
     let inputs = geometry(splats, camera, probe);
     let depth_slope = options.along_rays().then(|| {
         let depth_slope = Tensor::from_dispatch(<Dispatch as SplatBackend>::depth_slope(inputs.clone(), spec));

@@ -67,7 +67,7 @@ fn inputs<F>(tensors: &[Vec<F>]) -> Geometry<&'_ [F]> {
 fn specs() -> [ProjectSpec; 3] {
     [(Projection::RayMax, 0.3), (Projection::RayMax, 0.0), (Projection::Affine, 0.3)].map(|(projection, blur)| {
         let options = RenderOptions { blur: f64::from(blur as f32), near: 0.0, ..RenderOptions::standard() };
-        ProjectSpec { intrinsics: CAMERA, options: options.with_projection(projection).of_project() }
+        ProjectSpec { intrinsics: CAMERA, options: options.with_projection(projection).of_project(&CAMERA) }
     })
 }
 

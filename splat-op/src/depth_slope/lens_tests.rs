@@ -21,10 +21,8 @@ const ROW: usize = DEPTH_SLOPE + LENS_FRAME;
 fn spec((model, distortion): (CameraModel, [f64; 8]), focal: f64, projection: Projection) -> ProjectSpec {
     let plain = Intrinsics { fy: 0.95 * focal, cx: 76.0, cy: 59.5, ..Intrinsics::centred(160, 112, focal) };
     let options = RenderOptions { blur: 0.3f32.into(), near: 0.0, ..RenderOptions::standard() };
-    ProjectSpec {
-        intrinsics: Intrinsics { model, distortion, ..plain },
-        options: options.with_projection(projection).of_project(),
-    }
+    let intrinsics = Intrinsics { model, distortion, ..plain };
+    ProjectSpec { intrinsics, options: options.with_projection(projection).of_project(&intrinsics) }
 }
 
 /// Means, rotations, scales, opacities and pose of Gaussians up to `slope` from the axis, as slopes; a few lie behind the camera.

@@ -21,7 +21,7 @@ const CAMERA: Intrinsics = Intrinsics { fx: 35.0, fy: 31.0, cx: 18.0, cy: 15.5, 
 
 fn spec(projection: Projection, blur: f64) -> ProjectSpec {
     let options = RenderOptions { blur, ..RenderOptions::standard() }.with_projection(projection);
-    ProjectSpec { intrinsics: CAMERA, options: options.of_project() }
+    ProjectSpec { intrinsics: CAMERA, options: options.of_project(&CAMERA) }
 }
 
 /// Means, rotations, scales, opacities, pose.

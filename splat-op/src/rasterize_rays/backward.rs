@@ -189,10 +189,12 @@ pub(super) fn rasterize_rays_sums_kernel(
                     let of_lambda = seen * footprint.ellipse.depth;
                     let (near, far, along_s) = (h * lambda, of_lambda * layer.phi, of_lambda * layer.along);
                     // Gradient of s.
-                    let across = near * apart_s + (far * apart_s - lambda * along_s);
-                    p = across * footprint.depth_slope_u - (near * apart_u + far * (apart_u - lambda * u));
-                    q = across * footprint.depth_slope_v - (near * apart_v + far * (apart_v - lambda * v));
                     // As `fma`, so that no compiler rounds otherwise where the sums of absolute values read these too.
+                    let across = fma(near, apart_s, fma(far, apart_s, -(lambda * along_s)));
+                    let radial_u = fma(near, apart_u, far * fma(-lambda, u, apart_u));
+                    let radial_v = fma(near, apart_v, far * fma(-lambda, v, apart_v));
+                    p = fma(across, footprint.depth_slope_u, -radial_u);
+                    q = fma(across, footprint.depth_slope_v, -radial_v);
                     let of_gamma = fma(-h, apart_s, along_s);
                     centre_u = fma(-footprint.depth_slope_u, of_gamma, fma(far, u, -(h * apart_u)));
                     centre_v = fma(-footprint.depth_slope_v, of_gamma, fma(far, v, -(h * apart_v)));
