@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use anyhow::{Context, Result, bail, ensure};
 use glam::Vec3;
 use splat_model::capture::Capture;
-use splat_model::capture::blocks::{BlockFile, Bounds};
+use splat_model::capture::blocks::{BlockFile, Bounds, keep};
 use splat_model::formats::{self, Format, SceneFile};
 use splat_model::gaussians::GaussianRows;
 
@@ -95,7 +95,7 @@ fn merged(folder: &PlanFolder, files: &[BlockFile], capture: &Capture) -> Result
             all.sh_degree
         );
         let before = all.len();
-        (0..rows.len()).filter(|&row| holds(&file.cell, &rows, row)).for_each(|row| all.push(&rows, row));
+        keep(&file.cell, &rows, all);
         progress::note(&format!("{name}: {} of {} splats lie in its cell", all.len() - before, rows.len()));
     }
     Ok(merged.unwrap_or_default())

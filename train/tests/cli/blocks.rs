@@ -7,8 +7,9 @@ use std::process::{Command, Stdio};
 use std::sync::LazyLock;
 use std::time::{Duration, Instant};
 
-use splat_model::capture::blocks::BlockFile;
+use splat_model::capture::blocks::{BlockFile, keep};
 use splat_model::capture::{Capture, Split};
+use splat_model::gaussians::GaussianRows;
 use splat_model::ply;
 
 use crate::run::{end, fresh, refuse, splat, succeed};
@@ -74,11 +75,11 @@ fn a_plan_is_trained_line_by_line_and_merged() {
         let (cell, (own, own_origin)) =
             (BlockFile::read(&folder).unwrap().cell, ply::read(&folder.join("run/scene.ply")).unwrap());
         assert_eq!(own_origin, origin);
-        // Only some of a block's splats lie in its cell, and these are kept in order.
-        let kept: Vec<_> =
-            own.means.iter().filter(|mean| cell.contains(glam::Vec3::from(**mean).as_dvec3())).copied().collect();
+        let mut kept = GaussianRows { sh_degree: own.sh_degree, ..GaussianRows::default() };
+        keep(&cell, &own, &mut kept);
         assert!(kept.len() > own.len() / 2 && kept.len() < own.len(), "{} of {}", kept.len(), own.len());
-        assert_eq!(rows.means[expected..][..kept.len()], kept);
+        assert_eq!(rows.means[expected..][..kept.len()], kept.means);
+        assert_eq!(rows.logit_opacities[expected..][..kept.len()], kept.logit_opacities);
         expected += kept.len();
     }
     assert_eq!(rows.len(), expected);

@@ -2,7 +2,7 @@
 //!
 //! [`plan`] cuts a capture into [cells](Bounds) and chooses the photographs and points of each; [`BlockFile::write`] makes a folder
 //! of it, which [`Capture::load`] reads as a capture. Cells divide the whole of space. A Gaussian belongs to the
-//! cell that holds its centre.
+//! cell that holds it, and to several by its share in each where it reaches across a border ([`keep`]).
 //!
 //! A block trains on more than its cell. Its *region* is the cell with a margin, within which Gaussians are added freely. Beyond it
 //! lie the sparse points that its photographs show, thinned: without them, Gaussians of the block would grow to explain what lies
@@ -11,6 +11,7 @@
 mod bounds;
 mod cut;
 mod file;
+mod merge;
 mod share;
 #[cfg(test)]
 mod tests;
@@ -20,6 +21,7 @@ use thiserror::Error;
 pub use self::bounds::Bounds;
 pub use self::file::{BLOCK, BlockFile};
 pub(super) use self::file::{is_there, load};
+pub use self::merge::keep;
 use super::{Capture, Split};
 
 /// Options of [`plan`].

@@ -1,0 +1,132 @@
+//! What a block keeps of its trained scene.
+
+use glam::{DQuat, DVec3, Vec3};
+
+use super::Bounds;
+use crate::gaussians::GaussianRows;
+
+/// Share of a Gaussian below which none of it is kept, and above one minus which all of it is.
+const NEGLIGIBLE: f64 = 0.02;
+
+/// Slope of the logistic function that stands for the normal distribution's: the two differ by at most 0.01 (Bowling et al. 2009).
+const LOGISTIC: f64 = 1.702;
+
+/// Appends to `kept` what `cell` keeps of a block's rows: the Gaussians in it.
+///
+/// A Gaussian that reaches across a border belongs to each side by the share of its mass there, `w`, and its opacity `α` becomes
+/// `1 − (1 − α)^w`, a share `w` of its optical depth. Where two blocks have the same Gaussian, the parts add up to the whole. Had each block to keep or drop such
+/// Gaussians by their centres, a wall of a few large ones would have a hole at the border, or be there twice.
+///
+/// # Panics
+/// If the rows do not fit together, or `kept` has another degree.
+pub fn keep(cell: &Bounds, rows: &GaussianRows, kept: &mut GaussianRows) {
+    assert_eq!(rows.sh_degree, kept.sh_degree, "rows of one degree");
+    for row in 0..rows.len() {
+        let share = share_of(cell, rows, row);
+        if share.is_nan() || share < NEGLIGIBLE {
+            continue;
+        }
+        kept.push(rows, row);
+        if share < 1.0 - NEGLIGIBLE {
+            let last = kept.len() - 1;
+            kept.logit_opacities[last] = thinned(rows.logit_opacities[row], share);
+        }
+    }
+}
+
+/// The share of a Gaussian's mass in a box, 0 to 1. The shares of boxes that divide space along one axis add up to one.
+fn share_of(cell: &Bounds, rows: &GaussianRows, row: usize) -> f64 {
+    let mean = cell.local(Vec3::from(rows.means[row]).as_dvec3());
+    let [w, x, y, z] = rows.rotations[row].map(f64::from);
+    let rotation = DQuat::from_xyzw(x, y, z, w).normalize();
+    let scales = rows.log_scales[row].map(|log| f64::from(log).exp());
+    let mut share = 1.0;
+    for axis in 0..3 {
+        let direction = rotation.inverse() * DVec3::from(cell.box_from_world[axis]);
+        let deviation = (direction * DVec3::from(scales)).length().max(f64::MIN_POSITIVE);
+        // The share below a side.
+        let below = |side: f64| 1.0 / (1.0 + (-LOGISTIC * (side - mean[axis]) / deviation).exp());
+        share *= cell.high[axis].map_or(1.0, below) - cell.low[axis].map_or(0.0, below);
+    }
+    share
+}
+
+/// The logit of an opacity whose optical depth is a share of the given one's: `ln(exp(w ln(1 + eˡ)) − 1)`.
+fn thinned(logit: f32, share: f64) -> f32 {
+    let logit = f64::from(logit);
+    // ln(1 + eˡ), which is −ln(1 − α), without overflow.
+    let depth = share * (logit.max(0.0) + (-logit.abs()).exp().ln_1p());
+    // For a large depth the logarithm is the depth itself.
+    (depth + (-(-depth).exp_m1()).ln()) as f32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gaussians::testing::random_rows;
+
+    fn halves() -> [Bounds; 2] {
+        Bounds::everything(glam::DMat3::from_rotation_z(0.7)).cut(0, 0.25)
+    }
+
+    fn kept(cell: &Bounds, rows: &GaussianRows) -> GaussianRows {
+        let mut kept = GaussianRows { sh_degree: rows.sh_degree, ..GaussianRows::default() };
+        keep(cell, rows, &mut kept);
+        kept
+    }
+
+    /// Two blocks that end with the same scene merge to a scene of the same optical depth at every Gaussian.
+    #[test]
+    fn parts_of_a_gaussian_add_up_to_it() {
+        let mut rows = random_rows(300, 1, 3);
+        for (i, log) in rows.log_scales.iter_mut().enumerate() {
+            *log = [(0.01 * i as f32).ln_1p() - 2.0; 3];
+        }
+        let depth = |rows: &GaussianRows, i: usize| f64::from(rows.logit_opacities[i].exp()).ln_1p();
+        let parts = halves().map(|cell| kept(&cell, &rows));
+        let mut cut = 0;
+        for i in 0..rows.len() {
+            let found: Vec<f64> = (parts.iter())
+                .flat_map(|part| (0..part.len()).filter(|&k| part.means[k] == rows.means[i]).map(|k| depth(part, k)))
+                .collect();
+            cut += usize::from(found.len() == 2);
+            let (sum, whole) = (found.iter().sum::<f64>(), depth(&rows, i));
+            assert!((sum / whole - 1.0).abs() < 2.0 * NEGLIGIBLE, "Gaussian {i}: {sum} of {whole}");
+        }
+        assert!(cut > 10 && cut < 290, "{cut} lie across the border");
+    }
+
+    /// Small Gaussians belong to the cell that holds their centres, and are not changed.
+    #[test]
+    fn small_gaussians_are_kept_as_they_are() {
+        let mut rows = random_rows(200, 1, 4);
+        rows.log_scales.fill([-12.0; 3]);
+        let [below, above] = halves();
+        let inside = |cell: &Bounds| {
+            (0..rows.len()).filter(|&i| cell.contains(Vec3::from(rows.means[i]).as_dvec3())).collect::<Vec<_>>()
+        };
+        for cell in [below, above] {
+            let expected = inside(&cell);
+            let found = kept(&cell, &rows);
+            assert!(!expected.is_empty() && found.len() == expected.len());
+            for (now, &was) in expected.iter().enumerate() {
+                assert_eq!(
+                    (found.means[now], found.logit_opacities[now]),
+                    (rows.means[was], rows.logit_opacities[was])
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn opacities_of_any_size_can_be_shared() {
+        for logit in [-80.0_f32, -10.0, 0.0, 5.0, 80.0] {
+            let half = thinned(logit, 0.5);
+            let depth = |logit: f32| f64::from(logit).max(0.0) + (-f64::from(logit).abs()).exp().ln_1p();
+            assert!(half.is_finite() && (2.0 * depth(half) / depth(logit) - 1.0).abs() < 1e-4, "{logit}: {half}");
+        }
+        let mut rows = random_rows(1, 0, 5);
+        rows.rotations[0] = [0.0; 4];
+        assert_eq!(kept(&halves()[0], &rows).len(), 0, "what cannot be rendered is not kept");
+    }
+}
