@@ -35,7 +35,7 @@ pub struct ConvertArgs {
     #[arg(long, value_name = "BITS", value_parser = value_parser!(u8).range(1..=8))]
     pub sh_bits: Option<u8>,
     /// Largest number of entries of SOG's palette of spherical harmonics: more are larger and closer to the scene [default: one for
-    /// eight splats]
+    /// eight splats, 1024 at the least]
     #[arg(long, value_name = "ENTRIES", value_parser = value_parser!(u32).range(1..=65_536))]
     pub sh_palette: Option<u32>,
     /// Version of SPZ: 3 for programs that do not read 4 [default: 4]

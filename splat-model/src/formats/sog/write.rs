@@ -23,10 +23,13 @@ const ENTRIES_MAX: usize = 1 << 16;
 /// Number of Gaussians for each palette entry of a scene too small for the largest palette; `docs/FORMATS.md` has what others cost.
 const GAUSSIANS_PER_ENTRY: usize = 8;
 
+/// Least number of entries without an option, where there are as many Gaussians: fewer would save little.
+const ENTRIES_MIN: usize = 1_024;
+
 /// The choices that SOG leaves to its writer.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SogOptions {
-    /// Largest number of entries of the palette of higher harmonics, 1 to 65,536. By default one for eight Gaussians. More entries make a larger
+    /// Largest number of entries of the palette of higher harmonics, 1 to 65,536. By default one for eight Gaussians, and 1,024 at the least. More entries make a larger
     /// file that is closer to the scene.
     pub entries: Option<usize>,
 }
@@ -162,7 +165,8 @@ fn higher(rows: &GaussianRows, options: SogOptions) -> Option<(Harmonics, [Pictu
     if per_row == 0 || rows.is_empty() {
         return None;
     }
-    let entries = options.entries.unwrap_or(rows.len().div_ceil(GAUSSIANS_PER_ENTRY)).clamp(1, ENTRIES_MAX);
+    let usual = rows.len().div_ceil(GAUSSIANS_PER_ENTRY).max(ENTRIES_MIN);
+    let entries = options.entries.unwrap_or(usual).clamp(1, ENTRIES_MAX);
     let found = palette(&rows.sh_rest, per_row, entries);
     let quantised = quantise(&found.entries);
     let count = found.entries.len() / per_row;
