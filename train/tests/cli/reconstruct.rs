@@ -342,7 +342,8 @@ fn the_installed_colmap_finds_the_cameras_of_the_demo() {
         let to = path("photos").join(format!("{i:04}.jpg"));
         if i % 2 == 0 { write_turned(&picture, &to) } else { picture.save(&to).unwrap() }
     }
-    let train = ["train", text(&path("photos")), "--steps", "200", "--max-side", "160", "--seed", "7"];
+    let photos = path("photos");
+    let train = ["train", text(&photos), "--steps", "200", "--max-side", "160", "--seed", "7"];
     let Ended { stderr, .. } = succeed(splat(&train).args(["--out", text(&path("out"))]));
     let capture = Capture::load(&path("out/reconstruction")).unwrap();
     assert!(capture.views.len() >= 18, "{} placed: {stderr}", capture.views.len());
