@@ -325,6 +325,25 @@ fn write_turned(picture: &RgbImage, file: &Path) {
     encoder.write_image(picture, picture.width(), picture.height(), image::ExtendedColorType::Rgb8).unwrap();
 }
 
+/// Cameras then have the size of the stored picture, as this program's reader has (`capture/unposed.rs`).
+#[test]
+fn the_installed_colmap_does_not_turn_pictures() {
+    if !installed(&["colmap"]) {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let (photos, made) = (folder.path().join("photos"), folder.path().join("made"));
+    fs::create_dir(&photos).unwrap();
+    for i in 0..3 {
+        let picture = image::open(DEMO.join(format!("images/000{i}.png"))).unwrap().into_rgb8();
+        write_turned(&picture, &photos.join(format!("{i}.jpg")));
+    }
+    // Three small photographs from all sides give no model, which does not matter here.
+    end(&mut splat(&["reconstruct", text(&photos), "--out", text(&made)]));
+    let log = fs::read_to_string(made.join("reconstruction.log")).unwrap();
+    assert_eq!((log.matches("64 x 48").count(), log.matches("48 x 64").count()), (3, 0), "{log}");
+}
+
 /// Half of the photographs have a tag that turns them. If COLMAP turned them, their size would not be that of the camera; if this program did, scores would
 /// be low.
 #[test]
