@@ -186,7 +186,7 @@ mod tests {
         assert!(PhotographFolder::list(&folder.path().join("none")).is_err());
     }
 
-    /// COLMAP 3.8 and newer do not turn pictures by their tag either: `train/tests/cli/reconstruct.rs` holds it to that.
+    /// COLMAP does not either: `train/tests/cli/reconstruct.rs` looks at the installed one.
     #[test]
     fn a_rotation_tag_turns_nothing() {
         let folder = tempfile::tempdir().unwrap();

