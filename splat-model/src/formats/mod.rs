@@ -51,7 +51,6 @@ use thiserror::Error;
 
 pub use loss::{Deviation, QuantisationError};
 
-use crate::density::morton_order;
 use crate::gaussians::GaussianRows;
 use crate::ply::{self, PlyError};
 use crate::replace::Refused;
@@ -144,6 +143,10 @@ pub struct Written<'a> {
     pub rows: Cow<'a, GaussianRows>,
     /// Number of Gaussians that were left out, because they cannot be rendered and the format cannot represent them.
     pub left_out: usize,
+    /// Number of invisible Gaussians that were added, so that no chunk of a compressed PLY holds both ordinary Gaussians and outliers.
+    pub added: usize,
+    /// Number of Gaussians that were moved nearer and shrunk accordingly, because they are beyond the reach of SPZ's grid.
+    pub moved: usize,
 }
 
 /// A scene file that cannot be read or written. Each message names the file, what was found and what to do.
@@ -241,14 +244,13 @@ pub fn read(path: &Path) -> Result<(SceneFile, Format), FormatError> {
 /// temporary file is left behind.
 pub fn write<'a>(path: &Path, scene: &'a SceneFile, format: Format) -> Result<Written<'a>, FormatError> {
     ply::check(path, &scene.rows, scene.origin)?;
-    let rows = fit(&scene.rows, format);
+    let written = fitted(&scene.rows, format);
     match format {
-        Format::Ply => ply::write(path, &rows, scene.origin)?,
-        Format::CompressedPly => compressed::write(path, &rows, scene.origin)?,
-        Format::Spz => spz::write(path, &rows, scene.antialiased, SPZ_SH_BITS)?,
+        Format::Ply => ply::write(path, &written.rows, scene.origin)?,
+        Format::CompressedPly => compressed::write(path, &written.rows, scene.origin)?,
+        Format::Spz => spz::write(path, &written.rows, scene.antialiased, SPZ_SH_BITS)?,
     }
-    let left_out = scene.rows.len() - rows.len();
-    Ok(Written { rows, left_out })
+    Ok(written)
 }
 
 /// Bits of SPZ's harmonics at degree 1 and above it in the format's reference, and in [`write`](fn@write).
@@ -261,31 +263,38 @@ pub const SPZ_SH_BITS: [u8; 2] = [5, 4];
 /// As [`write`](fn@write).
 pub fn write_spz<'a>(path: &Path, scene: &'a SceneFile, sh_bits: [u8; 2]) -> Result<Written<'a>, FormatError> {
     ply::check(path, &scene.rows, scene.origin)?;
-    let rows = fit(&scene.rows, Format::Spz);
-    spz::write(path, &rows, scene.antialiased, sh_bits.map(|bits| bits.clamp(1, 8)))?;
-    let left_out = scene.rows.len() - rows.len();
-    Ok(Written { rows, left_out })
+    let written = fitted(&scene.rows, Format::Spz);
+    spz::write(path, &written.rows, scene.antialiased, sh_bits.map(|bits| bits.clamp(1, 8)))?;
+    Ok(written)
 }
 
 /// The rows that a file of the format holds before rounding: the Gaussians that can be rendered ([`GaussianRows::is_usable`]),
-/// with harmonics up to the format's degree and, for compressed PLY, in an order in which neighbours share the box of a chunk.
-/// PLY holds all rows unchanged.
+/// with harmonics up to the format's degree. In compressed PLY they are in an order in which neighbours share the box of a chunk and
+/// outliers do not; in SPZ those beyond the grid's reach are moved to its border. [`Written`] counts the differences. PLY holds all
+/// rows unchanged.
 ///
 /// # Panics
 /// If the rows do not fit together ([`GaussianRows::check`]).
 pub fn fit(rows: &GaussianRows, format: Format) -> Cow<'_, GaussianRows> {
+    fitted(rows, format).rows
+}
+
+fn fitted(rows: &GaussianRows, format: Format) -> Written<'_> {
     if format.is_exact() {
-        return Cow::Borrowed(rows);
+        return Written { rows: Cow::Borrowed(rows), left_out: 0, added: 0, moved: 0 };
     }
-    let order: Vec<u32> = match format {
-        Format::CompressedPly => morton_order(&rows.means),
-        _ => (0..rows.len() as u32).collect(),
-    };
+    let usable: Vec<u32> = (0..rows.len() as u32).filter(|&row| rows.is_usable(row as usize)).collect();
+    let count = usable.len();
     let mut fitted = GaussianRows { sh_degree: rows.sh_degree.min(format.sh_degree_max()), ..GaussianRows::default() };
-    for row in order.into_iter().map(|row| row as usize).filter(|&row| rows.is_usable(row)) {
-        fitted.push(rows, row);
+    let mut moved = 0;
+    if format == Format::CompressedPly {
+        compressed::fill_chunks(&mut fitted, rows, usable);
+    } else {
+        usable.into_iter().for_each(|row| fitted.push(rows, row as usize));
+        moved = spz::bring_within_reach(&mut fitted);
     }
-    Cow::Owned(fitted)
+    let (left_out, added) = (rows.len() - count, fitted.len() - count);
+    Written { rows: Cow::Owned(fitted), left_out, added, moved }
 }
 
 /// Whether a file begins like SPZ; if not, it begins like PLY.

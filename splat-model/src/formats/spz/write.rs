@@ -5,7 +5,7 @@ use std::path::Path;
 
 use flate2::{Compression, GzBuilder};
 
-use super::pack::{fraction, pack};
+use super::pack::{farthest, fraction, pack};
 use super::{ANTIALIASED, MAGIC};
 use crate::formats::FormatError;
 use crate::gaussians::GaussianRows;
@@ -19,7 +19,7 @@ pub fn write(path: &Path, rows: &GaussianRows, antialiased: bool, sh_bits: [u8; 
 
 fn write_to(out: &mut impl Write, rows: &GaussianRows, antialiased: bool, sh_bits: [u8; 2]) -> io::Result<()> {
     let count = u32::try_from(rows.len()).map_err(|_| io::Error::other("more Gaussians than the format can count"))?;
-    let fraction = fraction(rows);
+    let fraction = fraction(farthest(&rows.means));
     // The stream has no timestamp, so that the same scene gives the same file.
     let mut stream = GzBuilder::new().write(out, Compression::default());
     stream.write_all(&MAGIC)?;
