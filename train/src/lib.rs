@@ -36,12 +36,14 @@
 pub mod options;
 
 pub mod background;
+pub mod clean;
 pub mod convert;
 pub mod demo;
 pub mod devices;
 pub mod effects_bench;
 pub mod eval;
 pub mod hard_cases;
+pub mod info;
 pub mod inspect;
 pub mod manual;
 pub mod pareto;
@@ -85,6 +87,8 @@ pub fn run(command: &Command) -> Result<()> {
         Command::Demo(args) => demo::run(args),
         Command::View(args) => view::run(args),
         Command::Convert(args) => convert::run(args),
+        Command::Clean(args) => clean::run(args),
+        Command::Info(args) => info::run(args),
         Command::Inspect(args) => inspect::run(args),
         Command::Effects(args) => effects_bench::run(args),
         Command::HardCases(args) => hard_cases::run(args),

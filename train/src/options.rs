@@ -5,11 +5,13 @@ use clap::{Parser, Subcommand, value_parser};
 use serde::{Deserialize, Serialize};
 use splat_model::capture::{Capture, Split};
 
+use crate::clean::CleanArgs;
 use crate::convert::ConvertArgs;
 use crate::demo::DemoArgs;
 use crate::effects_bench::EffectsBenchArgs;
 use crate::eval::EvalArgs;
 use crate::hard_cases::HardCasesArgs;
+use crate::info::InfoArgs;
 use crate::inspect::InspectArgs;
 use crate::manual::{CompletionsArgs, ManArgs};
 use crate::pareto::ParetoArgs;
@@ -50,6 +52,10 @@ pub enum Command {
     View(ViewArgs),
     /// Convert a scene to another format and report the loss
     Convert(ConvertArgs),
+    /// Remove splats that float, that no view shows, or that lie outside a region, and report the cost
+    Clean(CleanArgs),
+    /// Describe a scene or a capture: counts, bounds, memory, and what is odd about it
+    Info(InfoArgs),
     /// Report what a capture shows, which effects it calls for, and what they would cost
     Inspect(InspectArgs),
     /// Write the demo capture: a small ray-traced scene as a COLMAP folder

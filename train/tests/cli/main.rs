@@ -2,10 +2,12 @@
 
 mod browser;
 mod choices;
+mod clean;
 mod convert;
 mod effects;
 mod errors;
 mod hard_cases;
+mod info;
 mod lpips;
 mod memory;
 mod non_finite;
