@@ -66,6 +66,7 @@
 
 pub mod accuracy;
 pub mod capture;
+pub mod cleanup;
 pub mod density;
 pub mod effects;
 pub mod evaluate;

@@ -5,7 +5,9 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
 use clap::{ValueEnum, value_parser};
-use splat_model::formats::{self, Deviation, Format, QuantisationError, SceneFile, SogOptions, SpzOptions, SpzVersion};
+use splat_model::formats::{
+    self, Deviation, Format, QuantisationError, SceneFile, SogOptions, SpzOptions, SpzVersion, Written,
+};
 
 use crate::{input, progress};
 
@@ -125,12 +127,18 @@ pub fn run(args: &ConvertArgs) -> Result<()> {
     let (read, _) = formats::read(&args.out).context("cannot read what was written")?;
     let loss = QuantisationError::between(&written.rows, &read.rows);
 
-    progress::say(&line(&args.scene, found, scene.rows.len(), of_degree)?);
-    progress::say(&line(&args.out, format, read.rows.len(), read.rows.sh_degree)?);
+    progress::say(&describe_file(&args.scene, found, scene.rows.len(), of_degree)?);
+    progress::say(&describe_file(&args.out, format, read.rows.len(), read.rows.sh_degree)?);
     if let Some(metres) = scene.metres_per_unit {
         progress::say(&format!("a scene unit is {metres} m"));
     }
-    let mut lost = dropped(&scene, format, written.left_out, of_degree, read.rows.sh_degree);
+    if written.added > 0 {
+        progress::say(&format!(
+            "added {} invisible splats: outliers have chunks of their own, and cost no other splat its place",
+            written.added
+        ));
+    }
+    let mut lost = dropped(&scene, format, &written, of_degree);
     if !format.is_exact() {
         lost.extend(table(&loss, read.rows.sh_degree));
     }
@@ -149,16 +157,26 @@ fn spz_options(args: &ConvertArgs) -> SpzOptions {
     }
 }
 
-/// Describes a file in one line.
-fn line(path: &Path, format: Format, splats: usize, sh_degree: usize) -> Result<String> {
+/// Describes a scene file in one line.
+///
+/// # Errors
+/// If the size of the file cannot be read.
+pub fn describe_file(path: &Path, format: Format, splats: usize, sh_degree: usize) -> Result<String> {
     let bytes = fs::metadata(path).with_context(|| format!("cannot read the size of {}", path.display()))?.len();
     let each = bytes as f64 / splats.max(1) as f64;
     Ok(format!("{}: {format}, {splats} splats of degree {sh_degree}, {bytes} bytes, {each:.1} a splat", path.display()))
 }
 
 /// Lists everything that the format cannot store.
-fn dropped(scene: &SceneFile, format: Format, left_out: usize, of_degree: usize, sh_degree: usize) -> Vec<String> {
-    let mut lost = Vec::new();
+fn dropped(scene: &SceneFile, format: Format, written: &Written, of_degree: usize) -> Vec<String> {
+    let (mut lost, sh_degree) = (Vec::new(), written.rows.sh_degree);
+    let Written { left_out, moved, .. } = *written;
+    if moved > 0 {
+        lost.push(format!(
+            "the distance of {moved} splats, more than 512 times the scene's width away: they are moved to the border of \
+             the grid and shrunk, and look the same from the middle of the scene"
+        ));
+    }
     if left_out > 0 {
         lost.push(format!(
             "{left_out} splats that cannot be rendered, because a parameter is not finite or out of range"

@@ -37,6 +37,7 @@ pub mod options;
 
 pub mod background;
 pub mod blocks;
+pub mod clean;
 pub mod convert;
 pub mod demo;
 pub mod devices;
@@ -44,6 +45,7 @@ pub mod effects_bench;
 pub mod eval;
 pub mod export;
 pub mod hard_cases;
+pub mod info;
 pub mod inspect;
 pub mod manual;
 pub mod pareto;
@@ -95,6 +97,8 @@ pub fn run(command: &Command) -> Result<()> {
         Command::View(args) => view::run(args),
         Command::Convert(args) => convert::run(args),
         Command::Export(args) => export::run(args),
+        Command::Clean(args) => clean::run(args),
+        Command::Info(args) => info::run(args),
         Command::Inspect(args) => inspect::run(args),
         Command::Effects(args) => effects_bench::run(args),
         Command::HardCases(args) => hard_cases::run(args),

@@ -6,12 +6,14 @@ use serde::{Deserialize, Serialize};
 use splat_model::capture::{Capture, Split};
 
 use crate::blocks::BlocksArgs;
+use crate::clean::CleanArgs;
 use crate::convert::ConvertArgs;
 use crate::demo::DemoArgs;
 use crate::effects_bench::EffectsBenchArgs;
 use crate::eval::EvalArgs;
 use crate::export::ExportArgs;
 use crate::hard_cases::HardCasesArgs;
+use crate::info::InfoArgs;
 use crate::inspect::InspectArgs;
 use crate::manual::{CompletionsArgs, ManArgs};
 use crate::pareto::ParetoArgs;
@@ -57,6 +59,10 @@ pub enum Command {
     Convert(ConvertArgs),
     /// Write a scene as one page with the viewer, which needs no server
     Export(ExportArgs),
+    /// Remove splats that float, that no view shows, or that lie outside a region, and report the cost
+    Clean(CleanArgs),
+    /// Describe a scene or a capture: counts, bounds, memory, and what is odd about it
+    Info(InfoArgs),
     /// Report what a capture shows, which effects it calls for, and what they would cost
     Inspect(InspectArgs),
     /// Train a capture in blocks, on any number of machines: plan, status, merge

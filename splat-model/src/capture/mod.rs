@@ -161,6 +161,15 @@ pub struct View {
     pub cam_from_world: DAffine3,
 }
 
+impl View {
+    /// The intrinsics of a photograph whose longer side is at most `max_side` px.
+    pub fn intrinsics_within(&self, max_side: Option<u32>) -> Intrinsics {
+        let Intrinsics { width, height, .. } = self.intrinsics;
+        let [width, height] = image::size_within([width as u32, height as u32], max_side);
+        self.intrinsics.resized(width as usize, height as usize)
+    }
+}
+
 impl Capture {
     /// Mean number of pixels of some photographs, whose longer sides are at most `max_side` px. 0 without photographs.
     pub fn mean_pixels(&self, views: &[usize], max_side: Option<u32>) -> f64 {

@@ -179,6 +179,10 @@ pub struct Written<'a> {
     pub rows: Cow<'a, GaussianRows>,
     /// Number of Gaussians that were left out, because they cannot be rendered and the format cannot represent them.
     pub left_out: usize,
+    /// Number of invisible Gaussians that were added, so that no chunk of a compressed PLY holds both ordinary Gaussians and outliers.
+    pub added: usize,
+    /// Number of Gaussians that were moved nearer and shrunk accordingly, because they are beyond the reach of SPZ's grid.
+    pub moved: usize,
 }
 
 /// A scene file that cannot be read or written. Each message names the file, what was found and what to do.
@@ -293,16 +297,16 @@ pub fn read(path: &Path) -> Result<(SceneFile, Format), FormatError> {
 /// file cannot be written. No temporary file is left behind.
 pub fn write<'a>(path: &Path, scene: &'a SceneFile, format: Format) -> Result<Written<'a>, FormatError> {
     ply::check(path, &scene.rows, scene.world())?;
-    let rows = fit(&scene.rows, format);
+    let written = fitted(&scene.rows, format);
+    let rows = &written.rows;
     match format {
-        Format::Ply => ply::write(path, &rows, scene.world())?,
-        Format::CompressedPly => compressed::write(path, &rows, scene.world())?,
-        Format::Spz => spz::write(path, &rows, scene.antialiased, SpzOptions::default())?,
-        Format::Glb | Format::Gltf => gltf::write(path, &rows, scene, format)?,
-        Format::Sog => sog::write(path, &rows, scene, SogOptions::default())?,
+        Format::Ply => ply::write(path, rows, scene.world())?,
+        Format::CompressedPly => compressed::write(path, rows, scene.world())?,
+        Format::Spz => spz::write(path, rows, scene.antialiased, SpzOptions::default())?,
+        Format::Glb | Format::Gltf => gltf::write(path, rows, scene, format)?,
+        Format::Sog => sog::write(path, rows, scene, SogOptions::default())?,
     }
-    let left_out = scene.rows.len() - rows.len();
-    Ok(Written { rows, left_out })
+    Ok(written)
 }
 
 /// Writes SPZ as [`write`](fn@write) does, with other choices than the default's.
@@ -311,10 +315,9 @@ pub fn write<'a>(path: &Path, scene: &'a SceneFile, format: Format) -> Result<Wr
 /// As [`write`](fn@write).
 pub fn write_spz<'a>(path: &Path, scene: &'a SceneFile, options: SpzOptions) -> Result<Written<'a>, FormatError> {
     ply::check(path, &scene.rows, scene.world())?;
-    let rows = fit(&scene.rows, Format::Spz);
-    spz::write(path, &rows, scene.antialiased, options)?;
-    let left_out = scene.rows.len() - rows.len();
-    Ok(Written { rows, left_out })
+    let written = fitted(&scene.rows, Format::Spz);
+    spz::write(path, &written.rows, scene.antialiased, options)?;
+    Ok(written)
 }
 
 /// Writes SOG as [`write`](fn@write) does, with other choices than the default's.
@@ -323,31 +326,42 @@ pub fn write_spz<'a>(path: &Path, scene: &'a SceneFile, options: SpzOptions) -> 
 /// As [`write`](fn@write).
 pub fn write_sog<'a>(path: &Path, scene: &'a SceneFile, options: SogOptions) -> Result<Written<'a>, FormatError> {
     ply::check(path, &scene.rows, scene.world())?;
-    let rows = fit(&scene.rows, Format::Sog);
-    sog::write(path, &rows, scene, options)?;
-    let left_out = scene.rows.len() - rows.len();
-    Ok(Written { rows, left_out })
+    let written = fitted(&scene.rows, Format::Sog);
+    sog::write(path, &written.rows, scene, options)?;
+    Ok(written)
 }
 
 /// The rows that a file of the format holds before rounding: the Gaussians that can be rendered ([`GaussianRows::is_usable`]),
-/// with harmonics up to the format's degree and, for compressed PLY and SOG, in an order in which neighbours are near each other.
-/// PLY holds all rows unchanged.
+/// with harmonics up to the format's degree. In SOG neighbours are near each other. In compressed PLY they are in an order in which
+/// neighbours share the box of a chunk and outliers do not; in SPZ those beyond the grid's reach are moved to its border. [`Written`]
+/// counts the differences. PLY holds all rows unchanged.
 ///
 /// # Panics
 /// If the rows do not fit together ([`GaussianRows::check`]).
 pub fn fit(rows: &GaussianRows, format: Format) -> Cow<'_, GaussianRows> {
+    fitted(rows, format).rows
+}
+
+fn fitted(rows: &GaussianRows, format: Format) -> Written<'_> {
     if format.is_exact() {
-        return Cow::Borrowed(rows);
+        return Written { rows: Cow::Borrowed(rows), left_out: 0, added: 0, moved: 0 };
     }
-    let order: Vec<u32> = match format {
-        Format::CompressedPly | Format::Sog => morton_order(&rows.means),
-        _ => (0..rows.len() as u32).collect(),
-    };
+    let usable: Vec<u32> = (0..rows.len() as u32).filter(|&row| rows.is_usable(row as usize)).collect();
+    let count = usable.len();
     let mut fitted = GaussianRows { sh_degree: rows.sh_degree.min(format.sh_degree_max()), ..GaussianRows::default() };
-    for row in order.into_iter().map(|row| row as usize).filter(|&row| rows.is_usable(row)) {
-        fitted.push(rows, row);
+    let mut moved = 0;
+    if format == Format::CompressedPly {
+        compressed::fill_chunks(&mut fitted, rows, usable);
+    } else {
+        let order = if format == Format::Sog { morton_order(&rows.means) } else { usable };
+        let rows_of = order.into_iter().map(|row| row as usize).filter(|&row| rows.is_usable(row));
+        rows_of.for_each(|row| fitted.push(rows, row));
     }
-    Cow::Owned(fitted)
+    if format == Format::Spz {
+        moved = spz::bring_within_reach(&mut fitted);
+    }
+    let (left_out, added) = (rows.len() - count, fitted.len() - count);
+    Written { rows: Cow::Owned(fitted), left_out, added, moved }
 }
 
 /// What the first bytes of a scene's file tell.

@@ -3,6 +3,7 @@ use std::path::{Path, PathBuf};
 
 use glam::DVec3;
 use proptest::prelude::*;
+use proptest::strategy::ValueTree;
 use tempfile::TempDir;
 
 use super::testing::{rows, spoil};
@@ -212,6 +213,72 @@ proptest! {
         fs::write(&path, [head[start], &bytes].concat()).unwrap();
         prop_assert!(read(&path).is_err());
     }
+}
+
+/// Ordinary Gaussians of degree 1 within ±3.
+fn drawn(count: usize) -> GaussianRows {
+    let mut runner = proptest::test_runner::TestRunner::deterministic();
+    rows(count, 1, 3.0).new_tree(&mut runner).unwrap().current()
+}
+
+/// The scene with a Gaussian a million units away, one at the same distance elsewhere, and one of a colour beyond all bounds.
+fn with_outliers(rows: &GaussianRows) -> GaussianRows {
+    let mut spoilt = rows.clone();
+    for (mean, colour) in [([0.0, 0.0, -1e6], 0.3), ([2e5, -3e5, -1e6], 0.3), ([0.1, 0.2, -0.3], -1e4)] {
+        spoilt.push(rows, 0);
+        *spoilt.means.last_mut().unwrap() = mean;
+        *spoilt.sh_dc.last_mut().unwrap() = [colour; 3];
+    }
+    spoilt
+}
+
+fn written_and_read(rows: &GaussianRows, format: Format) -> (GaussianRows, [usize; 3], GaussianRows) {
+    let (_folder, path) = folder_and_file(format);
+    let scene = scene(rows.clone());
+    let Written { rows, left_out, added, moved } = write(&path, &scene, format).unwrap();
+    (rows.into_owned(), [left_out, added, moved], read(&path).unwrap().0.rows)
+}
+
+#[test]
+fn outliers_have_chunks_of_their_own() {
+    for (count, filling) in [(300, 212), (256, 0), (1000, 24)] {
+        let rows = drawn(count);
+        let (alone, none, expected) = written_and_read(&rows, Format::CompressedPly);
+        let (written, counts, read) = written_and_read(&with_outliers(&rows), Format::CompressedPly);
+        assert_eq!((none, counts), ([0; 3], [0, filling, 0]));
+        assert_eq!((written.len(), read.len()), (count + filling + 3, count + filling + 3));
+        // The others are where they are without outliers, to the last bit.
+        let first = |rows: &GaussianRows| (rows.means[..count].to_vec(), rows.sh_dc[..count].to_vec());
+        assert_eq!((first(&written), first(&read)), (first(&alone), first(&expected)));
+        let hidden = read.logit_opacities[count..count + filling].iter();
+        assert!(hidden.map(|&logit| crate::gaussians::sigmoid(logit)).all(|opacity| opacity < 0.5 / 255.0));
+    }
+}
+
+#[test]
+fn outliers_do_not_make_the_grid_coarse() {
+    let rows = drawn(300);
+    let spoilt = with_outliers(&rows);
+    let (written, counts, read) = written_and_read(&spoilt, Format::Spz);
+    assert_eq!(counts, [0, 0, 2]);
+    let loss = QuantisationError::between(&written, &read);
+    // Half a step of 2⁻¹¹, a 12,000th of the scene's width.
+    assert!(loss.position.largest <= 0.87 * 0.5_f64.powi(11), "{loss:?}");
+    assert_eq!(written.means[..300], rows.means);
+    // From the middle of the scene, those that were moved have the direction and the angle that they had.
+    for row in 300..302 {
+        let [was, is] = [&spoilt, &written].map(|rows| DVec3::from_array(rows.means[row].map(f64::from)));
+        assert!(is.length() > 500.0 * 5.0 && is.length() < 1e4, "{is}");
+        assert!(was.angle_between(is) < 2e-4, "{was} and {is}");
+        let shrunk = f64::from(written.log_scales[row][0] - spoilt.log_scales[row][0]);
+        assert!((shrunk - (is.length() / was.length()).ln()).abs() < 1e-3, "{shrunk}");
+    }
+    // A scene in one place has no width to compare with.
+    let mut still = one();
+    (0..30).for_each(|_| still.push(&one(), 0));
+    still.push(&one(), 0);
+    still.means[31] = [1e4; 3];
+    assert_eq!(written_and_read(&still, Format::Spz).1, [0; 3]);
 }
 
 /// A few Gaussians with harmonics, so that a file has every part.

@@ -130,11 +130,12 @@ impl<F: Real> LossTask<'_, F> {
         let lane = F::Lanes::<S>::from_fn(simd, |lane| F::of(lane as f64));
         let mut row_sum = zero;
         let mut sweep = Sweep::<F, 3>::new(size.width);
-        let fill = |row: usize, [to, squares, products]: [&mut [F]; 3]| {
+        let fill = |row: usize, [to, own, both]: [&mut [F]; 3]| {
             let (x, y) = (&inputs.image[line(row)], &inputs.truth[line(row)]);
-            let to = to.iter_mut().zip(squares).zip(products);
-            for ((((to, square), product), &x), &y) in to.zip(x).zip(y) {
-                (*to, *square, *product) = (x, x * x, x * y);
+            let to = to.iter_mut().zip(own).zip(both);
+            for ((((to, own), both), &x), &y) in to.zip(x).zip(y) {
+                let rest = F::ONE - x;
+                (*to, *own, *both) = (x, x * rest, x * (F::ONE - y) + y * rest);
             }
         };
         sweep.run(
@@ -143,16 +144,15 @@ impl<F: Real> LossTask<'_, F> {
             size.height,
             fill,
             #[inline(always)]
-            |row, column, [mean_x, xx, xy]| {
+            |row, column, [mean_x, own, both]| {
                 let rest = line(row).start + column..line(row).end;
                 let (x, y) = (load(simd, &inputs.image[rest.clone()]), load(simd, &inputs.truth[rest.clone()]));
                 let (mean_y, variance) = (load(simd, &inputs.mean[rest.clone()]), load(simd, &inputs.variance[rest]));
-                let cross = mean_x * mean_y;
-                let square = mean_x * mean_x;
-                let a1 = cross.mul_add(two, c1);
-                let a2 = (xy - cross).mul_add(two, c2);
-                let b1 = mean_y.mul_add(mean_y, square) + c1;
-                let b2 = xx - square + variance;
+                let (rest_x, rest_y) = (one - mean_x, one - mean_y);
+                let a1 = (mean_x * mean_y).mul_add(two, c1);
+                let a2 = mean_y.mul_add(rest_x, mean_x * rest_y) - both + c2;
+                let b1 = mean_y.mul_add(mean_y, mean_x * mean_x) + c1;
+                let b2 = mean_x * rest_x - own + variance;
                 let inverse = one / (b1 * b2);
                 let index = a1 * a2 * inverse;
                 let share = (x - y).abs() * (one - lambda) + lambda * (one - index);
@@ -291,20 +291,23 @@ impl<F: Real, const N: usize> Sweep<F, N> {
     }
 }
 
-/// Returns the window on eleven vectors of values; it is symmetric about its middle.
+/// Returns the window on eleven vectors of values; it is symmetric about its middle. The smallest weights come first, so that
+/// only the last two sums are rounded to the ulp of the result.
 #[inline(always)]
 fn filtered<'a, S: Simd, F: Real>(
     simd: S,
     taps: &[F::Lanes<S>; HALF + 1],
     at: impl Fn(usize) -> &'a [F; LANES],
 ) -> F::Lanes<S> {
-    let mut sum = F::Lanes::<S>::from_slice(simd, at(HALF)) * taps[0];
-    for distance in 1..=HALF {
+    let pair = |distance: usize| {
         let above = F::Lanes::<S>::from_slice(simd, at(HALF - distance));
-        let below = F::Lanes::<S>::from_slice(simd, at(HALF + distance));
-        sum = (above + below).mul_add(taps[distance], sum);
+        above + F::Lanes::<S>::from_slice(simd, at(HALF + distance))
+    };
+    let mut sum = pair(HALF) * taps[HALF];
+    for distance in (1..HALF).rev() {
+        sum = pair(distance).mul_add(taps[distance], sum);
     }
-    sum
+    F::Lanes::<S>::from_slice(simd, at(HALF)).mul_add(taps[0], sum)
 }
 
 /// Loads the next eight values of a row, with zeros beyond its end.

@@ -101,17 +101,19 @@ impl UnitStrip {
     }
 }
 
-/// Returns the window applied at value `i` of a strip.
+/// Returns the window applied at value `i` of a strip. The smallest weights come first, so that only the last two sums are
+/// rounded to the ulp of the result.
 #[cube]
 fn windowed(values: &Array<f32>, #[comptime] i: usize) -> f32 {
     let taps = comptime!(half_window().map(|tap| tap as f32));
     let middle = comptime!(i + HALF);
-    let mut sum = values[middle] * comptime!(taps[0]);
+    let mut sum = comptime!(taps[HALF]) * (values[i] + values[comptime!(middle + HALF)]);
     #[unroll]
-    for d in 1..comptime!(HALF + 1) {
+    for k in 1..comptime!(HALF) {
+        let d = comptime!(HALF - k);
         sum += comptime!(taps[d]) * (values[comptime!(middle - d)] + values[comptime!(middle + d)]);
     }
-    sum
+    sum + values[middle] * comptime!(taps[0])
 }
 
 /// Applies the window along one axis.
@@ -129,7 +131,7 @@ pub(super) fn window_kernel(from: &[f32], to: &mut [f32], planes: Planes, #[comp
     }
 }
 
-/// Applies the window down the columns of `x`, `x²` and `x y`. Writes `moments`, `[3, C, H, W]`.
+/// Applies the window down the columns of `x`, `x(1 − x)` and `x(1 − y) + y(1 − x)`. Writes `moments`, `[3, C, H, W]`.
 #[cube(launch_unchecked)]
 pub(super) fn moments_kernel(image: &[f32], truth: &[f32], moments: &mut [f32], planes: Planes) {
     let (own, strip) = (own_strip(planes, true), comptime!(strip_of(true)));
@@ -137,20 +139,20 @@ pub(super) fn moments_kernel(image: &[f32], truth: &[f32], moments: &mut [f32], 
         let map = (planes.width * planes.height * planes.count) as usize;
         let x = own.load(image, 0usize, strip);
         let y = own.load(truth, 0usize, strip);
-        let mut xx = Array::<f32>::new(comptime!(strip + 2 * HALF));
-        let mut xy = Array::<f32>::new(comptime!(strip + 2 * HALF));
+        let mut own_moment = Array::<f32>::new(comptime!(strip + 2 * HALF));
+        let mut both = Array::<f32>::new(comptime!(strip + 2 * HALF));
         #[unroll]
         for i in 0..comptime!(strip + 2 * HALF) {
-            xx[i] = x[i] * x[i];
-            xy[i] = x[i] * y[i];
+            own_moment[i] = x[i] * (1.0 - x[i]);
+            both[i] = x[i] * (1.0 - y[i]) + y[i] * (1.0 - x[i]);
         }
         #[unroll]
         for i in 0..strip {
             if own.holds(i) {
                 let at = own.at(i);
                 moments[at] = windowed(&x, i);
-                moments[map + at] = windowed(&xx, i);
-                moments[2 * map + at] = windowed(&xy, i);
+                moments[map + at] = windowed(&own_moment, i);
+                moments[2 * map + at] = windowed(&both, i);
             }
         }
     }
@@ -168,15 +170,14 @@ pub(super) struct Similarity {
 
 #[cube]
 impl Similarity {
-    /// Computes the index from the window on the picture, on its square and on its product with the photograph, and
-    /// from the photograph's mean and `σy² + C2`. `share` is `1/N`.
-    pub fn of(mean_x: f32, xx: f32, xy: f32, mean_y: f32, variance_y: f32, share: f32) -> Similarity {
-        let square = mean_x * mean_x;
-        let cross = mean_x * mean_y;
-        let a1 = 2.0 * cross + comptime!(C1 as f32);
-        let a2 = 2.0 * (xy - cross) + comptime!(C2 as f32);
-        let b1 = square + mean_y * mean_y + comptime!(C1 as f32);
-        let b2 = xx - square + variance_y;
+    /// Computes the index from `μx`, `P`, `Q`, and the photograph's mean and `σy² + C2`. `share` is `1/N`.
+    pub fn of(mean_x: f32, own: f32, both: f32, mean_y: f32, variance_y: f32, share: f32) -> Similarity {
+        let rest_x = 1.0 - mean_x;
+        let rest_y = 1.0 - mean_y;
+        let a1 = 2.0 * mean_x * mean_y + comptime!(C1 as f32);
+        let a2 = mean_x * rest_y + mean_y * rest_x - both + comptime!(C2 as f32);
+        let b1 = mean_x * mean_x + mean_y * mean_y + comptime!(C1 as f32);
+        let b2 = mean_x * rest_x - own + variance_y;
         let inverse = 2.0 * share / (b1 * b2);
         let d_xy = inverse * a1;
         let index = d_xy * a2;
@@ -213,8 +214,8 @@ pub(super) fn index_kernel(
         for i in 0..strip {
             if own.holds(i) {
                 let at = own.at(i);
-                let (mean_x, xx, xy) = (windowed(&m, i), windowed(&mm, i), windowed(&mt, i));
-                let found = Similarity::of(mean_x, xx, xy, mean_y[at], variance_y[at], weights.share);
+                let (mean_x, own, both) = (windowed(&m, i), windowed(&mm, i), windowed(&mt, i));
+                let found = Similarity::of(mean_x, own, both, mean_y[at], variance_y[at], weights.share);
                 let apart = (image[at] - truth[at]).abs();
                 share += weights.absolute * apart + weights.lambda * (weights.share - 0.5 * found.index);
                 #[comptime]

@@ -7,8 +7,14 @@
 //!
 //! With `K` the window (11 × 11 taps, σ = 1.5 px, zero outside), the index of Wang et al. 2004, eq. 13, is
 //! `S = A1 A2 / (B1 B2)`, `A1 = 2 μx μy + C1`, `A2 = 2 σxy + C2`, `B1 = μx² + μy² + C1`, `B2 = σx² + σy² + C2`, where
-//! `μx = Kx`, `σx² = Kx² − μx²`, `σxy = Kxy − μx μy`. As `K` is its own adjoint,
-//! `∂S/∂x = K ∂μx + 2 x K ∂Kx² + y K ∂Kxy`, `∂Kxy = 2 A1/(B1 B2)`, `∂Kx² = −S/B2`,
+//! `μx = Kx`, `σx² = Kx² − μx²`, `σxy = Kxy − μx μy`.
+//!
+//! Variances are differences of moments, which lose the digits that both share. So the moments here are not squares but
+//! `P = K x(1 − x)` and `Q = K (x(1 − y) + y(1 − x))`, with `σx² = μx(1 − μx) − P` and `2 σxy = μx(1 − μy) + μy(1 − μx) − Q`.
+//! They are at most ¼ and 1, vanish where both pictures are black or white, and are zero outside the picture like `x` and `y`.
+//!
+//! The derivatives are those with respect to `Kx²` and `Kxy`, which cancel nothing where the pictures are black. As `K` is its own
+//! adjoint, `∂S/∂x = K ∂μx + 2 x K ∂Kx² + y K ∂Kxy`, `∂Kxy = 2 A1/(B1 B2)`, `∂Kx² = −S/B2`,
 //! `∂μx = 2 μy (A2 − A1)/(B1 B2) + 2 μx S (1/B2 − 1/B1)`.
 //!
 //! Shapes: all tensors are `[.., H, W]`, of at least two dimensions, with values 0 to 1.

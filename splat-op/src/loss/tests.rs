@@ -39,7 +39,7 @@ pub(super) fn shares(inputs: &[Vec<f64>], size: [usize; 2], lambda: f64) -> Vec<
     (0..x.len()).map(share).collect()
 }
 
-/// A picture, a photograph, its mean and its variance, rounded to f32.
+/// A picture and a photograph, rounded to f32, and the photograph's mean and `σy² + C2`.
 pub(super) fn pictures(size: [usize; 2], planes: usize) -> Vec<Vec<f64>> {
     let mut random = Random::new((size[0] + 1000 * size[1]) as u64);
     let len = planes * size[0] * size[1];
@@ -47,7 +47,7 @@ pub(super) fn pictures(size: [usize; 2], planes: usize) -> Vec<Vec<f64>> {
     let mean = window(&y, size);
     let square: Vec<f64> = y.iter().map(|y| y * y).collect();
     let variance = window(&square, size).iter().zip(&mean).map(|(yy, m)| yy - m * m + 9e-4).collect::<Vec<_>>();
-    vec![x, y, rounded(&mean), rounded(&variance)]
+    vec![x, y, mean, variance]
 }
 
 /// Widths around multiples of a vector, heights around multiples of a band, planes smaller than the window.

@@ -8,8 +8,8 @@ use cubecl::prelude::*;
 
 use super::blocks::{BLOCK, BLOCKS, HALF, blocks_met, pixel_of};
 use super::layer::{
-    BUCKET, BUCKETS, FOOTPRINT, KernelShape, LayerEllipse, RasterFrame, SEGMENT, TilePixel, colour, first_slot, layer,
-    tile_origin, transmittance_after_bucket,
+    BUCKET, BUCKETS, FOOTPRINT, KernelShape, LayerEllipse, RasterFrame, SEGMENT, TilePixel, add_compensated, colour,
+    first_slot, layer, lost_after_bucket, tile_origin, transmittance_after_bucket,
 };
 use super::trace::TileRun;
 use crate::intersect::forward::TileLists;
@@ -61,6 +61,8 @@ pub(super) fn rasterize_forward_kernel(
     let needed = Shared::<[Atomic<u32>]>::new_slice(comptime!(WORDS));
     let slowest = Shared::<[Atomic<u32>]>::new_slice(comptime!(if count_pairs { WORDS } else { 1 }));
     let mut anybody = Shared::<[u32]>::new_slice(1usize);
+    // What rounding took from each pixel's sums. A pixel needs it once per segment: it takes no register in between.
+    let mut lost_sums = Shared::<[f32]>::new_slice(comptime!(if few { channels * TILE_PIXELS } else { 1 }));
 
     if tile < run.end_tile {
         let unit = UNIT_POS;
@@ -81,11 +83,15 @@ pub(super) fn rasterize_forward_kernel(
         }
 
         let mut transmittance = select(pixel.inside, 1.0f32, -1.0f32);
+        let mut lost = 0.0f32;
         let mut sums = Array::<f32>::new(channels);
         let mut own = Array::<f32>::new(channels);
         #[unroll(few)]
         for channel in 0..channels {
             sums[channel] = 0.0f32;
+            if comptime!(few) {
+                lost_sums[channel * comptime!(TILE_PIXELS) + unit as usize] = 0.0f32;
+            }
         }
         let mut evaluated = 0u32;
         let mut kept_pairs = 0u32;
@@ -187,6 +193,7 @@ pub(super) fn rasterize_forward_kernel(
                 }
                 // A pixel that finishes in this bucket becomes negative here; one that finished earlier stays negative.
                 transmittance = transmittance_after_bucket(before, through, stopped);
+                lost = lost_after_bucket(lost, before, transmittance, through, stopped);
                 if comptime!(keep) && shown != 0 {
                     needed[at_word].fetch_or(shown);
                 }
@@ -196,13 +203,23 @@ pub(super) fn rasterize_forward_kernel(
             }
             #[unroll(few)]
             for channel in 0..channels {
-                sums[channel] += own[channel];
-                if comptime!(keep && few) {
-                    kept[at + (channel + 1) * comptime!(TILE_PIXELS)] = own[channel];
+                if comptime!(few) {
+                    let place = channel * comptime!(TILE_PIXELS) + unit as usize;
+                    let (sum, lost_sum) = add_compensated(sums[channel], lost_sums[place], own[channel]);
+                    sums[channel] = sum;
+                    lost_sums[place] = lost_sum;
+                    if comptime!(keep) {
+                        kept[at + (channel + 1) * comptime!(TILE_PIXELS)] = own[channel];
+                    }
+                } else {
+                    sums[channel] += own[channel];
                 }
             }
             if transmittance >= 0.0 {
                 anybody[0] = 1u32;
+                let (sum, lost_sum) = add_compensated(transmittance, lost, 0.0f32);
+                transmittance = sum;
+                lost = lost_sum;
             }
             sync_cube();
 

@@ -234,6 +234,25 @@ pub(super) fn transmittance_after_bucket(before: f32, through: f32, stopped: f32
     select(before >= 0.0, select(through >= 0.0, left, -left), before)
 }
 
+/// Returns the part of the transmittance behind a bucket that rounding took: from the part `lost` before the bucket, and from the
+/// arguments and the result `left` of [`transmittance_after_bucket`], neither negative.
+///
+/// The forward pass adds it at the end of each segment, so that the roundings of thousands of buckets do not add up. Within a
+/// segment all passes count with the rounded transmittance, from the one that the trace keeps.
+#[cube]
+pub(super) fn lost_after_bucket(lost: f32, before: f32, left: f32, through: f32, stopped: f32) -> f32 {
+    let rounding = fma(-stopped, before, before - left);
+    select(stopped < 0.5, fma(-stopped, lost, lost) + rounding, lost * through)
+}
+
+/// Returns `sum + value` and what rounding takes from it, plus `lost`, what it took before (Kahan 1965).
+#[cube]
+pub(super) fn add_compensated(sum: f32, lost: f32, value: f32) -> (f32, f32) {
+    let change = value + lost;
+    let total = sum + change;
+    (total, change - (total - sum))
+}
+
 /// Returns the first slot of a tile's segments. Each started segment has a slot, so no two tiles share one and no list
 /// of slots is needed.
 #[cube]

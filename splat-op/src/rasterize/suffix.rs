@@ -5,8 +5,8 @@ use cubecl::prelude::*;
 use super::blocks::{BLOCK, BLOCKS, pixel_of};
 use super::forward::WORDS;
 use super::layer::{
-    BUCKET, BUCKETS, FOOTPRINT, KernelShape, LayerEllipse, RasterFrame, SEGMENT, TilePixel, colour, first_slot, layer,
-    tile_origin, transmittance_after_bucket,
+    BUCKET, BUCKETS, FOOTPRINT, KernelShape, LayerEllipse, RasterFrame, SEGMENT, TilePixel, add_compensated, colour,
+    first_slot, layer, tile_origin, transmittance_after_bucket,
 };
 use super::trace::TileRun;
 use crate::gpu::reduce::cube_sum;
@@ -92,6 +92,7 @@ pub(super) fn rasterize_suffix_kernel(
         }
 
         let mut sum = farthest * behind;
+        let mut lost = 0.0f32;
         let segments = segment_count[tile as usize];
         // DirectX wants a barrier between such a reading and a loop with barriers.
         sync_cube();
@@ -101,10 +102,11 @@ pub(super) fn rasterize_suffix_kernel(
             suffix_rho[at_pixel] = select(behind > FAINTEST, sum / max(behind, FAINTEST), farthest);
             let at = (slot + segment) as usize * comptime!(shape.kept() * TILE_PIXELS) + unit as usize;
             let before = kept[at];
+            let mut added = 0.0f32;
             if comptime!(few) {
                 #[unroll]
                 for channel in 0..channels {
-                    sum += own[channel] * kept[at + (channel + 1) * comptime!(TILE_PIXELS)];
+                    added += own[channel] * kept[at + (channel + 1) * comptime!(TILE_PIXELS)];
                 }
             } else {
                 let place = segment * comptime!(SEGMENT as u32) + unit;
@@ -138,7 +140,7 @@ pub(super) fn rasterize_suffix_kernel(
                                 along += own[channel]
                                     * colour(projected, features, gaussians[place] as usize, channel, shape);
                             }
-                            sum += alpha * (transmittance * through) * along;
+                            added += alpha * (transmittance * through) * along;
                         }
                         through = next;
                         stopped = stops;
@@ -150,6 +152,9 @@ pub(super) fn rasterize_suffix_kernel(
                 }
                 sync_cube();
             }
+            let (total, lost_total) = add_compensated(sum, lost, added);
+            sum = total;
+            lost = lost_total;
             behind = before.abs();
         }
     }

@@ -307,3 +307,20 @@ fn assert_read(format: Format, rows: &GaussianRows, theirs: &[[f64; 14]]) {
         near("the opacity", row[10], opacity, 0.003);
     }
 }
+
+#[test]
+fn what_is_done_with_outliers_is_said() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let mut scene = formats::read(&trained()).unwrap().0;
+    let splats = scene.rows.len();
+    scene.rows.means[5] = [1e6, 0.0, 0.0];
+    formats::write(&path("far.ply"), &scene, Format::Ply).unwrap();
+    let convert = |to: &str| succeed(&mut splat(&["convert", text(&path("far.ply")), text(&path(to))])).stdout;
+    let filling = 256 - (splats - 1) % 256;
+    let said = convert("far.compressed.ply");
+    assert!(said.contains(&format!("added {filling} invisible splats")), "{said}");
+    assert_eq!(formats::read(&path("far.compressed.ply")).unwrap().0.rows.len(), splats + filling);
+    let said = convert("far.spz");
+    assert!(said.contains("the distance of 1 splats") && !said.contains("invisible"), "{said}");
+}

@@ -3,11 +3,13 @@
 mod blocks;
 mod browser;
 mod choices;
+mod clean;
 mod convert;
 mod effects;
 mod errors;
 mod export;
 mod hard_cases;
+mod info;
 mod live;
 mod lpips;
 mod memory;

@@ -14,6 +14,7 @@
 //!
 //! Frames, axes, harmonics and the comment with the origin are as in the original layout ([`crate::ply`]).
 
+mod groups;
 mod pack;
 mod read;
 mod row;
@@ -23,6 +24,7 @@ mod write;
 
 use ply_rs_bw::ply::Header;
 
+pub(super) use groups::fill_chunks;
 pub(super) use read::read;
 pub(super) use write::write;
 

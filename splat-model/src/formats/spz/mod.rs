@@ -22,8 +22,9 @@
 //! **Frame.** The format is right-up-back; scenes here and in PLY are right-down-front. Reading and writing change the signs of
 //! `y` and `z`, of these components of rotations, and of the harmonics that are odd in them ([`super::frame`]).
 //!
-//! **Fractions.** Positions are written with as many fractional bits as the farthest centre leaves; the reference always writes
-//! 12. All examined readers use the header's number.
+//! **Fractions.** Positions are written with as many fractional bits as the farthest centre leaves, but with no fewer than a room of
+//! 512 times the scene's width leaves: centres beyond that are moved to its border ([`reach`]). The reference always writes 12. All
+//! examined readers use the header's number.
 //!
 //! **Examined crates.** `spz` 0.0.6 (Jackneill) takes lengths from the header without checking the file, so that a hundred
 //! bytes can request terabytes, overflows in shifts for other headers, reads rotations of version 2 as zero, and depends on
@@ -35,11 +36,13 @@
 //! because files from elsewhere are safer with it.
 
 mod pack;
+mod reach;
 mod read;
 #[cfg(test)]
 mod tests;
 mod write;
 
+pub(super) use reach::bring_within_reach;
 pub(super) use read::{is_spz, read};
 pub(super) use write::write;
 pub use write::{SpzOptions, SpzVersion};

@@ -15,7 +15,7 @@ const AXES: [f32; 3] = HalfTurn::X.axes();
 const COLOUR: f64 = 0.15;
 
 /// The largest position in 24 bits.
-const MOST: f64 = 8_388_607.0;
+pub(super) const MOST: f64 = 8_388_607.0;
 
 /// Maximum number of fractional bits, so that `1 << bits` in readers does not overflow.
 const FRACTION_MAX: u32 = 24;
@@ -48,9 +48,13 @@ impl Layout {
     }
 }
 
-/// The largest number of fractional bits with which all positions fit.
-pub(super) fn fraction(rows: &GaussianRows) -> u32 {
-    let farthest = rows.means.as_flattened().iter().fold(0.0_f64, |far, x| far.max(f64::from(x.abs())));
+/// The largest magnitude of a coordinate.
+pub(super) fn farthest<'a>(means: impl IntoIterator<Item = &'a [f32; 3]>) -> f64 {
+    means.into_iter().flatten().fold(0.0, |far, x| far.max(f64::from(x.abs())))
+}
+
+/// The largest number of fractional bits with which positions up to `farthest` fit.
+pub(super) fn fraction(farthest: f64) -> u32 {
     let fits = |bits: &u32| (farthest * f64::from(1_u32 << bits)).round() <= MOST;
     (0..=FRACTION_MAX).rev().find(fits).unwrap_or(0)
 }

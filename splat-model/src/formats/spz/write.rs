@@ -6,7 +6,7 @@ use std::path::Path;
 use flate2::{Compression, GzBuilder};
 use rayon::prelude::*;
 
-use super::pack::{fraction, pack};
+use super::pack::{farthest, fraction, pack};
 use super::{ANTIALIASED, HEADER, MAGIC};
 use crate::formats::FormatError;
 use crate::gaussians::GaussianRows;
@@ -50,7 +50,7 @@ pub fn write(path: &Path, rows: &GaussianRows, antialiased: bool, options: SpzOp
 
 fn write_to(out: &mut impl Write, rows: &GaussianRows, antialiased: bool, options: SpzOptions) -> io::Result<()> {
     let count = u32::try_from(rows.len()).map_err(|_| io::Error::other("more Gaussians than the format can count"))?;
-    let fraction = fraction(rows);
+    let fraction = fraction(farthest(&rows.means));
     let sections = pack(rows, fraction, options.sh_bits.map(|bits| bits.clamp(1, 8)));
     let flags = if antialiased { ANTIALIASED } else { 0 };
     let header = |version: u32, streams: u8| {

@@ -2,7 +2,7 @@
 
 use splat_op::Intrinsics;
 
-use crate::case::{HardCase, Processor};
+use crate::case::HardCase;
 use crate::random::Random;
 use crate::scene::{HardScene, Splat, TruthSource};
 
@@ -11,10 +11,6 @@ const CROWD: usize = 200_000;
 
 /// Number of Gaussians that a driver in software can render.
 const SMALLER_CROWD: usize = 40_000;
-
-/// The kernels do not compensate for rounding, because that takes registers.
-const PLAIN: &str = "the kernels sum the light that the layers of a bucket stop, but multiply and add the buckets without \
-                     compensating for rounding, which the CPU does";
 
 /// Found with Mesa 22.3: lists above about 52,000 entries are truncated without an error.
 const LOOPS: &str = "Mesa's llvmpipe ends a kernel's loops after 65,535 iterations, whether or not they are finished";
@@ -47,15 +43,13 @@ pub fn cases() -> Vec<HardCase> {
             vec![crowd(CROWD)],
         )
         .hardness("200,000 layers")
-        .loose(Processor::Gpu, 10.0, PLAIN)
         .beyond_software(LOOPS),
         HardCase::scenes(
             "40,000 splats over one tile",
             "as above, for drivers in software, which cannot run more",
             vec![crowd(SMALLER_CROWD)],
         )
-        .hardness("40,000 layers")
-        .loose(Processor::Gpu, 2.0, PLAIN),
+        .hardness("40,000 layers"),
     ]
 }
 

@@ -19,31 +19,29 @@ const SIZE: [usize; 2] = [22, 17];
 /// Number of random moves of the inputs by one ulp.
 const DRAWS: u64 = 6;
 
-// Variances are differences of moments, as is usual in the field. To first order, one ulp does not change the true variance
-// of a flat picture, so the ceiling is narrow there.
-const MOMENTS: &str = "variances are differences of moments, as in all implementations of this loss: their rounding error, \
-                       6e-8 of the squared pixel value, is not small beside C2 = 9e-4";
+/// Multiple of the ceiling that the gradient of black against white is allowed.
+const BORDER_FACTOR: f64 = 3.0;
+
+// To first order, one ulp does not change the true variance of a flat picture, so the ceiling is narrow there.
+const BORDER: &str = "near the border of a white photograph the variance is its mean times one minus its mean, and the f32 mean leaves \
+                      few digits of the latter, which a fourth map, the window on 1 − x, would keep";
 
 pub fn cases() -> Vec<HardCase> {
-    let of = |name: &str, why, pair: (PictureFn, PictureFn), loose: &[(Processor, f64, &'static str)]| {
-        let limits = loose.to_vec();
-        let judge = move |place: &TestDevice| {
-            let limit =
-                limits.iter().find(|(processor, ..)| *processor == place.processor).map_or(1.0, |limit| limit.1);
-            similarity(place, pair.0, pair.1, limit)
-        };
-        let case = HardCase::check(format!("D-SSIM of {name}"), why, judge).hardness("σ² = 0");
-        loose.iter().fold(case, |case, (processor, factor, why)| case.loose(*processor, *factor, why))
+    let within = |name: &str, why, pair: (PictureFn, PictureFn), limit: f64| {
+        HardCase::check(format!("D-SSIM of {name}"), why, move |place| similarity(place, pair.0, pair.1, limit))
+            .hardness("σ² = 0")
     };
-    let moments = |cpu, gpu| [(Processor::Cpu, cpu, MOMENTS), (Processor::Gpu, gpu, MOMENTS)];
+    let of = |name: &str, why, pair| within(name, why, pair, 1.0);
     let constants = "variance and covariance are zero, and only the constants keep the ratio defined";
     vec![
-        of("black against white", constants, (black, white), &moments(3.0, 3.0)),
-        of("white against white", "the variance is the difference of two equal numbers", (white, white), &[]),
-        of("black against black", "everything is zero", (black, black), &[]),
-        of("grey against a photograph", "the first picture has no variance", (grey, noise), &[]),
-        of("a photograph against grey", "the second picture has no variance", (noise, grey), &[]),
-        of("an edge against white", "half of the windows are flat", (edge, white), &moments(3.0, 3.0)),
+        within("black against white", constants, (black, white), BORDER_FACTOR)
+            .loose(Processor::Cpu, BORDER_FACTOR, BORDER)
+            .loose(Processor::Gpu, BORDER_FACTOR, BORDER),
+        of("white against white", "the variance is the difference of two equal numbers", (white, white)),
+        of("black against black", "everything is zero", (black, black)),
+        of("grey against a photograph", "the first picture has no variance", (grey, noise)),
+        of("a photograph against grey", "the second picture has no variance", (noise, grey)),
+        of("an edge against white", "half of the windows are flat", (edge, white)),
         HardCase::check(
             "PSNR of identical pictures",
             "the logarithm of zero is infinite and would make every mean infinite",

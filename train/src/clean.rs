@@ -1,0 +1,269 @@
+//! `splat clean`: removes splats that do a scene no good, and reports what each kind cost.
+
+use std::fs;
+use std::path::PathBuf;
+use std::str::FromStr;
+
+use anyhow::{Context, Result, ensure};
+use burn::tensor::Device;
+use glam::DVec3;
+use splat_model::capture::{Capture, Photo};
+use splat_model::cleanup::{CameraHull, Contribution, ISOLATED, isolated};
+use splat_model::effects::background::Background;
+use splat_model::evaluate::evaluate;
+use splat_model::formats::{self, Format, SceneFile};
+use splat_model::gaussians::{GaussianRows, Gaussians};
+use splat_op::RenderOptions;
+
+use crate::accuracy::ModelArgs;
+use crate::background::ShownBackground;
+use crate::convert::describe_file;
+use crate::device::{self, DeviceName};
+use crate::options::PhotoArgs;
+use crate::{input, progress};
+
+/// Options of `splat clean`. Splats that cannot be rendered are always removed. With a capture and no choice of what to remove, those
+/// that no view shows and floaters are.
+#[derive(Clone, Debug, clap::Args)]
+pub struct CleanArgs {
+    /// Scene to clean, in any format that `convert` reads; it stays as it is
+    pub scene: PathBuf,
+    /// File to write, replacing an existing one; its name gives the format, as for `convert`
+    pub out: PathBuf,
+    /// Capture whose cameras say what is seen, and on whose held-out photographs the cost is measured
+    #[arg(long, value_name = "CAPTURE")]
+    pub capture: Option<PathBuf>,
+    /// Remove splats whose centres are outside the box between two corners, in the coordinates of the scene file
+    #[arg(long = "box", value_name = "X,Y,Z,X,Y,Z", allow_hyphen_values = true)]
+    pub crop: Option<CropBox>,
+    /// Remove splats whose centres are outside the convex hull of the cameras, widened on all sides by MARGIN times the radius of the
+    /// room that the cameras fill
+    #[arg(long, value_name = "MARGIN", requires = "capture", value_parser = margin)]
+    pub hull: Option<f64>,
+    /// Remove splats that no view of the capture shows: they change no pixel by half a level of 255
+    #[arg(long, requires = "capture")]
+    pub unseen: bool,
+    /// Remove floaters: splats three times as far from their neighbours as the closest quarter of these is from theirs, and never the
+    /// front of a view
+    #[arg(long, requires = "capture")]
+    pub floaters: bool,
+    /// Keep at most this many splats: those that contribute most to the pictures of all views
+    #[arg(long, value_name = "N", requires = "capture", value_parser = clap::value_parser!(u32).range(1..))]
+    pub max_splats: Option<u32>,
+    /// Device to compute on
+    #[arg(long, value_name = "NAME", default_value_t, help = device::help())]
+    pub device: DeviceName,
+    /// Photographs.
+    #[command(flatten)]
+    pub photos: PhotoArgs,
+    /// Model choices.
+    #[command(flatten)]
+    pub model: ModelArgs,
+    /// Background behind the scene: black, white, R,G,B from 0 to 1, or the background.json of a training run
+    #[arg(long, value_name = "WHAT", default_value_t)]
+    pub background: ShownBackground,
+}
+
+/// Parses the margin of a hull.
+fn margin(text: &str) -> Result<f64, String> {
+    let margin: Option<f64> = text.parse().ok();
+    margin
+        .filter(|margin| *margin >= 0.0 && margin.is_finite())
+        .ok_or_else(|| "expected a number from 0 on, such as 0.5".into())
+}
+
+/// A box along the axes of the scene file, between any two opposite corners.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CropBox([[f32; 3]; 2]);
+
+impl FromStr for CropBox {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let numbers: Option<Vec<f32>> = text.split(',').map(|part| part.trim().parse().ok()).collect();
+        let corners: Option<[f32; 6]> = numbers.and_then(|numbers| numbers.try_into().ok());
+        let [a, b, c, d, e, f] = corners
+            .filter(|corners| corners.iter().all(|x| !x.is_nan()))
+            .ok_or("expected the six coordinates of two corners, such as -1,-1,-1,1,1,1")?;
+        Ok(Self([[a.min(d), b.min(e), c.min(f)], [a.max(d), b.max(e), c.max(f)]]))
+    }
+}
+
+impl CropBox {
+    fn holds(&self, mean: &[f32; 3]) -> bool {
+        let Self([low, high]) = self;
+        (0..3).all(|axis| mean[axis] >= low[axis] && mean[axis] <= high[axis])
+    }
+}
+
+/// A capture with what renders of it need.
+struct Judge<'a> {
+    capture: &'a Capture,
+    /// The scene, with positions relative to the origin of the capture.
+    rows: GaussianRows,
+    /// Photographs on which the cost is measured.
+    photos: Vec<Photo>,
+    background: Background,
+    options: RenderOptions,
+    device: Device,
+    max_side: Option<u32>,
+}
+
+impl<'a> Judge<'a> {
+    fn new(args: &CleanArgs, capture: &'a Capture, scene: &SceneFile) -> Result<Self> {
+        let (device, _) = args.device.resolve()?;
+        let background = args.background.read()?;
+        let mut rows = scene.rows.clone();
+        input::move_means(&mut rows, (scene.origin - capture.origin).to_array());
+        let (split, _) = args.photos.split(capture);
+        let all: Vec<usize> = (0..capture.views.len()).collect();
+        let judged = if split.test.is_empty() { &all } else { &split.test };
+        let photos = input::photographs(capture, judged, args.photos.max_side, false)?;
+        let options = args.model.config().render_options(input::extent(capture));
+        Ok(Self { capture, rows, photos, background, options, device, max_side: args.photos.max_side })
+    }
+
+    fn some(&self, kept: &[usize]) -> GaussianRows {
+        input::selected(&self.rows, kept.iter().copied(), self.rows.sh_degree)
+    }
+
+    /// Mean PSNR of the photographs, dB.
+    fn psnr(&self, kept: &[usize]) -> Result<f64> {
+        let splats = Gaussians::from_rows(&self.some(kept), &self.device)?.splats();
+        Ok(evaluate(&splats, &self.photos, &self.background, &self.options, |_, _| ())?.psnr)
+    }
+
+    fn contribution(&self, kept: &[usize]) -> Result<Contribution> {
+        let views = &self.capture.views;
+        let counter = progress::counter("rendering the views", views.len());
+        let cameras = views.iter().map(|view| (view.intrinsics_within(self.max_side), view.cam_from_world));
+        let found = Contribution::of(&self.some(kept), cameras, &self.options, &self.device, || counter.inc(1))?;
+        counter.finish_and_clear();
+        Ok(found)
+    }
+}
+
+/// Rows that are left, and the score that they have.
+struct Kept<'a> {
+    rows: Vec<usize>,
+    judge: Option<&'a Judge<'a>>,
+    psnr: Option<f64>,
+}
+
+impl Kept<'_> {
+    /// Keeps the rows at the places for which `keeps` holds, and prints how many were removed and what that cost.
+    fn retain(&mut self, what: &str, keeps: impl Fn(usize, usize) -> bool) -> Result<()> {
+        let before = self.rows.len();
+        let mut place = 0;
+        self.rows.retain(|&row| {
+            place += 1;
+            keeps(place - 1, row)
+        });
+        let removed = before - self.rows.len();
+        ensure!(!self.rows.is_empty(), "no splat would be left: all of the last {removed} {what}");
+        let mut cost = String::new();
+        if let (Some(judge), Some(psnr)) = (self.judge, self.psnr) {
+            let now = if removed > 0 { judge.psnr(&self.rows)? } else { psnr };
+            cost = format!(": {:+.3} dB", now - psnr);
+            self.psnr = Some(now);
+        }
+        progress::say(&format!("removed {removed} that {what}{cost}"));
+        Ok(())
+    }
+}
+
+/// Writes the scene without the splats that are to be removed, and prints what each kind cost.
+///
+/// # Errors
+/// If the scene or the capture cannot be read, there is nothing to remove by, no splat would be left, both paths name the same file,
+/// or the file cannot be written.
+pub fn run(args: &CleanArgs) -> Result<()> {
+    let shown = args.out.display();
+    let format = Format::of_name(&args.out).with_context(|| {
+        format!("the name {shown} does not give a format: end it in one of those of `splat convert`")
+    })?;
+    let same =
+        fs::canonicalize(&args.out).is_ok_and(|out| fs::canonicalize(&args.scene).is_ok_and(|scene| scene == out));
+    ensure!(!same, "{shown} is the scene itself: name another file, so that the scene stays as it is");
+    ensure!(
+        args.crop.is_some() || args.capture.is_some(),
+        "nothing says what to remove: give `--box`, or `--capture` to find splats that no view shows and floaters"
+    );
+    let (mut scene, found) = formats::read(&args.scene).context("cannot read the scene")?;
+    scene.rows.check()?;
+    let capture = args.capture.as_deref().map(input::capture).transpose()?;
+    let judge = capture.as_ref().map(|capture| Judge::new(args, capture, &scene)).transpose()?;
+    progress::say(&describe_file(&args.scene, found, scene.rows.len(), scene.rows.sh_degree)?);
+
+    let all: Vec<usize> = (0..scene.rows.len()).collect();
+    let psnr = judge.as_ref().map(|judge| judge.psnr(&all)).transpose()?;
+    let mut kept = Kept { rows: all, judge: judge.as_ref(), psnr };
+    if scene.rows.unusable() > 0 {
+        kept.retain("cannot be rendered", |_, row| scene.rows.is_usable(row))?;
+    }
+    if let Some(crop) = &args.crop {
+        kept.retain("are outside the box", |_, row| crop.holds(&scene.rows.means[row]))?;
+    }
+    if let Some(judge) = &judge {
+        by_views(args, judge, &mut kept)?;
+    }
+    let photos = judge.as_ref().map_or(0, |judge| judge.photos.len());
+    if let (Some(before), Some(after)) = (psnr, kept.psnr) {
+        progress::say(&format!("PSNR of {photos} photographs: {before:.3} dB before, {after:.3} dB after"));
+    }
+    scene.rows = input::selected(&scene.rows, kept.rows, scene.rows.sh_degree);
+    if let Some(folder) = args.out.parent() {
+        fs::create_dir_all(folder).with_context(|| format!("cannot make the folder for {shown}"))?;
+    }
+    let written = formats::write(&args.out, &scene, format).context("cannot write the cleaned scene")?;
+    progress::say(&describe_file(&args.out, format, written.rows.len(), written.rows.sh_degree)?);
+    Ok(())
+}
+
+/// Removes what the views of the capture decide.
+fn by_views(args: &CleanArgs, judge: &Judge, kept: &mut Kept) -> Result<()> {
+    if let Some(margin) = args.hull {
+        let centres: Vec<DVec3> =
+            judge.capture.views.iter().map(|view| view.cam_from_world.inverse().translation).collect();
+        let hull = CameraHull::new(&centres, margin);
+        kept.retain("are outside the cameras' hull", |_, row| hull.holds(judge.rows.means[row]))?;
+    }
+    let by_default = args.crop.is_none() && args.hull.is_none() && args.max_splats.is_none();
+    let by_default = by_default && !args.unseen && !args.floaters;
+    if args.unseen || by_default {
+        let contribution = judge.contribution(&kept.rows)?;
+        kept.retain("no view shows", |place, _| !contribution.is_unseen(place))?;
+    }
+    if args.floaters || by_default {
+        let contribution = judge.contribution(&kept.rows)?;
+        let alone = isolated(&judge.some(&kept.rows), ISOLATED);
+        kept.retain("float in free space", |place, _| !alone[place] || contribution.is_front[place])?;
+    }
+    if let Some(most) = args.max_splats.map(|most| most as usize).filter(|most| *most < kept.rows.len()) {
+        let total = judge.contribution(&kept.rows)?.total_px;
+        let mut places: Vec<usize> = (0..total.len()).collect();
+        places.sort_by(|&a, &b| total[b].total_cmp(&total[a]));
+        let mut stays = vec![false; total.len()];
+        places[..most].iter().for_each(|&place| stays[place] = true);
+        kept.retain("contribute least", |place, _| stays[place])?;
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_box_lies_between_any_two_corners() {
+        let of = |text: &str| text.parse::<CropBox>();
+        let crop = of("1,-2, 3,-1,2,-3").unwrap();
+        assert_eq!(crop, CropBox([[-1.0, -2.0, -3.0], [1.0, 2.0, 3.0]]));
+        assert!(crop.holds(&[1.0, 2.0, -3.0]) && !crop.holds(&[1.1, 0.0, 0.0]) && !crop.holds(&[f32::NAN, 0.0, 0.0]));
+        // Half of space.
+        assert!(of("-inf,-inf,0,inf,inf,inf").unwrap().holds(&[1e30, -1e30, 0.5]));
+        for text in ["", "1,2,3", "1,2,3,4,5,6,7", "a,2,3,4,5,6", "nan,2,3,4,5,6"] {
+            assert!(of(text).unwrap_err().contains("six coordinates"), "{text}");
+        }
+    }
+}
