@@ -19,8 +19,9 @@ pub(crate) const LEAST_NO_RAY: f64 = 1e29;
 /// Number of pictures whose rays are kept.
 const KEPT: usize = 4;
 
-/// Radius, relative to the farthest ray of the picture, up to which [`PictureRays::bend_px`] holds for slopes.
-const BEYOND: f64 = 1.25;
+/// Radius, relative to the farthest ray of the picture, up to which [`PictureRays::bend_px`] holds: of slopes, and of the angles of a
+/// fisheye.
+const BEYOND: [f64; 2] = [1.25, 1.5];
 
 /// The rays of a picture that was taken through a lens.
 #[derive(Debug)]
@@ -34,7 +35,7 @@ pub(crate) struct PictureRays {
     /// Largest distance of a ray from the axis, as a slope.
     pub farthest: f64,
     /// Upper bound of the second derivative of the planar map of [`CameraModel`], px, up to the distance `bend_radius` from the
-    /// axis, a slope; of a fisheye, which maps angles, everywhere in its domain.
+    /// axis, a slope.
     pub bend_px: f64,
     pub bend_radius: f64,
     /// Upper bound of the first derivative of a fisheye's planar map, px.
@@ -82,16 +83,17 @@ impl PictureRays {
             let s = DVec2::from_array(*s);
             (low, high, farthest) = (low.min(s), high.max(s), farthest.max(s.length()));
         }
-        let bend_radius = if fisheye { domain } else { (BEYOND * farthest).min(domain) };
+        let [of_slopes, of_angles] = BEYOND;
+        let limit = if fisheye { of_angles * farthest.atan() } else { of_slopes * farthest }.min(domain);
         let focal = camera.fx.max(camera.fy);
-        let [stretch, bend] = lens.steepest(bend_radius).map(|value| focal * value);
+        let [stretch, bend] = lens.steepest(limit).map(|value| focal * value);
         Self {
             slopes,
             low: low.to_array(),
             high: high.to_array(),
             farthest,
             bend_px: bend,
-            bend_radius: if fisheye { FAR } else { bend_radius },
+            bend_radius: if fisheye { limit.tan() } else { limit },
             stretch_px: if fisheye { stretch } else { 0.0 },
         }
     }

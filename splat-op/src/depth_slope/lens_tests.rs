@@ -142,7 +142,7 @@ fn bounds_hold_what_shows_and_little_more() {
             check_tiles::<f32>(lens, 130.0, (0.9, alpha_min));
             println!("{lens:?}: {needed} needed, {listed} listed");
             // Large ones beside the picture, where the bound of the second derivative ends, are listed everywhere.
-            assert!(needed > 800 && 4 * needed > listed, "{lens:?}: {needed} needed, {listed} listed");
+            assert!(needed > 800 && 5 * needed > listed, "{lens:?}: {needed} needed, {listed} listed");
         }
     }
     // Up to 88° from the axis: 55 px per radian.
@@ -150,7 +150,7 @@ fn bounds_hold_what_shows_and_little_more() {
         let [needed, listed] = check_tiles::<f64>(lens, 55.0, (4.0, 1.0 / 255.0));
         check_tiles::<f32>(lens, 55.0, (4.0, 1.0 / 255.0));
         println!("{lens:?}, wide: {needed} needed, {listed} listed");
-        assert!(needed > 800 && 10 * needed > listed, "{lens:?}: {needed} needed, {listed} listed");
+        assert!(needed > 400 && 12 * needed > listed, "{lens:?}: {needed} needed, {listed} listed");
     }
 }
 

@@ -70,8 +70,8 @@
 //!
 //! `intersect` needs bounds in the picture. The lens maps the slopes `t₀ + G⁻¹ d` to `mean_px + d + r` with
 //! `|r| <= δ = ½ K |t − t₀|²` for an upper bound `K` of the second derivative, so the bounds are the row above and `δ` px all around it.
-//! For perspective lenses `K` holds up to a quarter beyond the picture; rows of centres farther out cover the picture, unless their
-//! slopes miss those of the picture. A fisheye maps slopes to angles `a(t)` first, whose second derivative falls towards the border:
+//! `K` holds up to a quarter (fisheyes: half) of the picture's radius beyond it; rows of centres farther out cover the picture, unless
+//! their slopes miss those of the picture. A fisheye maps slopes to angles `a(t)` first, whose second derivative falls towards the border:
 //! for `h = (hᵣ, hₜ)` along and across the direction from the axis, at the distance `r` from it, with `θ = atan r`,
 //!
 //! ```text
