@@ -133,6 +133,8 @@ pub mod rasterize_rays;
 // What effects do to a render before the loss.
 pub mod bilateral;
 
+pub mod colour_map;
+
 pub mod environment;
 
 pub mod optics;

@@ -10,7 +10,7 @@
 
 use burn::tensor::{Device, Gradients, Tensor};
 use serde::{Deserialize, Serialize};
-use splat_op::Rendered;
+use splat_op::{Rendered, colour_map};
 
 use super::centred::Centred;
 use super::learned::{EffectContext, Falling};
@@ -62,7 +62,7 @@ impl Effect for Exposure {
 
     /// The result is not clamped: beyond 0 and 1 the gradient leads back.
     fn image(&mut self, image: Tensor<3>, _: &RenderInput, _: &Rendered<3>, at: EffectContext) -> Tensor<3> {
-        apply(image, self.maps.tracked(at.view))
+        apply(&image, &self.maps.tracked(at.view))
     }
 
     fn penalty(&mut self, _: &RenderInput, _: &Rendered<3>, at: EffectContext) -> Option<Tensor<1>> {
@@ -83,12 +83,8 @@ impl Effect for Exposure {
 }
 
 /// `A c + b` for every pixel of `image`, `[H, W, 3]`, with `affine` `[3, 4]`. Differentiable in both.
-pub fn apply(image: Tensor<3>, affine: Tensor<2>) -> Tensor<3> {
-    let [height, width, channels] = image.dims();
-    // A render is a permuted view of planes, so this permutation returns to its storage without a copy.
-    let pixels = image.permute([2, 0, 1]).reshape([channels, height * width]);
-    let shown = affine.clone().narrow(1, 0, 3).matmul(pixels) + affine.narrow(1, 3, 1);
-    shown.reshape([channels, height, width]).permute([1, 2, 0])
+pub fn apply(image: &Tensor<3>, affine: &Tensor<2>) -> Tensor<3> {
+    colour_map::apply(image, affine).expect("a render and a map of this effect, on one device")
 }
 
 #[cfg(test)]
@@ -109,7 +105,7 @@ mod tests {
     fn the_map_is_affine_in_the_colour() {
         let device = Device::flex();
         let image = picture(&device);
-        let shown = values_of(apply(image.clone(), Tensor::from_floats(AFFINE, &device)));
+        let shown = values_of(apply(&image, &Tensor::from_floats(AFFINE, &device)));
         for (before, after) in values_of(image).chunks_exact(3).zip(shown.chunks_exact(3)) {
             for (row, after) in AFFINE.iter().zip(after) {
                 let expected = row[0] * before[0] + row[1] * before[1] + row[2] * before[2] + row[3];
@@ -123,7 +119,7 @@ mod tests {
         let device = Device::flex();
         let mut exposure = Exposure::new(ExposureConfig::default(), 2, &device);
         let image = picture(&device);
-        let shown = apply(Tensor::from_inner(image.clone()), exposure.maps.tracked(1)).inner();
+        let shown = apply(&Tensor::from_inner(image.clone()), &exposure.maps.tracked(1)).inner();
         assert_eq!(values_of(shown), values_of(image));
         assert_eq!(exposure.pull(0).into_scalar::<f32>(), 0.0);
     }
@@ -137,12 +133,12 @@ mod tests {
         let identity = exposure.maps.neutral();
         let first = Tensor::<2>::from_floats(AFFINE, &device);
         let maps = [first.clone(), identity.clone() * 2.0 - first];
-        let truths = maps.clone().map(|map| apply(image.clone(), map));
+        let truths = maps.clone().map(|map| apply(&image, &map));
         let tracked = Tensor::from_inner(image);
         let steps = 1200;
         for step in 1..=steps {
             let view = step % 2;
-            let shown = apply(tracked.clone(), exposure.maps.tracked(view));
+            let shown = apply(&tracked, &exposure.maps.tracked(view));
             let loss = (shown - Tensor::from_inner(truths[view].clone())).square().mean() + exposure.pull(view);
             exposure.step(&mut loss.backward(), EffectContext { view, step, steps, verdict: None });
         }

@@ -12,6 +12,7 @@ pub(crate) mod activate;
 pub(crate) mod adam;
 mod autodiff;
 pub(crate) mod bilateral;
+pub(crate) mod colour_map;
 mod cpu;
 #[cfg(feature = "cube")]
 mod cube;
@@ -32,6 +33,7 @@ pub use activate::{ActivateBackend, Activated};
 #[cfg(feature = "cube")]
 pub use adam::{AdamBackend, AdamInputs, AdamState, SceneGradientTensors, SceneInputs, SceneState, SceneStates};
 pub use bilateral::BilateralBackend;
+pub use colour_map::ColourMapBackend;
 pub use custom_grad::CustomGradBackend;
 pub use environment::EnvironmentBackend;
 pub use loss::{Photometric, PhotometricBackend};
@@ -42,12 +44,14 @@ pub use stages::SplatBackend;
 pub use tally::{TalliedTensors, TallyBackend, TallyTensors};
 pub use tensors::{
     ComparedTensors, ExposedGrads, ExposedTensors, GeometryGrads, GeometryTensors, InputTensor, LayerGrads,
-    LayerTensors, OptionalIntTensor, OptionalTensor, RawTensors, RayLayerGrads, RayLayerTensors, ShadingGrads,
-    ShadingTensors, SkyGrads, SkyTensors, SliceGrads, SliceTensors, SmoothGrads, SmoothTensors,
+    LayerTensors, MappedGrads, MappedTensors, OptionalIntTensor, OptionalTensor, RawTensors, RayLayerGrads,
+    RayLayerTensors, ShadingGrads, ShadingTensors, SkyGrads, SkyTensors, SliceGrads, SliceTensors, SmoothGrads,
+    SmoothTensors,
 };
 
 pub use crate::activate::rule::Raw;
 pub use crate::bilateral::Sliced;
+pub use crate::colour_map::Mapped;
 pub use crate::environment::Sky;
 pub use crate::intersect::IntersectionCell;
 pub use crate::loss::taps::Compared;

@@ -10,6 +10,7 @@ use burn::tensor::{Int, Tensor};
 
 use crate::activate::rule::Raw;
 use crate::bilateral::Sliced;
+use crate::colour_map::Mapped;
 use crate::environment::Sky;
 use crate::loss::taps::Compared;
 use crate::optics::Exposed;
@@ -124,6 +125,10 @@ pub type ComparedTensors<B> = Compared<InputTensor<B>>;
 pub type SliceTensors<B> = Sliced<InputTensor<B>>;
 /// Gradients of the inputs of `bilateral_slice`.
 pub type SliceGrads<B> = Sliced<OptionalTensor<B>>;
+/// Inputs of `colour_map`.
+pub type MappedTensors<B> = Mapped<InputTensor<B>>;
+/// Gradients of the inputs of `colour_map`.
+pub type MappedGrads<B> = Mapped<OptionalTensor<B>>;
 /// Inputs of `environment`.
 pub type SkyTensors<B> = Sky<InputTensor<B>>;
 /// Gradients of the inputs of `environment`.
@@ -175,7 +180,7 @@ macro_rules! crosses {
     )*};
 }
 
-crosses!(Geometry, Shading, Layers, RayLayers, Raw, Compared, Sliced, Sky, Exposed, Smooth);
+crosses!(Geometry, Shading, Layers, RayLayers, Raw, Compared, Sliced, Sky, Exposed, Smooth, Mapped);
 
 #[cfg(feature = "fusion")]
 mod fused {
@@ -258,5 +263,5 @@ mod fused {
         )*};
     }
 
-    crosses_later!(Geometry, Shading, Layers, RayLayers, Raw, Compared, Sliced, Sky, Exposed, Smooth);
+    crosses_later!(Geometry, Shading, Layers, RayLayers, Raw, Compared, Sliced, Sky, Exposed, Smooth, Mapped);
 }

@@ -164,13 +164,13 @@ impl<S: Simd, F: Real> ProjectionTermsSimd<S, F> {
         seen = seen & finite(ratio[0]) & finite(ratio[1]) & quaternion_length.simd_gt(zero);
         let m = [hadamard(j[0], g.scale), hadamard(j[1], g.scale)];
 
-        let norm = |v| norm::<S, F>(simd, v);
-        let sigma_u = norm([norm(m[0]), lens.blur_sigma, zero]);
+        // Not by a closure: one that is not inlined lacks the vector registers.
+        let sigma_u = norm::<S, F>(simd, [norm::<S, F>(simd, m[0]), lens.blur_sigma, zero]);
         let n = scale(m[0], one / sigma_u);
         let along = scale(m[1], one / sigma_u);
         let p = cross(n, m[1]);
-        let p_norm = norm(p);
-        let sigma_v = norm([lens.blur_sigma, p_norm, lens.blur_sigma * norm(along)]);
+        let p_norm = norm::<S, F>(simd, p);
+        let sigma_v = norm::<S, F>(simd, [lens.blur_sigma, p_norm, lens.blur_sigma * norm::<S, F>(simd, along)]);
         let shear = dot(n, along);
         seen = seen & sigma_u.simd_gt(zero) & finite(sigma_u) & sigma_v.simd_gt(zero) & finite(sigma_v) & finite(shear);
         let (compensation, compensation_free) = if lens.antialias {
