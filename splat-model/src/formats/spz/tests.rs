@@ -323,7 +323,12 @@ fn versions_three_and_four_hold_the_same() {
         assert_eq!((&ours[..12], &ours[16..HEADER]), (&theirs[..12], &theirs[16..HEADER]));
         assert_eq!(
             ours[12..16],
-            [sh_degree as u8, fraction(farthest(&scene.rows.means)) as u8, 1, if sh_degree == 0 { 5 } else { theirs[15] }]
+            [
+                sh_degree as u8,
+                fraction(farthest(&scene.rows.means)) as u8,
+                1,
+                if sh_degree == 0 { 5 } else { theirs[15] }
+            ]
         );
         // The plain sizes of the table's entries are those of the reference.
         for entry in 0..5 {
