@@ -67,7 +67,7 @@ impl<F: Real> LensLimits<F> {
     pub fn bent(&self, row: &Ellipse<F>, e: &Ellipse<F>, frame: &LensFrame<F>) -> Option<Ellipse<F>> {
         let ([[a, b], [c, d]], centre) = (frame.by, frame.centre);
         let determinant = a * d - b * c;
-        let rounding = F::of(ROUNDING) * F::EPSILON * ((a * d).abs() + (b * c).abs()) / determinant.abs();
+        let rounding = F::of(ROUNDING) * ((a * d).abs() + (b * c).abs()) / determinant.abs();
         if !(rounding < F::of(1e-2)) {
             return None;
         }
@@ -81,7 +81,7 @@ impl<F: Real> LensLimits<F> {
         let reach = (length(middle) + norm([length(along), length(across), F::ZERO])) * farther;
         for k in 0..2 {
             let half = (length([along[k], across[k]]) + middle[k].abs()) * rounding + length([along[k], across[k]]);
-            let slack = half + F::of(ROUNDING) * F::EPSILON * centre[k].abs();
+            let slack = half + F::of(ROUNDING) * centre[k].abs();
             let at = centre[k] + middle[k];
             if at + slack < self.low[k] || at - slack > self.high[k] {
                 return Some(Ellipse { opacity: F::ZERO, ..*row });
@@ -112,7 +112,7 @@ impl<F: Real> LensLimits<F> {
             half * self.bend_px * reach * reach
         };
         let scale = a.abs() + b.abs() + c.abs() + d.abs();
-        Some(wider(row, (bend + F::of(ROUNDING) * F::EPSILON * scale * radius) / extent))
+        Some(wider(row, (bend + F::of(ROUNDING) * scale * radius) / extent))
     }
 }
 

@@ -101,7 +101,7 @@ fn length(x: f32, y: f32) -> f32 {
 /// Whether the interval around `at` misses that from `low` to `high`. `half` is half its length, `error` that of the middle.
 #[cube]
 fn misses(centre: f32, middle: f32, half: f32, rounding: f32, low: f32, high: f32) -> bool {
-    let slack = (half + middle.abs()) * rounding + half + comptime!(ROUNDING as f32 * f32::EPSILON) * centre.abs();
+    let slack = (half + middle.abs()) * rounding + half + comptime!(ROUNDING as f32) * centre.abs();
     let at = centre + middle;
     at + slack < low || at - slack > high
 }
@@ -109,7 +109,7 @@ fn misses(centre: f32, middle: f32, half: f32, rounding: f32, low: f32, high: f3
 #[cube]
 impl LensLimits {
     pub fn bent(&self, row: &PackedEllipse, e: &PackedEllipse, frame: &LensFrame) -> BentRow {
-        let error = comptime!(ROUNDING as f32 * f32::EPSILON);
+        let error = comptime!(ROUNDING as f32);
         let extent = comptime!(EXTENT as f32);
         let (a, b, c, d) = (frame.x.x, frame.x.y, frame.y.x, frame.y.y);
         let determinant = a * d - b * c;
