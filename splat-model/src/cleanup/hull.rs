@@ -56,7 +56,7 @@ impl CameraHull {
             }
             let way = self.centres[nearest] - self.centres[farthest];
             let share = (-difference.dot(way) / way.length_squared()).clamp(0.0, weights[farthest]);
-            if !(share > 0.0) {
+            if share.is_nan() || share <= 0.0 {
                 break;
             }
             weights[nearest] += share;
