@@ -11,7 +11,7 @@ const NEGLIGIBLE: f64 = 0.02;
 /// Slope of the logistic function that stands for the normal distribution's: the two differ by at most 0.01 (Bowling et al. 2009).
 const LOGISTIC: f64 = 1.702;
 
-/// Appends to `kept` what `cell` keeps of a block's rows: the Gaussians in it.
+/// Appends to `kept` what `cell` keeps of a block's rows: the Gaussians in it that can be rendered.
 ///
 /// A Gaussian that reaches across a border belongs to each side by the share of its mass there, `w`, and its opacity `α` becomes
 /// `1 − (1 − α)^w`, a share `w` of its optical depth. Where two blocks have the same Gaussian, the parts add up to the whole. Had each block to keep or drop such
@@ -22,8 +22,9 @@ const LOGISTIC: f64 = 1.702;
 pub fn keep(cell: &Bounds, rows: &GaussianRows, kept: &mut GaussianRows) {
     assert_eq!(rows.sh_degree, kept.sh_degree, "rows of one degree");
     for row in 0..rows.len() {
-        let share = share_of(cell, rows, row);
-        if share.is_nan() || share < NEGLIGIBLE {
+        // A Gaussian that cannot be rendered has no share.
+        let share = if rows.is_usable(row) { share_of(cell, rows, row) } else { 0.0 };
+        if share < NEGLIGIBLE {
             continue;
         }
         kept.push(rows, row);
