@@ -269,27 +269,4 @@ mod tests {
         let late = choose(&scene, &Target { error_db: None, ms: Some(1e9) }).unwrap().why;
         assert!(late.contains("8 of 12") && late.contains("no promise above 70 dB"), "{late}");
     }
-
-    /// The first views see little of the scene, and so have smaller errors than the others.
-    #[test]
-    fn a_choice_holds_on_views_that_show_more_than_the_first() {
-        let (rows, device) = (rows(60), Device::flex());
-        let shot = |x: f64| {
-            let cam_from_world = DAffine3::from_translation(DVec3::new(x, 0.0, 0.1));
-            MeasuredView { intrinsics: CAMERA, cam_from_world, photo: None }
-        };
-        let shots: Vec<_> = (0..8).map(|view| shot(if view % 4 == 0 { 3.0 } else { 0.1 * f64::from(view) })).collect();
-        let base = RenderOptions::standard();
-        let (background, device, work) = ([0.0; 3], (&device, "flex"), Workload::Render);
-        let scene = UnmeasuredScene { rows: &rows, shots, background, base, device, work };
-        let on = |shots, options| error_db(&UnmeasuredScene { shots, ..scene }, &options, 50.0).unwrap();
-        let first_db = on(vec![scene.shots[0], scene.shots[4]], base);
-        let all_db = on(scene.shots.clone(), base);
-        assert!(first_db > all_db + 6.0, "{first_db}, {all_db}");
-        // The standard would do on the first views.
-        let choice = choose(&scene, &Target { error_db: Some(all_db + 3.0), ms: None }).unwrap();
-        let reached_db = on(scene.shots.clone(), choice.measured.turned.apply(base));
-        assert!(reached_db >= all_db + 3.0 && (reached_db - choice.measured.error_db).abs() < 1e-9, "{reached_db}");
-        assert!(choice.why.contains("(8 of 8 views were measured, half of them with "), "{}", choice.why);
-    }
 }
