@@ -42,6 +42,7 @@ pub struct Cli {
 
 /// The subcommands.
 #[derive(Clone, Debug, Subcommand)]
+#[allow(clippy::large_enum_variant, reason = "a process has one")]
 pub enum Command {
     /// Train a scene on a capture, then score it on the held-out photographs
     Train(TrainArgs),

@@ -1,5 +1,5 @@
 use burn::tensor::Device;
-use glam::{DAffine3, DVec3};
+use glam::{DAffine3, DVec2, DVec3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use splat_op::{Intrinsics, RenderOptions};
@@ -104,7 +104,7 @@ fn the_hull_of_cameras_is_convex_and_has_a_margin() {
     assert!(wide.holds(corner(0.99)) && !wide.holds(corner(1.01)));
     // Cameras on a circle: as thick as the margin.
     let circle: Vec<DVec3> =
-        (0..12).map(|i| DVec3::new((f64::from(i) * 0.5236).cos(), (f64::from(i) * 0.5236).sin(), 0.0)).collect();
+        (0..12).map(|i| DVec2::from_angle(f64::from(i) * std::f64::consts::FRAC_PI_6).extend(0.0)).collect();
     let flat = CameraHull::new(&circle, 1.0);
     assert!(flat.holds([0.0, 0.0, 1.09]) && !flat.holds([0.0, 0.0, 1.11]));
     assert!(!flat.holds([f32::NAN, 0.0, 0.0]));

@@ -160,8 +160,8 @@ const DEFOCUS_MS: (f64, f64) = (14.0, 187.0);
 /// The part per megapixel of an environment's harmonics where they are computed anew in each step.
 const HARMONICS_MS: f64 = 14.0;
 
-/// Number of an environment's harmonics, of degree 2.
-const HARMONICS: usize = 9;
+/// Number of an environment's harmonics, of degree 3.
+const HARMONICS: usize = 16;
 
 const MIB: f64 = (1 << 20) as f64;
 

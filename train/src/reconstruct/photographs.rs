@@ -21,44 +21,43 @@ const MOST_CAMERAS: usize = 8;
 
 /// COLMAP's camera models that the projection supports without undistortion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-#[value(rename_all = "verbatim")]
-#[expect(non_camel_case_types, reason = "COLMAP's names")]
+#[value(rename_all = "SCREAMING_SNAKE_CASE")]
 pub enum CameraModelName {
     /// One focal length
-    SIMPLE_PINHOLE,
+    SimplePinhole,
     /// Two focal lengths
-    PINHOLE,
+    Pinhole,
     /// One focal length, one radial coefficient
-    SIMPLE_RADIAL,
+    SimpleRadial,
     /// One focal length, two radial coefficients
-    RADIAL,
+    Radial,
     /// Two focal lengths, two radial and two decentring coefficients: phones and most lenses
-    OPENCV,
+    Opencv,
     /// Fisheyes: two focal lengths, four coefficients
-    OPENCV_FISHEYE,
+    OpencvFisheye,
 }
 
 impl CameraModelName {
     /// COLMAP's name.
     pub fn name(self) -> &'static str {
         match self {
-            Self::SIMPLE_PINHOLE => "SIMPLE_PINHOLE",
-            Self::PINHOLE => "PINHOLE",
-            Self::SIMPLE_RADIAL => "SIMPLE_RADIAL",
-            Self::RADIAL => "RADIAL",
-            Self::OPENCV => "OPENCV",
-            Self::OPENCV_FISHEYE => "OPENCV_FISHEYE",
+            Self::SimplePinhole => "SIMPLE_PINHOLE",
+            Self::Pinhole => "PINHOLE",
+            Self::SimpleRadial => "SIMPLE_RADIAL",
+            Self::Radial => "RADIAL",
+            Self::Opencv => "OPENCV",
+            Self::OpencvFisheye => "OPENCV_FISHEYE",
         }
     }
 
     /// Parameters of a camera without distortion: focal lengths, the middle, zeros.
     fn parameters(self, focal_px: f64, [width, height]: [usize; 2]) -> String {
         let (focal_lengths, coefficients) = match self {
-            Self::SIMPLE_PINHOLE => (1, 0),
-            Self::PINHOLE => (2, 0),
-            Self::SIMPLE_RADIAL => (1, 1),
-            Self::RADIAL => (1, 2),
-            Self::OPENCV | Self::OPENCV_FISHEYE => (2, 4),
+            Self::SimplePinhole => (1, 0),
+            Self::Pinhole => (2, 0),
+            Self::SimpleRadial => (1, 1),
+            Self::Radial => (1, 2),
+            Self::Opencv | Self::OpencvFisheye => (2, 4),
         };
         let mut numbers = vec![format!("{focal_px:.3}"); focal_lengths];
         numbers.extend([width, height].map(|side| format!("{:.1}", side as f64 / 2.0)));
@@ -93,7 +92,7 @@ pub fn look(folder: &PhotographFolder) -> Result<Vec<Unposed>> {
 pub fn extractions(photographs: &[Unposed], model: Option<CameraModelName>) -> Vec<Extraction> {
     let cameras = by_camera(photographs);
     let of = |camera: &SameCamera| {
-        let few = if camera.members.len() < MANY { CameraModelName::SIMPLE_RADIAL } else { CameraModelName::OPENCV };
+        let few = if camera.members.len() < MANY { CameraModelName::SimpleRadial } else { CameraModelName::Opencv };
         let model = model.unwrap_or(few);
         let mut arguments = vec!["--ImageReader.camera_model".into(), model.name().into()];
         arguments.extend(["--ImageReader.single_camera".into(), "1".into()]);
@@ -112,7 +111,7 @@ pub fn extractions(photographs: &[Unposed], model: Option<CameraModelName>) -> V
     if cameras.len() <= MOST_CAMERAS {
         return cameras.iter().map(of).collect();
     }
-    let model = model.unwrap_or(CameraModelName::SIMPLE_RADIAL).name();
+    let model = model.unwrap_or(CameraModelName::SimpleRadial).name();
     progress::note(&format!("photographs of {} cameras: each has its own {model}", cameras.len()));
     let names = photographs.iter().map(|photograph| photograph.name.clone()).collect();
     vec![Extraction { names, arguments: vec!["--ImageReader.camera_model".into(), model.into()] }]
@@ -169,9 +168,9 @@ mod tests {
     #[test]
     fn a_camera_starts_with_its_focal_length_in_the_middle() {
         let of = |model: CameraModelName| model.parameters(900.5, [640, 481]);
-        assert_eq!(of(CameraModelName::SIMPLE_PINHOLE), "900.500,320.0,240.5");
-        assert_eq!(of(CameraModelName::SIMPLE_RADIAL), "900.500,320.0,240.5,0");
-        assert_eq!(of(CameraModelName::OPENCV), "900.500,900.500,320.0,240.5,0,0,0,0");
+        assert_eq!(of(CameraModelName::SimplePinhole), "900.500,320.0,240.5");
+        assert_eq!(of(CameraModelName::SimpleRadial), "900.500,320.0,240.5,0");
+        assert_eq!(of(CameraModelName::Opencv), "900.500,900.500,320.0,240.5,0,0,0,0");
     }
 
     #[test]

@@ -41,7 +41,7 @@ impl FromStr for ScaleFrom {
             let distance_m: f64 = metres.trim().trim_end_matches('m').trim_end().parse().ok()?;
             let [a, b] = [a, b].map(|name| name.trim().to_owned());
             let known = !a.is_empty() && !b.is_empty() && a != b && distance_m.is_finite() && distance_m > 0.0;
-            known.then(|| Self::Points { names: [a, b], distance_m })
+            known.then_some(Self::Points { names: [a, b], distance_m })
         };
         parsed().ok_or_else(|| "expected `gps`, or two names and the metres between them: left,right=0.75".into())
     }

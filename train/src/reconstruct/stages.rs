@@ -239,9 +239,9 @@ fn matched(line: &str) -> Option<(usize, usize)> {
         .split(',')
         .map(|pair| pair.trim().split_once('/').and_then(|(a, b)| Some((a.parse().ok()?, b.parse().ok()?))))
         .collect::<Option<_>>()?;
-    match pairs.as_slice() {
-        &[(done, all)] => Some((done, all)),
-        &[(row, rows), (column, columns)] => Some((row.checked_sub(1)? * columns + column, rows * columns)),
+    match *pairs.as_slice() {
+        [(done, all)] => Some((done, all)),
+        [(row, rows), (column, columns)] => Some((row.checked_sub(1)? * columns + column, rows * columns)),
         _ => None,
     }
 }
