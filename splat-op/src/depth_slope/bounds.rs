@@ -66,6 +66,7 @@ pub(crate) fn bounding_ellipse<F: Real>(
     if !(e.opacity > F::ZERO && e.opacity >= alpha_min) {
         return *e;
     }
+    let hidden = Ellipse { opacity: F::ZERO, ..*e };
     let camera = &spec.intrinsics;
     let away = beyond(e.mean_px, camera).1;
     let lens = lens.zip(LensFrame::of(depth_slope));
@@ -86,7 +87,6 @@ pub(crate) fn bounding_ellipse<F: Real>(
         depth: e.depth,
         opacity: if alpha_min > F::ZERO { reached } else { F::ONE },
     };
-    let hidden = Ellipse { opacity: F::ZERO, ..*e };
     let slope = [slope_u, slope_v];
     let seen = InPicture::new(e, slope, half);
     if lens.is_none() && seen.most <= F::ZERO {

@@ -313,7 +313,15 @@ fn only_what_is_needed_and_nothing_to_draw() {
         let [projected, depth_slope, features, background, mean2d_abs] = std::array::from_fn(|i| i == alone);
         let needs = RayLayers { projected, depth_slope, features, background, mean2d_abs };
         for (i, found) in read(&scene, needs).iter().enumerate() {
-            assert_eq!(found.as_ref(), all[i].as_ref().filter(|_| i == alone), "gradient {i} of {alone} alone");
+            let expected = all[i].as_ref().filter(|_| i == alone);
+            if i == 0 && alone == 0 {
+                // Compilers round the sums of a kernel otherwise where it has those of absolute values too.
+                let (found, expected) = (found.as_ref().expect("asked for"), expected.expect("asked for"));
+                let close = |(a, b): (&f32, &f32)| (a - b).abs() <= 1e-5 * b.abs() + 1e-6;
+                assert!(found.len() == expected.len() && found.iter().zip(expected).all(close), "gradient 0 alone");
+            } else {
+                assert_eq!(found.as_ref(), expected, "gradient {i} of {alone} alone");
+            }
         }
     }
     for count in [0, 40] {
