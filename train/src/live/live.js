@@ -47,22 +47,25 @@
   at("live-stop").onclick = async () => {
     at("live-stop").disabled = true;
     say("live-note", "The run stops after this step and writes its results.");
-    await fetch("/stop", { method: "POST" });
+    await fetch("/stop", { method: "POST" }).catch(gone);
+  };
+
+  const gone = () => {
+    root.dataset.live = "gone";
+    at("live-stop").disabled = true;
+    say("live-note", "The run does not answer: it has ended.");
   };
 
   const tick = async () => {
     let state = null;
     try {
       state = await (await fetch("/status.json")).json();
+      if (state !== null) await showWorst(state);
     } catch {
-      root.dataset.live = "gone";
-      at("live-stop").disabled = true;
-      say("live-note", "The run does not answer: it has ended.");
-      return;
+      return gone();
     }
     if (state !== null) {
       show(state);
-      await showWorst(state);
       if (state.metrics) {
         root.dataset.live = "done";
         at("live-stop").disabled = true;

@@ -117,7 +117,8 @@ fn to_the_end(mut args: TrainArgs, kept: Option<SavedRun>, change: impl FnOnce(T
     // A run may be resumed from any working directory, and a video does not tell which folder its frames are in.
     if let Some(source) = args.capture.take() {
         args.cameras = args.cameras.from_anywhere(&source);
-        args.capture = Some(std::path::absolute(&capture.folder)?);
+        let found = if reconstruct::is_needed(&source) { &capture.folder } else { &source };
+        args.capture = Some(std::path::absolute(found)?);
     }
     args.cameras.scale(&mut capture)?;
     let capture = Arc::new(capture);

@@ -111,8 +111,12 @@
     await replace(bytes);
     // A page whose scene changes names each new one; one that cannot be had leaves the one before.
     addEventListener("splat-scene", async ({ detail: url }) => {
-      await replace(await fetched(url));
-      root.dataset.scene = url;
+      try {
+        await replace(await fetched(url));
+        root.dataset.scene = url;
+      } catch {
+        // The run has ended.
+      }
     });
 
     let visible = true;

@@ -149,8 +149,8 @@ fn every_element_ends_where_it_should() {
     assert_eq!(open, [""; 0]);
     assert_eq!(
         markup.matches("<script").count(),
-        6,
-        "setup, scene, libraries, viewer, history and page, and no script of others"
+        7,
+        "setup, scene, libraries, viewer, history, curves and page, and no script of others"
     );
     assert_eq!(markup.matches(" onerror=").count(), markup.matches("&gt;&lt;img src=x onerror=").count());
 }
