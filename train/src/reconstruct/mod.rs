@@ -1,6 +1,6 @@
 //! `splat reconstruct`, and what `splat train` does with photographs that have no cameras yet: runs the installed COLMAP.
 //!
-//! Stages: frames of a video ([`video`]), features, matches, models. Each is finished once (the private module `cache`), so that a second run
+//! Stages: frames of a video (the private module `video`), features, matches, models. Each is finished once (the private module `cache`), so that a second run
 //! skips it. The photographs are neither changed nor moved: the folder of the reconstruction holds links to them, and is a capture of its own.
 
 mod cache;
