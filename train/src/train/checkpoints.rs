@@ -117,6 +117,8 @@ impl Checkpoints {
             // Some file systems have no locks.
             Ok(()) | Err(TryLockError::Error(_)) => {}
         }
+        // A run that has just ended here has removed it.
+        fs::create_dir_all(&folder).with_context(cannot)?;
         Ok(Self { folder, _lock: lock, failing: false })
     }
 

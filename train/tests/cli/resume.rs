@@ -246,7 +246,9 @@ fn a_new_run_puts_an_unfinished_one_aside() {
 #[test]
 fn two_runs_do_not_share_a_folder() {
     let out = fresh("shared");
-    let mut child = spawn(&mut training(&out));
+    // Longer than the other one takes to begin.
+    let mut long = splat(&["train", "--steps", "100000", "--max-side", "64"]);
+    let mut child = spawn(long.arg(DEMO.as_path()).arg("--out").arg(&out));
     wait_for(&out, 0, &mut child);
     refuse(&mut training(&out), &["another `splat train`", text(&out)]);
     child.kill().unwrap();
