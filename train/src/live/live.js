@@ -10,13 +10,15 @@
     const [h, m, s] = [Math.floor(whole / 3600), Math.floor(whole / 60) % 60, whole % 60];
     return h > 0 ? `${h}:${pad(m)}:${pad(s)}` : `${m}:${pad(s)}`;
   };
-  let scene = null, worst = null, points = -1;
+  // A request may fail once on its way; so many in a row mean that the run has ended.
+  const FAILURES = 4;
+  let scene = null, worst = null, points = -1, failures = 0;
 
   const showWorst = async (state) => {
     if (!state.worst || state.worst.step === worst) return;
-    worst = state.worst.step;
     const answer = await fetch("/worst.jpg");
     if (!answer.ok) return;
+    worst = state.worst.step;
     const picture = at("live-worst-picture");
     URL.revokeObjectURL(picture.src);
     picture.src = URL.createObjectURL(await answer.blob());
@@ -47,7 +49,8 @@
   at("live-stop").onclick = async () => {
     at("live-stop").disabled = true;
     say("live-note", "The run stops after this step and writes its results.");
-    await fetch("/stop", { method: "POST" }).catch(gone);
+    const ask = () => fetch("/stop", { method: "POST" });
+    await ask().catch(ask).catch(gone);
   };
 
   const gone = () => {
@@ -61,8 +64,12 @@
     try {
       state = await (await fetch("/status.json")).json();
       if (state !== null) await showWorst(state);
+      failures = 0;
     } catch {
-      return gone();
+      failures += 1;
+      if (failures === FAILURES) return gone();
+      setTimeout(tick, 1000);
+      return;
     }
     if (state !== null) {
       show(state);

@@ -36,7 +36,7 @@ const BETWEEN: Duration = Duration::from_secs(1);
 const SHARE: f64 = 0.01;
 
 /// The longest time that a finished run waits for a browser to load its results.
-const FAREWELL: Duration = Duration::from_secs(5);
+const FAREWELL: Duration = Duration::from_secs(10);
 
 /// Options of a run that is shown while it trains.
 #[derive(Clone, Copy, Debug, Default, clap::Args)]

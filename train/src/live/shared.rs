@@ -25,7 +25,7 @@ const STOP: &str = "/stop";
 
 /// Time after the last request for the status for which somebody looks, ms. Browsers slow pages in the background down to a
 /// request a minute.
-const LOOKS_MS: u64 = 5_000;
+const LOOKS_MS: u64 = 10_000;
 
 /// JPEG quality of the worst view.
 const QUALITY: u8 = 90;
