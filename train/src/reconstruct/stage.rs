@@ -24,6 +24,8 @@ pub struct Ended {
     pub status: ExitStatus,
     /// Its last lines.
     pub tail: VecDeque<String>,
+    /// The last line on standard error. The order of lines from both outputs is not known.
+    pub error: Option<String>,
 }
 
 impl Ended {
@@ -37,6 +39,9 @@ impl Ended {
 
     /// Its last line that says something.
     pub fn last_line(&self) -> &str {
+        if let Some(error) = &self.error {
+            return error;
+        }
         self.tail.iter().rev().map(|line| line.trim()).find(|line| !line.is_empty()).unwrap_or("nothing")
     }
 }
@@ -58,12 +63,12 @@ pub fn run(
     let (sender, lines) = mpsc::channel();
     let pipes: [Option<Box<dyn Read + Send>>; 2] =
         [child.0.stdout.take().map(|pipe| Box::new(pipe) as _), child.0.stderr.take().map(|pipe| Box::new(pipe) as _)];
-    for pipe in pipes.into_iter().flatten() {
-        let sender = sender.clone();
-        thread::spawn(move || send_lines(pipe, &sender));
+    for (pipe, is_error) in pipes.into_iter().zip([false, true]) {
+        let (Some(pipe), sender) = (pipe, sender.clone()) else { continue };
+        thread::spawn(move || send_lines(pipe, is_error, &sender));
     }
     drop(sender);
-    let mut tail = VecDeque::new();
+    let (mut tail, mut error) = (VecDeque::new(), None);
     loop {
         if let Some(signal) = stop.asked() {
             let by = if signal == signal_hook::consts::SIGINT as u8 { "Ctrl-C" } else { "SIGTERM" };
@@ -71,9 +76,12 @@ pub fn run(
             return Err(Interrupted { signal, message }.into());
         }
         match lines.recv_timeout(LOOK) {
-            Ok(text) => {
+            Ok((is_error, text)) => {
                 writeln!(log, "{text}").context("cannot write the log")?;
                 line(&text);
+                if is_error && !text.trim().is_empty() {
+                    error = Some(text.trim().to_owned());
+                }
                 tail.push_back(text);
                 if tail.len() > TAIL {
                     tail.pop_front();
@@ -90,7 +98,7 @@ pub fn run(
         let message = format!("stopped {during}: the same command goes on from the last finished stage");
         return Err(Interrupted { signal, message }.into());
     }
-    Ok(Ended { status, tail })
+    Ok(Ended { status, tail, error })
 }
 
 /// A program that does not outlive its stage.
@@ -104,13 +112,13 @@ impl Drop for Running {
     }
 }
 
-fn send_lines(pipe: impl Read, lines: &Sender<String>) {
+fn send_lines(pipe: impl Read, is_error: bool, lines: &Sender<(bool, String)>) {
     let mut pipe = BufReader::new(pipe);
     let mut bytes = Vec::new();
     while pipe.read_until(b'\n', &mut bytes).is_ok_and(|read| read > 0) {
         let text = String::from_utf8_lossy(&bytes).trim_end().to_owned();
         bytes.clear();
-        if lines.send(text).is_err() {
+        if lines.send((is_error, text)).is_err() {
             return;
         }
     }
