@@ -33,8 +33,8 @@
 //! # Bounds
 //!
 //! Bounds take the ellipse and the depth slope in the coordinates whose origin is the centre. There the rows `x, y, z` of the
-//! triangular factor become `x − away_x z`, `y − away_y z` and `z`, which are factored again. An alpha reaches `alpha_min` where `u² + v² <= τ (s² + thickness² (u² + v²))`, `s = 1 − depth_slope·(u, v) > 0`, with
-//! `τ = 2 ln(opacity / alpha_min)`. In polar coordinates the region is `r <= c (1 − |depth_slope| r cos φ)`,
+//! triangular factor become `x − away_x z`, `y − away_y z` and `z`, which are factored again. An alpha reaches `alpha_min` where
+//! `u² + v² <= τ (s² + thickness² (u² + v²))`, `s = 1 − depth_slope·(u, v) > 0`, with `τ = 2 ln(opacity / alpha_min)`. In polar coordinates the region is `r <= c (1 − |depth_slope| r cos φ)`,
 //! `c² = τ / (1 − τ thickness²)`: a conic with a focus at the centre and the eccentricity `e = c |depth_slope|`. Where it is an
 //! ellipse, with `t = depth_slope / |depth_slope|`,
 //!
