@@ -145,9 +145,12 @@ impl Runner<'_> {
         let options = self.colmap.options(name)?;
         let mut command = with_paths(Colmap::command(name), workspace, false);
         let on_gpu = options.first(&["FeatureMatching.use_gpu", "SiftMatching.use_gpu"]).map(|name| [name, "0"]);
+        // A second pass along the epipolar lines: a third more points, from which the scene grows.
+        let guided = options.first(&["FeatureMatching.guided_matching", "SiftMatching.guided_matching"]);
         let block = photographs.div_ceil(4).clamp(2, BLOCK).to_string();
         let block = options.first(&["ExhaustiveMatching.block_size"]).map(|name| [name, block.as_str()]);
-        for [name, value] in arguments.iter().copied().chain(on_gpu).chain(block) {
+        for [name, value] in arguments.iter().copied().chain(on_gpu).chain(guided.map(|name| [name, "1"])).chain(block)
+        {
             command.arg(format!("--{name}")).arg(value);
         }
         let mut counted = Counted::new("matching", None);
