@@ -1,7 +1,7 @@
 //! `splat train`: trains a scene on photographs, and writes the scene, its scores and its pictures.
 
-mod budget;
-mod checkpoints;
+pub(crate) mod budget;
+pub(crate) mod checkpoints;
 mod results;
 mod run;
 mod steps;
@@ -17,7 +17,8 @@ use splat_model::optim::sh_every_for;
 use splat_model::trainer::{Resolution, TrainConfig, TrainError};
 
 pub use self::checkpoints::{RunState, state_of};
-pub use self::run::{resume, run, run_or_resume, run_with};
+pub(crate) use self::run::{photographs, views_of};
+pub use self::run::{resume, resume_together, run, run_or_resume, run_with};
 pub use self::stop::Interrupted;
 pub(crate) use self::stop::Stop;
 use self::time_limit::{GUESS, TrainingTime};
@@ -184,16 +185,18 @@ pub struct TrainArgs {
 }
 
 /// Options of `splat resume`.
-#[derive(Clone, Debug, clap::Args)]
+#[derive(Clone, Debug, clap::Args, Serialize)]
 pub struct ResumeArgs {
     /// Output folder of the run: its `--out`
     #[arg(value_name = "DIR")]
     pub out: PathBuf,
     /// Amount of output.
     #[command(flatten)]
+    #[serde(skip)]
     pub voice: VoiceArgs,
     /// View in the browser.
     #[command(flatten)]
+    #[serde(skip)]
     pub live: LiveArgs,
 }
 

@@ -27,7 +27,7 @@ use splat_op::Rendered;
 use self::anchors::{Anchors, DeviceAnchors, rotation};
 use super::learned::{EffectContext, Learned};
 use super::motion::cross_matrix;
-use super::{Effect, EffectKind, RenderInput, saved_bytes};
+use super::{Effect, EffectKind, Leaf, RenderInput, saved_bytes};
 use crate::gaussians::{Gaussians, values_of};
 use crate::state::{State, StateError};
 
@@ -127,6 +127,10 @@ impl Effect for Poses {
     fn penalty(&mut self, input: &RenderInput, _: &Rendered<3>, at: EffectContext) -> Option<Tensor<1>> {
         let pose = input.camera.cam_from_world.clone();
         Some(self.anchors[at.view].as_ref()?.penalty(pose) * self.config.anchor_weight)
+    }
+
+    fn leaves(&mut self, at: EffectContext) -> Vec<Leaf> {
+        vec![self.corrections[at.view].leaf()]
     }
 
     fn step(&mut self, gradients: &mut Gradients, at: EffectContext) {
