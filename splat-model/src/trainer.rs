@@ -168,7 +168,7 @@ impl Trainer {
         Ok(Self {
             options: config.render_options(extent),
             device: device.clone(),
-            scene: Trained::new(Gaussians::from_rows(&rows, &tracked)?),
+            scene: Trained::with_bits(Gaussians::from_rows(&rows, &tracked)?, config.moment_bits),
             views,
             effects,
             density,
@@ -199,7 +199,8 @@ impl Trainer {
     pub fn with_strategy(mut self, mut strategy: impl Strategy + 'static) -> Result<Self, TrainError> {
         let mut rows = self.scene.gaussians.to_rows();
         strategy.start(&mut rows);
-        self.scene = Trained::new(Gaussians::from_rows(&rows, &self.device.clone().autodiff())?);
+        let gaussians = Gaussians::from_rows(&rows, &self.device.clone().autodiff())?;
+        self.scene = Trained::with_bits(gaussians, self.config.moment_bits);
         self.density = Box::new(strategy);
         Ok(self)
     }

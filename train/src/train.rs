@@ -13,7 +13,7 @@ use std::path::PathBuf;
 use anyhow::Result;
 use clap::builder::RangedU64ValueParser;
 use serde::{Deserialize, Serialize};
-use splat_model::optim::sh_every_for;
+use splat_model::optim::{MomentBits, sh_every_for};
 use splat_model::trainer::{Resolution, TrainConfig, TrainError};
 
 pub use self::checkpoints::{RunState, state_of};
@@ -115,6 +115,11 @@ pub struct TrainArgs {
          eighth of a shorter run]", TrainConfig::default().sh_every
     ))]
     pub sh_every: Option<usize>,
+    /// Bits of each of Adam's moments, 32, 16 or 8: they take 472, 236 or 124 bytes of a Gaussian of degree 3 (see docs/ACCURACY.md for
+    /// what fewer bits cost)
+    #[arg(long, value_name = "BITS", default_value_t)]
+    #[serde(with = "crate::as_text", default)]
+    pub moment_bits: MomentBits,
     /// Model choices.
     #[command(flatten)]
     pub model: ModelArgs,
@@ -216,6 +221,7 @@ impl TrainArgs {
         let steps = self.time.map_or(self.steps.unwrap_or(config.steps), |_| GUESS);
         config = self.schedule(config, steps);
         config.sh_degree = self.sh_degree.unwrap_or(config.sh_degree);
+        config.moment_bits = self.moment_bits;
         config.density = self.strategy.config().with_max_splats(self.max_splats);
         config.dials = config.dials.and(&self.accuracy.accuracy.setting());
         if let Some(mb) = self.cache_mb {

@@ -284,7 +284,7 @@ impl Trainer {
 fn checksums(state: &State) -> Vec<Fact> {
     let facts = state.facts.iter().map(|(name, text)| (format!("`{name}`"), checksum([text.as_bytes()])));
     let arrays = state.arrays.iter().map(|(name, array)| {
-        let sum = checksum([bytemuck::cast_slice(&array.values)]);
+        let sum = checksum([array.values.bytes()]);
         (format!("`{name}`"), format!("{:?} {sum}", array.shape))
     });
     facts.chain(arrays).collect()
