@@ -123,7 +123,8 @@ pub struct TrainArgs {
     /// Model choices.
     #[command(flatten)]
     pub model: ModelArgs,
-    /// Weight of the mean opacity in the loss, against floaters [default: 0.01 with the strategy `gradual`, else 0]
+    /// Weight of the mean opacity in the loss, against floaters, until the strategy neither adds nor removes splats [default: 0.01
+    /// with the strategy `gradual`, else 0]
     #[arg(long, value_name = "W")]
     pub opacity_weight: Option<f64>,
     /// Begin with photographs downsized by this factor: 1, 2, 4, 8 or 16 [default: 1; with `--for`, 8 in a run of up to 1,000

@@ -1,17 +1,17 @@
 //! Adaptive density control (Kerbl et al. 2023, section 5.2) with later additions of the field: a hard cap, a limit on
 //! needles, a threshold that rises at the cap, halves across the longest axis, and growth by small shares.
 
+mod config;
 mod division;
 
 use burn::tensor::{Device, Tensor};
 use rand::Rng;
-use serde::{Deserialize, Serialize};
 use splat_op::tally::{self, Tally};
 
+pub use self::config::{AdaptiveConfig, GRADUAL_OPACITY_WEIGHT};
 pub use self::division::Division;
 use self::division::{push_halves, push_parts};
-use super::consistency::{Agreement, ConsistencyConfig};
-use super::focus::Focus;
+use super::consistency::Agreement;
 use super::order::morton_order;
 use super::outlook;
 use super::rows::{RowEdit, Trained};
@@ -19,118 +19,12 @@ use super::strategy::{Observed, RefineReport, Signals, Strategy, StrategyContext
 use crate::gaussians::{self, GaussianRows, RowsError, values_of};
 use crate::state::{State, StateError};
 
-/// Options of adaptive density control. Defaults are those of the original implementation unless stated otherwise.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct AdaptiveConfig {
-    /// Steps between refinements.
-    pub every: usize,
-    /// First step of refinement.
-    pub from: usize,
-    /// Share of the run after which the number of Gaussians is fixed: 0.5.
-    pub until_share: f64,
-    /// Gaussians whose mean gradient at the projected centre, per unit of normalised device coordinates, exceeds this
-    /// threshold are copied or split: 2e-4, and 8e-4 for absolute gradients.
-    pub grad_threshold: f64,
-    /// Whether the gradient is AbsGS's (Ye et al. 2024): the sum of absolute values over the pixels, so that the gradients
-    /// of the two edges of a Gaussian that blurs smaller detail do not cancel.
-    pub absolute: bool,
-    /// Whether Gaussians are copied, split and kept only where several views agree, and by how much: off.
-    pub consistency: Option<ConsistencyConfig>,
-    /// Largest size of a Gaussian that is copied instead of split, as a share of the scene extent: 0.01.
-    pub split_scale: f64,
-    /// Opacity below which Gaussians are removed: 0.005.
-    pub prune_opacity: f64,
-    /// Size above which Gaussians are removed after the first opacity reset, as a share of the scene extent: 0.1.
-    pub prune_scale: f64,
-    /// Steps between opacity resets, which remove floaters in front of the cameras: 3,000; 0 for never.
-    pub reset_every: usize,
-    /// Largest number of Gaussians. At the cap only those with the largest gradients are copied or split.
-    pub max_splats: usize,
-    /// How one Gaussian becomes two: as in the original.
-    pub division: Division,
-    /// Largest share of the Gaussians that one refinement copies or splits: none. Those with the largest gradients are chosen.
-    /// With a share, the rows that are left up to `max_splats` are divided evenly among the refinements to come. Without one,
-    /// a refinement may reach the cap at once.
-    pub growth: Option<f64>,
-    /// Share of the Gaussians that may exceed the threshold and still wait for a later refinement, with [`Self::growth`]: all. Where more
-    /// of them do, as in a capture with few points, a refinement takes up to twice its share.
-    pub waiting: f64,
-    /// Largest ratio of a Gaussian's largest standard deviation to its middle one: 30. Needles far longer than wide show as
-    /// streaks in views outside the training set. (Not in the original.)
-    pub max_elongation: f64,
-    /// The part of the scene that Gaussians are added to: all of it.
-    pub focus: Option<Focus>,
-}
-
-impl Default for AdaptiveConfig {
-    fn default() -> Self {
-        Self {
-            every: 100,
-            from: 500,
-            until_share: 0.5,
-            grad_threshold: 2e-4,
-            absolute: false,
-            consistency: None,
-            split_scale: 0.01,
-            prune_opacity: 0.005,
-            prune_scale: 0.1,
-            reset_every: 3_000,
-            max_splats: 1_000_000,
-            division: Division::CloneOrSplit,
-            growth: None,
-            waiting: 1.0,
-            max_elongation: 30.0,
-            focus: None,
-        }
-    }
-}
-
-impl AdaptiveConfig {
-    /// AbsGS: absolute gradients with the threshold that is common for them, in the same unit.
-    pub fn absgrad() -> Self {
-        Self { absolute: true, grad_threshold: 8e-4, ..Self::default() }
-    }
-
-    /// Growth by small shares from early on: every chosen Gaussian becomes two halves, which hardly change the picture. Opacities are not reset. Instead, a weight on the mean opacity in the loss ([`GRADUAL_OPACITY_WEIGHT`]) lets
-    /// Gaussians fade that no photograph needs. Without it, a capture without points may end behind one that is opaque.
-    pub fn gradual() -> Self {
-        Self {
-            every: 50,
-            from: 100,
-            grad_threshold: 3e-4,
-            reset_every: 0,
-            division: Division::LongAxis,
-            growth: Some(0.1),
-            waiting: 0.15,
-            ..Self::default()
-        }
-    }
-
-    /// The same options for a capture without points. With [`Self::growth`], the threshold is half of [`Self::gradual`]'s: Gaussians
-    /// begin at random places, and most of those that remain have to become many.
-    pub fn without_points(self) -> Self {
-        match self.growth {
-            Some(_) => Self { grad_threshold: 0.5 * Self::gradual().grad_threshold, ..self },
-            None => self,
-        }
-    }
-
-    /// Densification and pruning by the agreement of several views.
-    pub fn consistent() -> Self {
-        Self { consistency: Some(ConsistencyConfig::default()), ..Self::default() }
-    }
-}
-
 /// Largest multiple of [`AdaptiveConfig::growth`] that a refinement takes. A refinement that adds 28% raises the loss of the small demo
 /// capture by 20%.
 const HASTE: f64 = 2.0;
 
 /// Opacity after a reset, as in the original.
 const RESET_OPACITY: f64 = 0.01;
-
-/// The weight of the mean opacity in the loss for [`AdaptiveConfig::gradual`], that of MCMC (Kheradmand et al. 2024).
-pub const GRADUAL_OPACITY_WEIGHT: f64 = 0.01;
 
 /// The strategy with its statistics since the last refinement.
 #[derive(Debug)]

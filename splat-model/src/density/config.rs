@@ -42,6 +42,14 @@ impl DensityConfig {
         }
     }
 
+    /// Share of the run after which Gaussians are neither added nor removed.
+    pub fn until_share(&self) -> f64 {
+        match self {
+            Self::Adaptive(config) => config.until_share,
+            Self::Mcmc(config) => config.until_share,
+        }
+    }
+
     /// The same options with another cap.
     pub fn with_max_splats(mut self, most: usize) -> Self {
         match &mut self {

@@ -64,7 +64,8 @@ pub struct TrainConfig {
     /// Options of depth supervision (see [`Trainer::with_depths`](super::Trainer::with_depths)): off.
     pub depth: Option<DepthConfig>,
     /// Weight of the mean opacity in the loss: 0 for none, 0.01 in MCMC (Kheradmand et al. 2024), which adds its own. Gaussians that no
-    /// photograph needs, mainly floaters in front of the background, then fade and are pruned.
+    /// photograph needs, mainly floaters in front of the background, then fade and are pruned. The weight ends with
+    /// [`DensityConfig::until_share`]: what fades later would stay, and all others would be fainter than photographs show.
     pub opacity_weight: f64,
     /// Memory for prepared photographs, MiB: 512. On a CPU, photographs beyond it are prepared again at each use. On a GPU
     /// where not all prepared photographs fit, they are stored in four bytes per pixel, and those beyond the limit are
@@ -127,6 +128,12 @@ impl TrainConfig {
             opacity_weight: GRADUAL_OPACITY_WEIGHT,
             ..self
         }
+    }
+
+    /// The weight on opacity at `step`, counted from 1.
+    pub(super) fn opacity_weight_at(&self, step: usize) -> f64 {
+        let prunes_later = (step as f64) < self.density.until_share() * self.steps as f64;
+        if prunes_later { self.opacity_weight } else { 0.0 }
     }
 
     /// The learning rates, adapted to the batch size.

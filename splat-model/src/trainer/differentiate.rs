@@ -169,8 +169,9 @@ impl Trainer {
         if let Some(penalty) = self.effects.penalty(input, &picture, *at) {
             loss = loss + penalty;
         }
-        if self.config.opacity_weight > 0.0 {
-            loss = loss + regularise::opacity(input.splats.opacities.clone()) * self.config.opacity_weight;
+        let opacity_weight = self.config.opacity_weight_at(at.step);
+        if opacity_weight > 0.0 {
+            loss = loss + regularise::opacity(input.splats.opacities.clone()) * opacity_weight;
         }
         if let Some(penalty) = self.density.penalty(&input.splats, at.step) {
             loss = loss + penalty;

@@ -255,6 +255,29 @@ fn a_weight_on_opacity_fades_gaussians() {
     assert!(with < without - 0.2, "mean logit {with} with the weight, {without} without");
 }
 
+/// Steps 1 to 5 of 12 have the weight where growth ends at a half, all steps but the last where it ends with the run.
+#[test]
+fn the_weight_on_opacity_ends_with_density_control() {
+    // Nothing moves, so that losses differ by the weight alone.
+    let learning_rates = LearningRates {
+        means: 0.0,
+        scales: 0.0,
+        rotations: 0.0,
+        sh_dc: 0.0,
+        sh_rest: 0.0,
+        opacities: 0.0,
+        ..LearningRates::default()
+    };
+    for (until_share, last) in [(0.5, 5), (1.0, 11), (0.0, 0)] {
+        let density = AdaptiveConfig { until_share, ..AdaptiveConfig::default() }.into();
+        let still = |opacity_weight| TrainConfig { density, opacity_weight, learning_rates, ..config(12) };
+        let losses = |opacity_weight| run(trainer(still(opacity_weight))).0;
+        let raised: Vec<bool> = losses(0.0).iter().zip(losses(1.0)).map(|(without, with)| with > *without).collect();
+        let expected: Vec<bool> = (1..=12).map(|step| step <= last).collect();
+        assert_eq!(raised, expected, "until {until_share}");
+    }
+}
+
 #[test]
 fn who_looks_into_a_step_sees_what_it_trained() {
     let (mut alone, mut seen) = (trainer(eventful()), trainer(eventful()));

@@ -66,3 +66,6 @@ fn world_from_gaussian(rows: &GaussianRows, i: usize) -> Quat {
     let [w, x, y, z] = rows.rotations[i].map(f64::from);
     DQuat::from_xyzw(x, y, z, w).normalize().as_quat()
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,99 @@
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+
+use super::*;
+use crate::gaussians::testing::random_rows;
+
+/// The rows that a function appends for each of `rows`.
+fn divided(rows: &GaussianRows, mut push: impl FnMut(&mut GaussianRows, &GaussianRows, usize)) -> GaussianRows {
+    let mut added = GaussianRows { sh_degree: rows.sh_degree, ..GaussianRows::default() };
+    (0..rows.len()).for_each(|i| push(&mut added, rows, i));
+    added
+}
+
+/// Row `i` with another centre, size and opacity.
+fn placed(rows: &GaussianRows, i: usize, like: (&GaussianRows, usize)) -> GaussianRows {
+    let mut one = rows.part(i..i + 1);
+    one.means[0] = like.0.means[like.1];
+    one.log_scales[0] = like.0.log_scales[like.1];
+    one.logit_opacities[0] = like.0.logit_opacities[like.1];
+    one
+}
+
+#[test]
+fn parts_are_drawn_from_the_gaussian() {
+    let count = 500;
+    let scales = [0.01f32, 0.03, 0.3];
+    let mut rows = random_rows(count, 1, 2);
+    rows.means = vec![[1.0, 2.0, 3.0]; count];
+    rows.log_scales = vec![scales.map(f32::ln); count];
+    // A quarter turn about z maps the Gaussian's x axis to y. The length of quaternions does not matter.
+    rows.rotations =
+        (0..count).map(|i| [1.0, 3.0, 1e-25, 1e25][i % 4]).map(|length| [length, 0.0, 0.0, length]).collect();
+    let mut rng = ChaCha8Rng::seed_from_u64(5);
+    let parts = divided(&rows, |to, from, i| push_parts(to, from, i, &mut rng));
+    assert_eq!(parts.len(), 2 * count);
+    for (axis, sigma) in [scales[1], scales[0], scales[2]].into_iter().enumerate() {
+        let offsets: Vec<f32> = parts.means.iter().map(|mean| (mean[axis] - [1.0, 2.0, 3.0][axis]) / sigma).collect();
+        assert!(offsets.iter().all(|offset| offset.abs() < 6.0), "axis {axis}");
+        // Tolerance: five standard errors of 1,000 draws.
+        let mean = offsets.iter().sum::<f32>() / offsets.len() as f32;
+        let variance = offsets.iter().map(|offset| offset * offset).sum::<f32>() / offsets.len() as f32;
+        assert!(mean.abs() < 0.16 && (variance - 1.0).abs() < 0.23, "axis {axis}: mean {mean}, variance {variance}");
+    }
+    for logs in &parts.log_scales {
+        assert!(logs.iter().zip(scales).all(|(log, scale)| (log.exp() * 1.6 / scale - 1.0).abs() < 1e-5), "{logs:?}");
+    }
+    assert_eq!(parts.logit_opacities[..2], [rows.logit_opacities[0]; 2]);
+    assert_eq!(parts.part(7..8), placed(&rows, 3, (&parts, 7)));
+}
+
+/// Halves lie along the axis that is longest, whatever the rotation.
+#[test]
+fn halves_lie_along_the_longest_axis() {
+    let mut rows = random_rows(2, 1, 1);
+    // A quarter turn about z maps the Gaussian's x axis to y. The length of quaternions does not matter.
+    rows.rotations = vec![[2.0, 0.0, 0.0, 2.0]; 2];
+    let scales = [[0.04_f32, 0.01, 0.02], [0.01, 0.02, 0.03]];
+    rows.log_scales = scales.map(|scale| scale.map(f32::ln)).to_vec();
+    rows.logit_opacities = vec![0.0; 2];
+    let halves = divided(&rows, push_halves);
+    assert_eq!(halves.len(), 4);
+    let along = [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+    for (half, (whole, axis, side)) in [(0, 0, -1.0), (0, 0, 1.0), (1, 2, -1.0), (1, 2, 1.0)].into_iter().enumerate() {
+        for k in 0..3 {
+            let expected = rows.means[whole][k] + side * 0.6 * scales[whole][axis] * along[whole][k];
+            assert!((halves.means[half][k] - expected).abs() < 1e-6, "half {half}: {:?}", halves.means[half]);
+            let shrunk = if k == axis { 0.6 } else { 1.0 };
+            let ratio = (halves.log_scales[half][k] - rows.log_scales[whole][k]).exp();
+            assert!((ratio - shrunk).abs() < 1e-6, "half {half}, axis {k}: {ratio}");
+        }
+        assert!((gaussians::sigmoid(halves.logit_opacities[half]) - 0.4).abs() < 1e-6);
+        assert_eq!(halves.part(half..half + 1), placed(&rows, whole, (&halves, half)));
+    }
+}
+
+/// The root of the mean square difference of alpha along the axis, relative to the whole's, by sums over a fine grid.
+#[test]
+fn two_halves_show_nearly_what_the_whole_showed() {
+    for (opacity, largest) in [(0.1_f32, 0.105), (0.5, 0.125), (0.9, 0.165), (0.99, 0.175)] {
+        let mut rows = random_rows(1, 0, 1);
+        rows.means = vec![[0.0; 3]];
+        rows.rotations = vec![[1.0, 0.0, 0.0, 0.0]];
+        rows.log_scales = vec![[0.5_f32.ln(), -9.0, -9.0]];
+        rows.logit_opacities = vec![(opacity / (1.0 - opacity)).ln()];
+        let halves = divided(&rows, push_halves);
+        let alpha = |rows: &GaussianRows, i: usize, x: f64| {
+            let (mean, sigma) = (f64::from(rows.means[i][0]), f64::from(rows.log_scales[i][0]).exp());
+            gaussians::sigmoid(rows.logit_opacities[i]) * (-0.5 * ((x - mean) / sigma).powi(2)).exp()
+        };
+        let (mut difference, mut whole) = (0.0, 0.0);
+        for x in (-4_000..4_000).map(|i| f64::from(i) * 1e-3) {
+            let both = 1.0 - (1.0 - alpha(&halves, 0, x)) * (1.0 - alpha(&halves, 1, x));
+            difference += (both - alpha(&rows, 0, x)).powi(2);
+            whole += alpha(&rows, 0, x).powi(2);
+        }
+        let found: f64 = (difference / whole).sqrt();
+        assert!(found < largest, "opacity {opacity}: {found}");
+    }
+}
