@@ -342,7 +342,7 @@ fn fitted(rows: &GaussianRows, format: Format) -> Written<'_> {
         rows_of.for_each(|row| fitted.push(rows, row));
     }
     if format == Format::Spz {
-        moved = spz::bring_within_reach(&mut fitted);
+        moved = spz::bring_within_reach(&mut fitted).len();
     }
     let (left_out, added) = (rows.len() - count, fitted.len() - count);
     Written { rows: Cow::Owned(fitted), left_out, added, moved }

@@ -204,13 +204,13 @@ pub fn convert(
     let sh_degree = options.sh_degree.unwrap_or(of_degree).min(of_degree).min(format.sh_degree_max());
     let world = from.about.world();
     ply::check(to, &GaussianRows { sh_degree, ..GaussianRows::default() }, world)?;
-    let mut fit = Fit { exact: format.is_exact(), sh_degree, geometry: None, next: 0 };
-    let (mut moved, mut place_of_row) = (0, None);
+    let mut fit = Fit { exact: format.is_exact(), sh_degree, moved: Vec::new(), next: 0 };
+    let mut place_of_row = None;
     match format {
         Format::Ply => write_ply(from, &mut fit, to)?,
         Format::CompressedPly => place_of_row = Some(write_compressed(from, &mut fit, to)?),
         Format::Glb => write_glb(from, &mut fit, to, options)?,
-        _ => moved = write_spz(from, &mut fit, to, options)?,
+        _ => write_spz(from, &mut fit, to, options)?,
     }
     let mut read = SceneReader::open(to)?;
     let (count, found_degree) = read.size();
@@ -221,7 +221,8 @@ pub fn convert(
         next = which.end;
         let found = match (&read.rows, &place_of_row) {
             (Rows::Compressed(packed), Some(places)) => {
-                packed.rows_at(places[which].iter().map(|place| *place as usize).filter(|place| *place < count))
+                let own = places.get(which).unwrap_or_default();
+                packed.rows_at(own.iter().map(|place| *place as usize).filter(|place| *place < count))
             }
             _ => read.next_rows(rows.len()).map_err(Stop::Format)?,
         };
@@ -234,7 +235,7 @@ pub fn convert(
     .map_err(Stop::format)?;
     let added = place_of_row.map_or(0, |places| count.saturating_sub(places.len()));
     let left_out = all - (count - added).min(all);
-    Ok(Converted { count, sh_degree, left_out, added, moved, error: sums.error() })
+    Ok(Converted { count, sh_degree, left_out, added, moved: fit.moved.len(), error: sums.error() })
 }
 
 /// Why rows are not taken any further.
@@ -257,10 +258,17 @@ struct Fit {
     /// Whether the format holds every row.
     exact: bool,
     sh_degree: usize,
-    /// Centres and scales of all rows that are kept, where they may differ from the scene's.
-    geometry: Option<GaussianRows>,
-    /// First of those of the next rows.
+    /// Rows whose centres and scales differ from the scene's, in order.
+    moved: Vec<Moved>,
+    /// First of the next rows.
     next: usize,
+}
+
+/// A row that is not where the scene has it.
+struct Moved {
+    row: usize,
+    mean: [f32; 3],
+    log_scales: [f32; 3],
 }
 
 impl Fit {
@@ -276,7 +284,7 @@ impl Fit {
             if rows.is_empty() {
                 return Ok(());
             }
-            take(&self.of(rows).ok_or_else(|| Stop::Format(from.changed()))?)?;
+            take(&self.of(rows))?;
         }
     }
 
@@ -294,8 +302,7 @@ impl Fit {
         Ok(geometry)
     }
 
-    /// `None` if there are other rows than before.
-    fn of(&mut self, mut rows: GaussianRows) -> Option<GaussianRows> {
+    fn of(&mut self, mut rows: GaussianRows) -> GaussianRows {
         if self.sh_degree < rows.sh_degree {
             let mut cut = GaussianRows { sh_degree: self.sh_degree, ..GaussianRows::default() };
             (0..rows.len()).for_each(|row| cut.push(&rows, row));
@@ -306,13 +313,14 @@ impl Fit {
             (0..rows.len()).filter(|&row| rows.is_usable(row)).for_each(|row| usable.push(&rows, row));
             rows = usable;
         }
-        if let Some(geometry) = &self.geometry {
-            let which = self.next..self.next + rows.len();
-            rows.means.copy_from_slice(geometry.means.get(which.clone())?);
-            rows.log_scales.copy_from_slice(geometry.log_scales.get(which.clone())?);
-            self.next = which.end;
+        let which = self.next..self.next + rows.len();
+        self.next = which.end;
+        let first = self.moved.partition_point(|moved| moved.row < which.start);
+        for Moved { row, mean, log_scales } in self.moved[first..].iter().take_while(|moved| moved.row < which.end) {
+            rows.means[row - which.start] = *mean;
+            rows.log_scales[row - which.start] = *log_scales;
         }
-        Some(rows)
+        rows
     }
 }
 

@@ -4,7 +4,7 @@ use std::fs::File;
 use std::io::{self, BufWriter};
 use std::path::Path;
 
-use super::{ConvertOptions, Fit, SceneReader, Stop};
+use super::{ConvertOptions, Fit, Moved, SceneReader, Stop};
 use crate::formats::{FormatError, SceneFile, compressed, gltf, spz};
 use crate::gaussians::GaussianRows;
 use crate::ply;
@@ -95,23 +95,25 @@ pub(super) fn write_compressed(from: &mut SceneReader, fit: &mut Fit, to: &Path)
     Ok(place_of_row)
 }
 
-/// Returns the number of Gaussians that were moved.
 pub(super) fn write_spz(
     from: &mut SceneReader,
     fit: &mut Fit,
     to: &Path,
     options: &ConvertOptions,
-) -> Result<usize, FormatError> {
+) -> Result<(), FormatError> {
     let mut geometry = fit.geometry_of(from)?;
     let moved = spz::bring_within_reach(&mut geometry);
     let mut sections = spz::PackedSections::new(fit.sh_degree, spz::farthest(&geometry.means), options.spz);
-    fit.geometry = Some(geometry);
+    fit.moved = moved
+        .into_iter()
+        .map(|row| Moved { row, mean: geometry.means[row], log_scales: geometry.log_scales[row] })
+        .collect();
+    drop(geometry);
     from.rewind()?;
     fit.each(from, |rows| {
         sections.add(rows);
         Ok(())
     })
     .map_err(Stop::format)?;
-    sections.write(to, from.about.antialiased || options.antialiased)?;
-    Ok(moved)
+    sections.write(to, from.about.antialiased || options.antialiased)
 }
