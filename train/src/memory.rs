@@ -143,6 +143,7 @@ mod tests {
             assert_eq!(*block.add(LARGE - 1), 0);
             assert!(from_nothing.realloc(block, large, LARGE - 1).is_null(), "the block is lost");
             let block = from_nothing.realloc(block, large, 2 * LARGE);
+            assert!(!block.is_null());
             from_nothing.dealloc(block, layout(2 * LARGE));
 
             // Bytes are kept when a block becomes large and small again.
