@@ -1,9 +1,11 @@
 //! A training step on a given scene.
 
 use burn::tensor::Tensor;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
 use splat_model::density::rows::{Gradients, StepRates, Trained};
-use splat_model::density::{Adaptive, AdaptiveConfig, Observed, Strategy};
-use splat_model::gaussians::Gaussians;
+use splat_model::density::{Adaptive, AdaptiveConfig, Observed, Strategy, StrategyContext};
+use splat_model::gaussians::{Gaussians, RowsError};
 use splat_model::loss::{DEFAULT_LAMBDA, Truth, photometric};
 use splat_model::optim::{Adam, LearningRates, MomentBits};
 use splat_model::trainer::Guard;
@@ -66,6 +68,28 @@ impl Step {
         self.scene.step(gradients, &Adam::default(), &rates(), self.step, verdict.as_ref());
         self.guard.read(false).expect(SOUND);
         Ok(loss)
+    }
+
+    /// Refines the scene once as `gradual` does where all Gaussians wait to become two: a fifth of them do, the most that a refinement takes.
+    /// Returns the number of Gaussians.
+    ///
+    /// # Errors
+    /// If the rows are inconsistent, which is a bug of the strategy.
+    pub fn refine(&mut self) -> Result<usize, RowsError> {
+        // All gradients exceed a negative threshold.
+        let config = AdaptiveConfig {
+            grad_threshold: -1.0,
+            every: 1,
+            from: 1,
+            max_splats: 1 << 40,
+            ..AdaptiveConfig::gradual()
+        };
+        let at = StrategyContext { step: 1, steps: 3, extent: 1.0, means_rate: 0.0, verdict: None };
+        let mut rng = ChaCha8Rng::seed_from_u64(0);
+        Adaptive::new(config, at.extent, at.steps).act(&mut self.scene, &at, &mut rng)?;
+        // Its statistics are of the rows before.
+        self.density = density();
+        Ok(self.scene.gaussians.len())
     }
 }
 

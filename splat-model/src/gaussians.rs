@@ -55,6 +55,16 @@ impl GaussianRows {
         3 * ((self.sh_degree + 1) * (self.sh_degree + 1) - 1)
     }
 
+    /// Makes room for so many more rows and no others.
+    pub fn reserve_exact(&mut self, more: usize) {
+        self.means.reserve_exact(more);
+        self.rotations.reserve_exact(more);
+        self.log_scales.reserve_exact(more);
+        self.logit_opacities.reserve_exact(more);
+        self.sh_dc.reserve_exact(more);
+        self.sh_rest.reserve_exact(more * self.rest_per_row());
+    }
+
     /// Appends row `i` of `from`, without the coefficients above the degree of these rows.
     ///
     /// # Panics
@@ -174,6 +184,9 @@ pub(crate) fn sh_blocks(count: usize, coefficients: usize, device: &Device) -> V
     (0..count.max(1)).step_by(rows).map(|first| first..first.saturating_add(rows).min(count)).collect()
 }
 
+/// Rows of coefficients that are copied to the host at a time: 13 MB at degree 3.
+const ROWS_AT_ONCE: usize = 1 << 16;
+
 /// Joins tensors of consecutive rows.
 pub(crate) fn joined<const D: usize, K: Basic>(mut blocks: Vec<Tensor<D, K>>) -> Tensor<D, K> {
     if blocks.len() == 1 { blocks.swap_remove(0) } else { Tensor::cat(blocks, 0) }
@@ -203,6 +216,28 @@ impl Gaussians {
         })
     }
 
+    /// As [`Self::from_rows`], in the memory of the rows where the device's is the host's: a scene need not be in memory twice.
+    ///
+    /// # Errors
+    /// If the rows' fields differ in length.
+    pub fn from_own_rows(rows: GaussianRows, device: &Device) -> Result<Self, RowsError> {
+        rows.check()?;
+        let (count, coefficients) = (rows.len(), rows.rest_per_row() / 3 + 1);
+        if sh_blocks(count, coefficients, device).len() > 1 {
+            return Self::from_rows(&rows, device);
+        }
+        let GaussianRows { means, rotations, log_scales, logit_opacities, sh_dc, sh_rest, .. } = rows;
+        let sh = interleaved(sh_dc, sh_rest);
+        Ok(Self {
+            means: parameter(tensor(means.into_flattened(), [count, 3], device)),
+            rotations: parameter(tensor(rotations.into_flattened(), [count, 4], device)),
+            log_scales: parameter(tensor(log_scales.into_flattened(), [count, 3], device)),
+            logit_opacities: parameter(tensor(logit_opacities, [count], device)),
+            sh: parameter(tensor(sh, [count, coefficients, 3], device)),
+            sh_more: Vec::new(),
+        })
+    }
+
     /// Copies the rows of the scene to the host.
     pub fn to_rows(&self) -> GaussianRows {
         let mut rows = GaussianRows {
@@ -213,7 +248,16 @@ impl Gaussians {
             sh_degree: self.sh_degree(),
             ..GaussianRows::default()
         };
-        self.sh_params().for_each(|block| rows.set_sh(&values_of(block.val())));
+        rows.sh_dc.reserve_exact(rows.len());
+        rows.sh_rest.reserve_exact(rows.len() * rows.rest_per_row());
+        for block in self.sh_params() {
+            let block = block.val();
+            let count = block.dims()[0];
+            for first in (0..count).step_by(ROWS_AT_ONCE) {
+                let part = block.clone().narrow(0, first, ROWS_AT_ONCE.min(count - first));
+                rows.set_sh(&values_of(part));
+            }
+        }
         rows
     }
 
@@ -319,6 +363,24 @@ impl Gaussians {
             sh_more: self.sh_more.iter().map(plain).collect(),
         }
     }
+}
+
+/// All coefficients of each Gaussian, in the memory of the higher ones.
+fn interleaved(dc: Vec<[f32; 3]>, rest: Vec<f32>) -> Vec<f32> {
+    let per_row = rest.len().checked_div(dc.len()).unwrap_or(0);
+    if per_row == 0 {
+        return dc.into_flattened();
+    }
+    let mut all = rest;
+    all.reserve_exact(3 * dc.len());
+    all.resize(all.len() + 3 * dc.len(), 0.0);
+    // From the last on, because every row moves up.
+    for (row, dc) in dc.iter().enumerate().rev() {
+        let to = (3 + per_row) * row;
+        all.copy_within(per_row * row..per_row * (row + 1), to + 3);
+        all[to..to + 3].copy_from_slice(dc);
+    }
+    all
 }
 
 fn tensor<const D: usize>(values: Vec<f32>, shape: [usize; D], device: &Device) -> Tensor<D> {

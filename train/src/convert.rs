@@ -113,8 +113,8 @@ pub fn run(args: &ConvertArgs) -> Result<()> {
             of.extension()
         );
     }
-    let (written, added) = match formats::is_streamed(format) {
-        true => (streamed(args, reader, format)?, 0),
+    let written = match formats::is_streamed(format) {
+        true => streamed(args, reader, format)?,
         false => whole(args, reader, &about, format)?,
     };
 
@@ -123,9 +123,10 @@ pub fn run(args: &ConvertArgs) -> Result<()> {
     if let Some(metres) = about.metres_per_unit {
         progress::say(&format!("a scene unit is {metres} m"));
     }
-    if added > 0 {
+    if written.added > 0 {
         progress::say(&format!(
-            "added {added} invisible splats: outliers have chunks of their own, and cost no other splat its place"
+            "added {} invisible splats: outliers have chunks of their own, and cost no other splat its place",
+            written.added
         ));
     }
     let mut lost = dropped(&about, format, &written, of_degree);
@@ -150,8 +151,8 @@ fn streamed(args: &ConvertArgs, mut reader: SceneReader, format: Format) -> Resu
         .with_context(|| format!("cannot convert {} to {}", args.scene.display(), args.out.display()))
 }
 
-/// Converts with all rows in memory, and compares some of the file's at a time with them. Returns the number of added Gaussians too.
-fn whole(args: &ConvertArgs, reader: SceneReader, about: &SceneFile, format: Format) -> Result<(Converted, usize)> {
+/// Converts with all rows in memory, and compares some of the file's at a time with them.
+fn whole(args: &ConvertArgs, reader: SceneReader, about: &SceneFile, format: Format) -> Result<Converted> {
     let rows = reader.read().context("cannot read the scene")?.rows;
     rows.check()?;
     let of_degree = rows.sh_degree;
@@ -180,7 +181,7 @@ fn whole(args: &ConvertArgs, reader: SceneReader, about: &SceneFile, format: For
         let part = rows.part(first..rows.len().min(first + ROWS_AT_ONCE));
         sums.add(&part, &read.next_rows(ROWS_AT_ONCE).context(again)?);
     }
-    Ok((Converted { count, sh_degree, left_out, moved, error: sums.error() }, added))
+    Ok(Converted { count, sh_degree, left_out, added, moved, error: sums.error() })
 }
 
 fn spz_options(args: &ConvertArgs) -> SpzOptions {

@@ -114,10 +114,8 @@ pub fn run(args: &EvalArgs) -> Result<Metrics> {
     let accuracy = accuracy.on((&capture, Some(&rows), MeasuredView::pixels(&shots)), &base, Workload::Render)?;
     let scene_name = scene_name(&args.scene)?;
     let out = OutputFolder::prepare(&args.out, &[&scene_name, METRICS], &[VIEWS])?;
-    let splats = Gaussians::from_rows(&rows, &device)?.splats();
     let culled_non_finite = rows.unusable();
     let load = seconds_since(start);
-
     let dials = accuracy.setting(&UnmeasuredScene {
         rows: &rows,
         shots,
@@ -127,6 +125,9 @@ pub fn run(args: &EvalArgs) -> Result<Metrics> {
         work: Workload::Render,
     })?;
     let render_options = dials.apply(base);
+    let start = Instant::now();
+    let splats = Gaussians::from_own_rows(rows, &device)?.splats();
+    let load = load + seconds_since(start);
     let photos: Vec<Photograph> = photos.into_iter().map(Photograph::from).collect();
     let start = Instant::now();
     let scores = report::measure(&splats, &photos, &background, &render_options, lpips.as_ref(), &out)?;

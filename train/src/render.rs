@@ -96,7 +96,6 @@ pub fn run(args: &RenderArgs) -> Result<Vec<PathBuf>> {
     let capture = input::capture(&args.capture)?;
     let views = chosen(&capture, &args.view)?;
     let rows = input::rows(&args.scene, &capture)?;
-    let splats = Gaussians::from_rows(&rows, &device)?.splats();
     let base = args.model.config().render_options(input::extent(&capture));
     let shots: Vec<MeasuredView> =
         views.iter().map(|view| MeasuredView::unseen(&view.intrinsics, &view.cam_from_world)).collect();
@@ -111,9 +110,7 @@ pub fn run(args: &RenderArgs) -> Result<Vec<PathBuf>> {
         work: Workload::Render,
     };
     let options = accuracy.setting(&scene)?.apply(base);
-    // Half of the memory.
-    drop(rows);
-    let splats = splats.stored(&options)?;
+    let splats = Gaussians::from_own_rows(rows, &device)?.splats().stored(&options)?;
     let names = pictures::names(views.iter().map(|view| view.name.as_str()), args.format.extension());
     let counter = progress::counter("rendering", views.len());
     let mut frames_ms = Vec::new();

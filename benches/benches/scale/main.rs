@@ -2,8 +2,8 @@
 //! photographs.
 //!
 //! `cargo bench --workspace --bench scale -- splats` takes any of `splats`, `pixels` and `views`, by default all three. `plot`
-//! draws the recorded measurements. `moments 10000000` prints a training step of so many Gaussians with Adam's moments in 32, 16 and 8
-//! bits, and records nothing. Each axis replaces its rows in `docs/scale/scale.csv` and its plot, and keeps the other
+//! draws the recorded measurements. `moments 10000000` prints a training step of so many Gaussians, and a refinement to so
+//! many, with Adam's moments in 32, 16 and 8 bits, and records nothing. Each axis replaces its rows in `docs/scale/scale.csv` and its plot, and keeps the other
 //! axes. Every point runs in a process of its own, so that it does not reuse the memory of another. A point that would exceed
 //! [`MEMORY`] or [`PATIENCE`] by extrapolation from the point before is skipped, with a message.
 
@@ -20,12 +20,14 @@ use std::time::Duration;
 use splat_benches::allocations::CountingAllocator;
 use splat_benches::{MEDIUM, SyntheticView};
 use splat_model::optim::MomentBits;
+use splat_train::memory::LargeFromSystem;
 
 use point::{ScalePoint, ScaleWork};
 use record::{ScaleAxis, ScaleRow};
 
 #[global_allocator]
-static ALLOCATOR: CountingAllocator<mimalloc::MiMalloc> = CountingAllocator(mimalloc::MiMalloc);
+static ALLOCATOR: CountingAllocator<LargeFromSystem<mimalloc::MiMalloc>> =
+    CountingAllocator(LargeFromSystem(mimalloc::MiMalloc));
 
 /// Most bytes for a point.
 const MEMORY: f64 = 16.0 * 1024.0 * 1024.0 * 1024.0;
@@ -70,14 +72,13 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// Measures a training step with moments of each number of bits.
+/// Measures a training step and a refinement with moments of each number of bits.
 fn moments(splats: usize) -> Result<(), Box<dyn Error>> {
     let view = SyntheticView { splats, width: 1920, height: 1080, ..MEDIUM };
     for moments in MomentBits::ALL {
-        println!(
-            "{}",
-            in_a_process(ScaleAxis::Splats, &ScalePoint { work: ScaleWork::Step, view, views: 1, moments })?
-        );
+        for work in [ScaleWork::Step, ScaleWork::Refinement] {
+            println!("{}", in_a_process(ScaleAxis::Splats, &ScalePoint { work, view, views: 1, moments })?);
+        }
     }
     Ok(())
 }
@@ -112,7 +113,7 @@ fn points(axis: ScaleAxis) -> Vec<(SyntheticView, usize)> {
 
 fn measure(axis: ScaleAxis) -> Result<Vec<ScaleRow>, Box<dyn Error>> {
     let mut rows = Vec::new();
-    for work in ScaleWork::ALL {
+    for work in ScaleWork::RECORDED {
         // A render does not depend on the number of photographs.
         if axis == ScaleAxis::Views && work == ScaleWork::Render {
             continue;

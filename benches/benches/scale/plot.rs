@@ -26,7 +26,7 @@ pub fn draw(axis: ScaleAxis, rows: &[ScaleRow], to: &Path) -> Result<(), Box<dyn
             let rows = rows.iter().filter(|row| row.point.work == work);
             PlotLine { name: work.name(), colour, points: rows.map(|row| (axis.of(&row.point), value(row))).collect() }
         };
-        let lines = ScaleWork::ALL.into_iter().zip(colours).map(of);
+        let lines = ScaleWork::RECORDED.into_iter().zip(colours).map(of);
         lines.filter(|line| !line.points.is_empty()).collect()
     };
     let times = lines(&|row| 1e3 * row.median_s);

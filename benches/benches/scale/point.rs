@@ -3,7 +3,7 @@
 use std::error::Error;
 use std::fmt::{self, Display};
 use std::fs;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use burn::tensor::{DType, Device, Tensor};
 use glam::DAffine3;
@@ -26,20 +26,24 @@ pub enum ScaleWork {
     Render,
     /// A training step.
     Step,
+    /// A refinement that divides a fifth of the Gaussians, so that there are [`SyntheticView::splats`] afterwards.
+    Refinement,
 }
 
 impl ScaleWork {
-    pub const ALL: [Self; 2] = [Self::Render, Self::Step];
+    /// The kinds whose growth is recorded.
+    pub const RECORDED: [Self; 2] = [Self::Render, Self::Step];
 
     pub fn name(self) -> &'static str {
         match self {
             Self::Render => "render and backward",
             Self::Step => "training step",
+            Self::Refinement => "refinement",
         }
     }
 
     pub fn parse(text: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|work| work.name() == text)
+        [Self::Render, Self::Step, Self::Refinement].into_iter().find(|work| work.name() == text)
     }
 }
 
@@ -49,7 +53,7 @@ pub struct ScalePoint {
     pub view: SyntheticView,
     /// Number of photographs.
     pub views: usize,
-    /// Bits of Adam's moments in a step on one photograph.
+    /// Bits of Adam's moments in a step on one photograph, and in a refinement.
     pub moments: MomentBits,
 }
 
@@ -104,12 +108,15 @@ const BUDGET: Duration = Duration::from_secs(15);
 
 /// Measures a point and prints seconds, runs, intersections, peak bytes held, and peak bytes of the process's resident memory.
 pub fn run(point: &ScalePoint) -> Result<(), Box<dyn Error>> {
+    if point.work == ScaleWork::Refinement {
+        return refinement(point);
+    }
     let intersections = intersections(&point.view);
     let empty = held();
     let mut prepare = match (point.work, point.views) {
         (ScaleWork::Render, _) => render_and_backward(&point.view),
-        (ScaleWork::Step, 1) => step(&point.view, point.moments),
-        (ScaleWork::Step, views) => stateful(point.view.trainer(views), Trainer::step),
+        (_, 1) => stateful(step(&point.view, point.moments), Step::run),
+        (_, views) => stateful(point.view.trainer(views), Trainer::step),
     };
     let set_up = held() - empty;
     forget_peak();
@@ -144,13 +151,27 @@ fn render_and_backward(view: &SyntheticView) -> Prepare {
     })
 }
 
+/// As [`run`]; once, because it changes the number of Gaussians.
+fn refinement(point: &ScalePoint) -> Result<(), Box<dyn Error>> {
+    let empty = held();
+    let mut step = step(&SyntheticView { splats: point.view.splats * 5 / 6, ..point.view }, point.moments);
+    let set_up = held() - empty;
+    forget_peak();
+    let start = Instant::now();
+    let (refined, during) = allocated(|| step.refine());
+    let seconds = start.elapsed().as_secs_f64();
+    refined?;
+    println!("{seconds} 1 0 {} {}", set_up + during.peak, peak_rss());
+    Ok(())
+}
+
 /// Prepares a training step. The photograph is grey, so that the loss has a derivative everywhere.
-fn step(view: &SyntheticView, moments: MomentBits) -> Prepare {
+fn step(view: &SyntheticView, moments: MomentBits) -> Step {
     let device = Device::flex();
     let gaussians = Gaussians::from_rows(&view.rows(), &device.clone().autodiff()).expect("rows of one scene");
     let camera = Camera::new(view.camera(&device, DType::F32).intrinsics, &DAffine3::IDENTITY, &device);
     let truth = Truth::new(Tensor::<3>::ones([view.height, view.width, 3], &device) * 0.5);
-    stateful(Step::with_moments(gaussians, camera, truth, moments), Step::run)
+    Step::with_moments(gaussians, camera, truth, moments)
 }
 
 /// Resets the system's peak of the resident memory. On systems without a reset, the peak covers the whole process.

@@ -117,7 +117,7 @@ pub const ALLOWED_BYTES: f64 = 1.3 * 59.0 * 4.0 * 4.0;
 
 /// Prints the cost of each step along the axis per unit of work.
 pub fn state_growth(axis: ScaleAxis, rows: &[ScaleRow]) {
-    for work in ScaleWork::ALL {
+    for work in ScaleWork::RECORDED {
         let rows: Vec<&ScaleRow> = rows.iter().filter(|row| row.point.work == work).collect();
         for pair in rows.windows(2) {
             let [low, high] = [pair[0], pair[1]];

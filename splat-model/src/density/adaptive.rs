@@ -92,6 +92,7 @@ impl Adaptive {
         let mut report = RefineReport { threshold, ..Default::default() };
         let mut edit = RowEdit::default();
         edit.add.sh_degree = rows.sh_degree;
+        edit.add.reserve_exact(2 * chosen.len());
         let mut replaced = doomed.clone();
         for &i in &chosen {
             let halves = self.config.division == Division::LongAxis;
@@ -110,6 +111,7 @@ impl Adaptive {
         }
         edit.keep = morton_order(&rows.means).into_iter().filter(|&row| !replaced[row as usize]).collect();
         report.pruned = doomed.iter().filter(|&&gone| gone).count();
+        drop(rows);
         scene.edit(&edit)?;
         self.limit_elongation(scene);
         self.seen = None;

@@ -103,6 +103,7 @@ impl Mcmc {
 
         let mut edit = RowEdit::default();
         edit.add.sh_degree = rows.sh_degree;
+        edit.add.reserve_exact(drawn.iter().filter(|more| **more > 0).map(|more| more + 1).sum());
         for (i, &more) in drawn.iter().enumerate().filter(|(_, more)| **more > 0) {
             let (opacity, factor) = share(opacities[i], more + 1);
             let add = &mut edit.add;
@@ -115,8 +116,9 @@ impl Mcmc {
         }
         let stays = |row: &u32| opacities[*row as usize] > 0.0 && drawn[*row as usize] == 0;
         edit.keep = morton_order(&rows.means).into_iter().filter(stays).collect();
-        scene.edit(&edit)?;
         let (cloned, pruned) = (wanted - living, rows.len() - living);
+        drop(rows);
+        scene.edit(&edit)?;
         Ok(Some(RefineReport { cloned, pruned, ..RefineReport::default() }))
     }
 

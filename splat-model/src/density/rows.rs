@@ -3,6 +3,8 @@
 mod gradients;
 mod harmonics;
 
+use std::borrow::Cow;
+
 use burn::module::{Param, ParamId};
 use burn::tensor::{DType, Device, Int, Tensor, TensorData};
 use splat_op::adam::{Factors, Raw, SceneStep, SteppedScene, step_scene, steps_scenes};
@@ -96,7 +98,12 @@ impl Trained {
     /// If `keep` names a row that does not exist, which is a bug of the strategy.
     pub fn edit(&mut self, edit: &RowEdit) -> Result<(), RowsError> {
         let device = self.gaussians.means.val().device().inner();
-        let rows = GaussianRows { sh_degree: self.gaussians.sh_degree(), ..edit.add.clone() };
+        let sh_degree = self.gaussians.sh_degree();
+        let rows = match edit.add.sh_degree == sh_degree {
+            true => Cow::Borrowed(&edit.add),
+            // No rows have any degree.
+            false => Cow::Owned(GaussianRows { sh_degree, ..edit.add.clone() }),
+        };
         let (keep, added) = (indices(&edit.keep, &device), Gaussians::from_rows(&rows, &device)?);
         let (g, m) = (&mut self.gaussians, &mut self.moments);
         edit_rows(&mut g.means, &mut m.means, &keep, &added.means);
@@ -322,10 +329,11 @@ fn edit_rows<const D: usize>(
     keep: &Tensor<1, Int>,
     added: &Param<Tensor<D>>,
 ) {
-    let added = added.val().inner();
+    let (device, added) = (param.val().device(), added.val().inner());
     moments.edit(keep, added.dims()[0]);
-    let values = Tensor::cat(vec![param.val().inner().select(0, keep.clone()), added], 0);
-    replace(param, values);
+    // The old rows are gone before the new ones are joined.
+    let kept = take(param).select(0, keep.clone());
+    *param = parameter(on(&device, Tensor::cat(vec![kept, added], 0)));
 }
 
 fn untracked<const D: usize>(values: Tensor<D>) -> Tensor<D> {

@@ -335,14 +335,14 @@ fn fitted(rows: &GaussianRows, format: Format) -> Written<'_> {
     let mut fitted = GaussianRows { sh_degree: rows.sh_degree.min(format.sh_degree_max()), ..GaussianRows::default() };
     let mut moved = 0;
     if format == Format::CompressedPly {
-        compressed::fill_chunks(&mut fitted, rows, usable);
+        compressed::fill_chunks(&mut fitted, rows, &compressed::arranged(&rows.means, &rows.sh_dc, usable));
     } else {
         let order = if format == Format::Sog { morton_order(&rows.means) } else { usable };
         let rows_of = order.into_iter().map(|row| row as usize).filter(|&row| rows.is_usable(row));
         rows_of.for_each(|row| fitted.push(rows, row));
     }
     if format == Format::Spz {
-        moved = spz::bring_within_reach(&mut fitted);
+        moved = spz::bring_within_reach(&mut fitted).len();
     }
     let (left_out, added) = (rows.len() - count, fitted.len() - count);
     Written { rows: Cow::Owned(fitted), left_out, added, moved }

@@ -1,22 +1,25 @@
 //! Scenes that are read, converted and compared some rows at a time, so that they need not fit into memory.
 
+mod write;
+
+use std::io;
 use std::path::Path;
 
+use self::write::{write_compressed, write_glb, write_ply, write_spz};
 use super::{
     Beginning, Format, FormatError, QuantisationError, QuantisationSums, SceneFile, SpzOptions, compressed, gltf, json,
     sog, spz,
 };
 use crate::gaussians::GaussianRows;
 use crate::ply::{self, PlyReader, PlyRows, WorldFrame};
-use crate::replace::replace;
 
 /// Rows that are in memory at a time: 16 MB at degree 3.
 pub const ROWS_AT_ONCE: usize = 1 << 16;
 
 /// A scene file that is read some rows at a time.
 ///
-/// Of PLY only these rows are in memory. Of SPZ and compressed PLY the packed rows are, 65 and 61 bytes each at degree 3. glTF and SOG are
-/// read whole.
+/// Of PLY and binary glTF only these rows are in memory. Of SPZ and compressed PLY the packed rows are, 65 and 61 bytes each at degree 3, and
+/// of glTF as JSON the decoded data. SOG is read whole.
 pub struct SceneReader<'a> {
     path: &'a Path,
     about: SceneFile,
@@ -28,6 +31,7 @@ enum Rows<'a> {
     Ply(PlyRows<'a>),
     Compressed(compressed::CompressedRows),
     Spz(spz::SpzRows),
+    Gltf(gltf::GltfRows<'a>),
     Whole { rows: GaussianRows, next: usize },
 }
 
@@ -41,6 +45,7 @@ impl<'a> SceneReader<'a> {
             let rows = Rows::Whole { rows: scene.rows, next: 0 };
             (SceneFile { rows: GaussianRows::default(), ..scene }, rows)
         };
+        let of_gltf = |mut rows: gltf::GltfRows<'a>| (std::mem::take(&mut rows.about), Rows::Gltf(rows));
         let of_world =
             |WorldFrame { origin, metres_per_unit }| SceneFile { origin, metres_per_unit, ..SceneFile::default() };
         let (format, (about, rows)) = match Beginning::of(path)? {
@@ -49,15 +54,15 @@ impl<'a> SceneReader<'a> {
                 let about = SceneFile { antialiased: rows.antialiased, ..SceneFile::default() };
                 (Format::Spz, (about, Rows::Spz(rows)))
             }
-            Beginning::Glb => (Format::Glb, whole(gltf::read_binary(path)?)),
+            Beginning::Glb => (Format::Glb, of_gltf(gltf::GltfRows::open_binary(path)?)),
             Beginning::Zip => (Format::Sog, whole(sog::read_archive(path)?)),
             Beginning::Json => {
                 let (format, json) = json(path)?;
-                let scene = match format {
-                    Format::Sog => sog::read_folder(path, &json)?,
-                    _ => gltf::read_text(path, &json)?,
+                let opened = match format {
+                    Format::Sog => whole(sog::read_folder(path, &json)?),
+                    _ => of_gltf(gltf::GltfRows::open_text(path, &json)?),
                 };
-                (format, whole(scene))
+                (format, opened)
             }
             Beginning::Ply => {
                 let (input, header) = PlyReader::open(path)?;
@@ -89,6 +94,7 @@ impl<'a> SceneReader<'a> {
             Rows::Ply(rows) => (rows.count, rows.sh_degree),
             Rows::Compressed(rows) => rows.size(),
             Rows::Spz(rows) => rows.size(),
+            Rows::Gltf(rows) => rows.size(),
             Rows::Whole { rows, .. } => (rows.len(), rows.sh_degree),
         }
     }
@@ -96,12 +102,13 @@ impl<'a> SceneReader<'a> {
     /// The next rows, at most so many; none at the end.
     ///
     /// # Errors
-    /// If a row of a PLY file cannot be read.
+    /// If a row of a PLY file or the data of a binary glTF cannot be read.
     pub fn next_rows(&mut self, most: usize) -> Result<GaussianRows, FormatError> {
         Ok(match &mut self.rows {
             Rows::Ply(rows) => rows.next_rows(most)?,
             Rows::Compressed(rows) => rows.next_rows(most),
             Rows::Spz(rows) => rows.next_rows(most),
+            Rows::Gltf(rows) => rows.next_rows(most)?,
             Rows::Whole { rows, next } => {
                 let which = *next..rows.len().min(next.saturating_add(most));
                 *next = which.end;
@@ -135,6 +142,7 @@ impl<'a> SceneReader<'a> {
             }
             Rows::Compressed(rows) => rows.rewind(),
             Rows::Spz(rows) => rows.rewind(),
+            Rows::Gltf(rows) => rows.rewind(),
             Rows::Whole { next, .. } => *next = 0,
         }
         Ok(())
@@ -165,6 +173,8 @@ pub struct Converted {
     pub sh_degree: usize,
     /// As [`super::Written::left_out`].
     pub left_out: usize,
+    /// As [`super::Written::added`].
+    pub added: usize,
     /// As [`super::Written::moved`].
     pub moved: usize,
     /// Error of the file, which was read again.
@@ -173,10 +183,10 @@ pub struct Converted {
 
 /// Whether [`convert`] writes this format.
 pub fn is_streamed(format: Format) -> bool {
-    matches!(format, Format::Ply | Format::Spz)
+    matches!(format, Format::Ply | Format::CompressedPly | Format::Spz | Format::Glb)
 }
 
-/// Writes a scene as PLY or SPZ as [`super::write`] does, and compares the file with it, [`ROWS_AT_ONCE`] at a time.
+/// Writes a scene as PLY, compressed PLY, SPZ or binary glTF as [`super::write`] does, and compares the file with it, [`ROWS_AT_ONCE`] at a time.
 ///
 /// # Errors
 /// Those of [`super::read`] and [`super::write`]; then an existing file stays as it was.
@@ -191,52 +201,31 @@ pub fn convert(
 ) -> Result<Converted, FormatError> {
     assert!(is_streamed(format), "{format} is not written in a stream");
     let (all, of_degree) = from.size();
-    let sh_degree = options.sh_degree.map_or(of_degree, |degree| degree.min(of_degree));
+    let sh_degree = options.sh_degree.unwrap_or(of_degree).min(of_degree).min(format.sh_degree_max());
     let world = from.about.world();
     ply::check(to, &GaussianRows { sh_degree, ..GaussianRows::default() }, world)?;
-    let mut fit = Fit { exact: format.is_exact(), sh_degree, geometry: None, next: 0 };
-    let mut moved = 0;
-    from.rewind()?;
-    if format == Format::Ply {
-        let mut failed = None;
-        let written = replace(to, |out| {
-            ply::write_header(out, all, sh_degree, world)?;
-            fit.each(from, |rows| ply::write_rows(out, rows).map_err(Stop::Io)).map_err(|stop| match stop {
-                Stop::Io(error) => error,
-                Stop::Format(error) => {
-                    failed = Some(error);
-                    std::io::ErrorKind::Other.into()
-                }
-            })
-        });
-        // An input that cannot be read is the cause.
-        failed.map_or(Ok(()), Err)?;
-        written.map_err(|refused| FormatError::refused(to, refused))?;
-    } else {
-        let mut geometry = GaussianRows::default();
-        fit.each(from, |rows| {
-            geometry.means.extend_from_slice(&rows.means);
-            geometry.log_scales.extend_from_slice(&rows.log_scales);
-            Ok(())
-        })
-        .map_err(Stop::format)?;
-        moved = spz::bring_within_reach(&mut geometry);
-        let mut sections = spz::PackedSections::new(sh_degree, spz::farthest(&geometry.means), options.spz);
-        fit.geometry = Some(geometry);
-        from.rewind()?;
-        fit.each(from, |rows| {
-            sections.add(rows);
-            Ok(())
-        })
-        .map_err(Stop::format)?;
-        sections.write(to, from.about.antialiased || options.antialiased)?;
+    let mut fit = Fit { exact: format.is_exact(), sh_degree, moved: Vec::new(), next: 0 };
+    let mut place_of_row = None;
+    match format {
+        Format::Ply => write_ply(from, &mut fit, to)?,
+        Format::CompressedPly => place_of_row = Some(write_compressed(from, &mut fit, to)?),
+        Format::Glb => write_glb(from, &mut fit, to, options)?,
+        _ => write_spz(from, &mut fit, to, options)?,
     }
     let mut read = SceneReader::open(to)?;
     let (count, found_degree) = read.size();
-    let mut sums = QuantisationSums::default();
+    let (mut sums, mut next) = (QuantisationSums::default(), 0);
     from.rewind()?;
     fit.each(from, |rows| {
-        let found = read.next_rows(rows.len()).map_err(Stop::Format)?;
+        let which = next..next + rows.len();
+        next = which.end;
+        let found = match (&read.rows, &place_of_row) {
+            (Rows::Compressed(packed), Some(places)) => {
+                let own = places.get(which).unwrap_or_default();
+                packed.rows_at(own.iter().map(|place| *place as usize).filter(|place| *place < count))
+            }
+            _ => read.next_rows(rows.len()).map_err(Stop::Format)?,
+        };
         if (found.len(), found_degree) != (rows.len(), sh_degree) {
             return Err(Stop::Format(read.changed()));
         }
@@ -244,13 +233,15 @@ pub fn convert(
         Ok(())
     })
     .map_err(Stop::format)?;
-    Ok(Converted { count, sh_degree, left_out: all - count.min(all), moved, error: sums.error() })
+    let added = place_of_row.map_or(0, |places| count.saturating_sub(places.len()));
+    let left_out = all - (count - added).min(all);
+    Ok(Converted { count, sh_degree, left_out, added, moved: fit.moved.len(), error: sums.error() })
 }
 
 /// Why rows are not taken any further.
 enum Stop {
     Format(FormatError),
-    Io(std::io::Error),
+    Io(io::Error),
 }
 
 impl Stop {
@@ -267,10 +258,17 @@ struct Fit {
     /// Whether the format holds every row.
     exact: bool,
     sh_degree: usize,
-    /// Centres and scales of all rows that are kept, where they may differ from the scene's.
-    geometry: Option<GaussianRows>,
-    /// First of those of the next rows.
+    /// Rows whose centres and scales differ from the scene's, in order.
+    moved: Vec<Moved>,
+    /// First of the next rows.
     next: usize,
+}
+
+/// A row that is not where the scene has it.
+struct Moved {
+    row: usize,
+    mean: [f32; 3],
+    log_scales: [f32; 3],
 }
 
 impl Fit {
@@ -286,12 +284,25 @@ impl Fit {
             if rows.is_empty() {
                 return Ok(());
             }
-            take(&self.of(rows).ok_or_else(|| Stop::Format(from.changed()))?)?;
+            take(&self.of(rows))?;
         }
     }
 
-    /// `None` if there are other rows than before.
-    fn of(&mut self, mut rows: GaussianRows) -> Option<GaussianRows> {
+    /// Centres, scales and colours of all rows.
+    fn geometry_of(&mut self, from: &mut SceneReader) -> Result<GaussianRows, FormatError> {
+        let mut geometry = GaussianRows::default();
+        from.rewind()?;
+        self.each(from, |rows| {
+            geometry.means.extend_from_slice(&rows.means);
+            geometry.log_scales.extend_from_slice(&rows.log_scales);
+            geometry.sh_dc.extend_from_slice(&rows.sh_dc);
+            Ok(())
+        })
+        .map_err(Stop::format)?;
+        Ok(geometry)
+    }
+
+    fn of(&mut self, mut rows: GaussianRows) -> GaussianRows {
         if self.sh_degree < rows.sh_degree {
             let mut cut = GaussianRows { sh_degree: self.sh_degree, ..GaussianRows::default() };
             (0..rows.len()).for_each(|row| cut.push(&rows, row));
@@ -302,13 +313,14 @@ impl Fit {
             (0..rows.len()).filter(|&row| rows.is_usable(row)).for_each(|row| usable.push(&rows, row));
             rows = usable;
         }
-        if let Some(geometry) = &self.geometry {
-            let which = self.next..self.next + rows.len();
-            rows.means.copy_from_slice(geometry.means.get(which.clone())?);
-            rows.log_scales.copy_from_slice(geometry.log_scales.get(which.clone())?);
-            self.next = which.end;
+        let which = self.next..self.next + rows.len();
+        self.next = which.end;
+        let first = self.moved.partition_point(|moved| moved.row < which.start);
+        for Moved { row, mean, log_scales } in self.moved[first..].iter().take_while(|moved| moved.row < which.end) {
+            rows.means[row - which.start] = *mean;
+            rows.log_scales[row - which.start] = *log_scales;
         }
-        Some(rows)
+        rows
     }
 }
 

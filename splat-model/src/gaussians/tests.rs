@@ -9,11 +9,23 @@ fn rows_survive_a_round_trip_bit_for_bit() {
                 let rows = random_rows(17, degree, degree as u64);
                 let scene = Gaussians::from_rows(&rows, &device).unwrap();
                 assert_eq!(scene.to_rows(), rows);
+                assert_eq!(Gaussians::from_own_rows(rows.clone(), &device).unwrap().to_rows(), rows);
                 assert_eq!((scene.len(), scene.sh_degree()), (17, degree));
                 assert_eq!(scene.sh.val().dims(), [17, (degree + 1) * (degree + 1), 3]);
             }
         }
     }
+}
+
+#[test]
+fn rows_are_copied_to_the_host_in_parts() {
+    let mut rows = random_rows(1, 1, 0);
+    let only = rows.clone();
+    (1..ROWS_AT_ONCE + 2).for_each(|_| rows.push(&only, 0));
+    let last = rows.rest_per_row() * (ROWS_AT_ONCE + 1);
+    rows.sh_rest[last] = 5.0;
+    rows.sh_dc[ROWS_AT_ONCE] = [6.0; 3];
+    assert!(Gaussians::from_rows(&rows, &Device::flex()).unwrap().to_rows() == rows);
 }
 
 #[test]

@@ -7,14 +7,12 @@ use sysinfo::{MemoryRefreshKind, RefreshKind, System};
 /// Floats of a Gaussian besides its spherical harmonics: centre, rotation, scales, opacity.
 const PLAIN: usize = 11;
 
-/// Copies of a parameter at the peak: values and gradient, old and new while rows are edited, and one on the host.
-const COPIES: usize = 5;
-
-/// Copies of both moments at the peak: old and new while rows are edited.
-const MOMENT_COPIES: usize = 2;
+/// Copies of a parameter besides the render's memory: values and gradient. While rows are chosen, a copy on the host takes the place of the
+/// gradient.
+const COPIES: usize = 2;
 
 /// Bytes of a Gaussian in a render and its backward pass: its activated and projected values, and its intersections
-/// with tiles.
+/// with tiles. While rows are edited, the old and the new values of one parameter at a time take their place.
 const RENDERED: usize = 400;
 
 /// Bytes of a pixel in a render, its loss and its backward pass.
@@ -49,10 +47,12 @@ impl MemoryEstimate {
         let of_sh = 3 * (config.sh_degree + 1) * (config.sh_degree + 1);
         let moments = [3, 4, 3, 1, of_sh].map(|width| config.moment_bits.bytes(width)).iter().sum::<usize>();
         let values = (PLAIN + of_sh) * size_of::<f32>();
+        // The sum of a batch's gradients, and those of a view.
+        let copies = COPIES + usize::from(config.batch > 1);
         Self {
             photographs: kept.map(Photograph::bytes).sum(),
             prepared: all_prepared.min(config.cache_mib << 20),
-            scene: splats * (COPIES * values + MOMENT_COPIES * moments + RENDERED),
+            scene: splats * (copies * values + moments + values.max(RENDERED)),
             other: PROGRAM + PIXEL * largest,
         }
     }
@@ -121,16 +121,15 @@ mod tests {
         let budget = MemoryEstimate::of(&[kept.clone(), let_go], &[kept], &config, 10);
         assert_eq!(budget.photographs, 2 * 15_000);
         assert_eq!(budget.prepared, 0);
-        assert_eq!(budget.scene, 10 * ((COPIES + 2 * MOMENT_COPIES) * 14 * 4 + RENDERED));
+        assert_eq!(budget.scene, 10 * ((COPIES + 2) * 14 * 4 + RENDERED));
         let packed = TrainConfig { moment_bits: MomentBits::Eight, ..config.clone() };
         // Two bytes a number, in whole words.
-        assert_eq!(
-            MemoryEstimate::of(&[], &[], &packed, 10).scene,
-            10 * (COPIES * 14 * 4 + MOMENT_COPIES * 36 + RENDERED)
-        );
+        assert_eq!(MemoryEstimate::of(&[], &[], &packed, 10).scene, 10 * (COPIES * 14 * 4 + 36 + RENDERED));
+        let several = TrainConfig { batch: 2, ..config.clone() };
+        assert_eq!(MemoryEstimate::of(&[], &[], &several, 10).scene - budget.scene, 10 * 14 * 4);
         let config = TrainConfig { sh_degree: 1, ..config };
         let more = MemoryEstimate::of(&[], &[], &config, 10).scene - budget.scene;
-        assert_eq!(more, 10 * (COPIES + 2 * MOMENT_COPIES) * 9 * 4);
+        assert_eq!(more, 10 * (COPIES + 2) * 9 * 4);
         assert_eq!(MemoryEstimate::of(&[], &[], &config, 0).total(), PROGRAM);
     }
 

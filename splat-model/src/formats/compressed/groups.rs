@@ -17,18 +17,20 @@ const GROUPS: usize = 4;
 /// colour at its end makes those of its chunk five times as coarse.
 const COLOUR_ROOM: f64 = 2.0;
 
-/// Logit of the opacity of a Gaussian that fills a chunk: level 0 of 255, which readers take for 0.
-const HIDDEN_LOGIT: f32 = -30.0;
+/// Logit of the opacity of a Gaussian that fills a chunk: level 0 of 255, which readers take for 0. The Gaussian is otherwise a copy of the
+/// one before, so that it widens no range.
+pub(super) const HIDDEN_LOGIT: f32 = -30.0;
 
 /// Splits rows into groups, each without its outliers, which are in the groups after it.
-fn groups(rows: &GaussianRows, of: Vec<u32>) -> Vec<Vec<u32>> {
+fn groups(means: &[[f32; 3]], colours: &[[f32; 3]], of: Vec<u32>) -> Vec<Vec<u32>> {
     let mut groups = Vec::new();
     let mut rest = of;
     while !rest.is_empty() {
-        let centres = Bulk::of(rest.iter().map(|&row| &rows.means[row as usize])).expect("there are rows");
-        let colours = Bulk::of(rest.iter().map(|&row| &rows.sh_dc[row as usize])).expect("there are rows");
-        let room = COLOUR_ROOM * colours.width.max(1.0 / DC);
-        let ordinary = |row: usize| centres.holds(&rows.means[row]) && colours.holds_with(room, &rows.sh_dc[row]);
+        let bulk =
+            |values: &[[f32; 3]]| Bulk::of(rest.iter().map(|&row| &values[row as usize])).expect("there are rows");
+        let (of_centres, of_colours) = (bulk(means), bulk(colours));
+        let room = COLOUR_ROOM * of_colours.width.max(1.0 / DC);
+        let ordinary = |row: usize| of_centres.holds(&means[row]) && of_colours.holds_with(room, &colours[row]);
         let last = groups.len() + 1 == GROUPS;
         let (own, outliers): (Vec<u32>, Vec<u32>) = rest.into_iter().partition(|&row| last || ordinary(row as usize));
         if own.is_empty() {
@@ -42,17 +44,28 @@ fn groups(rows: &GaussianRows, of: Vec<u32>) -> Vec<Vec<u32>> {
     groups
 }
 
-/// Appends the rows `of` a scene to `filled`, group by group, and fills the chunks between.
-pub(in crate::formats) fn fill_chunks(filled: &mut GaussianRows, rows: &GaussianRows, of: Vec<u32>) {
-    for group in groups(rows, of) {
-        if !filled.len().is_multiple_of(CHUNK) {
-            // Copies widen no range.
-            let mut hidden = GaussianRows { sh_degree: filled.sh_degree, ..GaussianRows::default() };
-            hidden.push(filled, filled.len() - 1);
-            hidden.logit_opacities[0] = HIDDEN_LOGIT;
-            (filled.len()..filled.len().next_multiple_of(CHUNK)).for_each(|_| filled.push(&hidden, 0));
+/// The order of the rows `of` a scene in a file: group by group. The places without a row fill the last chunk of a group; Gaussians of
+/// opacity 0 take them.
+pub(in crate::formats) fn arranged(means: &[[f32; 3]], colours: &[[f32; 3]], of: Vec<u32>) -> Vec<Option<u32>> {
+    let mut places: Vec<Option<u32>> = Vec::with_capacity(of.len());
+    for group in groups(means, colours, of) {
+        places.resize(places.len().next_multiple_of(CHUNK), None);
+        let own: Vec<[f32; 3]> = group.iter().map(|&row| means[row as usize]).collect();
+        places.extend(morton_order(&own).into_iter().map(|place| Some(group[place as usize])));
+    }
+    places
+}
+
+/// Appends the rows of a scene to `filled`, which is empty, in an order of [`arranged`].
+pub(in crate::formats) fn fill_chunks(filled: &mut GaussianRows, rows: &GaussianRows, places: &[Option<u32>]) {
+    for place in places {
+        match place {
+            Some(row) => filled.push(rows, *row as usize),
+            None => {
+                let last = filled.part(filled.len() - 1..filled.len());
+                filled.push(&last, 0);
+                *filled.logit_opacities.last_mut().expect("a row was pushed") = HIDDEN_LOGIT;
+            }
         }
-        let means: Vec<[f32; 3]> = group.iter().map(|&row| rows.means[row as usize]).collect();
-        morton_order(&means).into_iter().for_each(|place| filled.push(rows, group[place as usize] as usize));
     }
 }

@@ -24,9 +24,9 @@ mod write;
 
 use ply_rs_bw::ply::Header;
 
-pub(super) use groups::fill_chunks;
+pub(super) use groups::{arranged, fill_chunks};
 pub(super) use read::CompressedRows;
-pub(super) use write::write;
+pub(super) use write::{PackedFile, write};
 
 use crate::ply::VERTEX;
 

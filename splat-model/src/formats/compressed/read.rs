@@ -33,8 +33,10 @@ impl CompressedRows {
         let last = header.elements.values().rfind(is_ours).map_or(VERTEX, |element| &element.name);
         input.check_size(header, last)?;
 
-        let (mut chunks, mut words, mut levels) = (Vec::new(), Vec::new(), Vec::new());
         let rest: Vec<String> = rest_names(rest_per_row(sh_degree)).collect();
+        // The file was checked to be as long as its header says.
+        let (mut chunks, mut words) = (Vec::new(), Vec::with_capacity(vertex.count));
+        let mut levels = Vec::with_capacity(rest.len() * vertex.count);
         for element in header.elements.values() {
             match element.name.as_str() {
                 CHUNKS => input.each_row(element, header.encoding, &RANGES[..ranges], |_, values| {
@@ -75,9 +77,17 @@ impl CompressedRows {
     pub fn next_rows(&mut self, most: usize) -> GaussianRows {
         let which = self.next..self.words.len().min(self.next.saturating_add(most));
         self.next = which.end;
+        self.rows_at(which)
+    }
+
+    /// The Gaussians at these places.
+    ///
+    /// # Panics
+    /// If there is no such place.
+    pub fn rows_at(&self, places: impl IntoIterator<Item = usize>) -> GaussianRows {
         let mut rows = GaussianRows { sh_degree: self.sh_degree, ..GaussianRows::default() };
         let rest = rest_per_row(self.sh_degree);
-        for i in which {
+        for i in places {
             self.chunks[i / CHUNK].unpack_to(&self.words[i], &mut rows);
             rows.sh_rest.extend(unpack_rest(&self.levels[rest * i..rest * (i + 1)]));
         }

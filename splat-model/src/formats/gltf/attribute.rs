@@ -1,7 +1,9 @@
 //! The numbers of an attribute.
 
-use std::collections::BTreeMap;
+use std::io;
+use std::ops::Range;
 
+use super::buffers::Buffers;
 use super::document::{Document, Primitive};
 use crate::ply::brief;
 
@@ -55,63 +57,87 @@ pub fn count(document: &Document, primitive: &Primitive) -> Result<usize, String
     Ok(accessor.count)
 }
 
-/// Reads an attribute of `N` components for `count` Gaussians.
-///
-/// # Errors
-/// If it is missing, of another shape, or outside of its buffer.
-pub fn read<const N: usize>(
-    document: &Document,
-    buffers: &BTreeMap<usize, Vec<u8>>,
-    primitive: &Primitive,
-    name: &str,
-    count: usize,
-) -> Result<Vec<[f32; N]>, String> {
-    let shape = if N == 1 { "SCALAR".to_owned() } else { format!("VEC{N}") };
-    let index = *primitive.attributes.get(name).ok_or_else(|| format!("a primitive without `{name}`"))?;
-    let accessor = document.accessors.get(index).ok_or_else(|| format!("no accessor {index} for `{name}`"))?;
-    if accessor.shape != shape || accessor.count != count {
-        return Err(format!(
-            "`{name}` has {} elements `{}`, expected {count} elements `{shape}`",
-            accessor.count,
-            brief(&accessor.shape)
-        ));
+/// The numbers of an attribute of `N` components for each Gaussian: where they are, within their buffer.
+pub struct Attribute<const N: usize> {
+    buffer: usize,
+    first: usize,
+    stride: usize,
+    kind: Kind,
+    normalized: bool,
+}
+
+impl<const N: usize> Attribute<N> {
+    /// Finds an attribute of `count` Gaussians.
+    ///
+    /// # Errors
+    /// If it is missing, of another shape, or outside of its buffer.
+    pub fn find(
+        document: &Document,
+        buffers: &Buffers,
+        primitive: &Primitive,
+        name: &str,
+        count: usize,
+    ) -> Result<Self, String> {
+        let shape = if N == 1 { "SCALAR".to_owned() } else { format!("VEC{N}") };
+        let index = *primitive.attributes.get(name).ok_or_else(|| format!("a primitive without `{name}`"))?;
+        let accessor = document.accessors.get(index).ok_or_else(|| format!("no accessor {index} for `{name}`"))?;
+        if accessor.shape != shape || accessor.count != count {
+            return Err(format!(
+                "`{name}` has {} elements `{}`, expected {count} elements `{shape}`",
+                accessor.count,
+                brief(&accessor.shape)
+            ));
+        }
+        let kind = Kind::of(accessor.component_type).ok_or_else(|| {
+            let code = accessor.component_type;
+            format!(
+                "`{name}` has components of type {code}, expected 5126 (float), or 5120 to 5123 (integers of 8 and 16 bits)"
+            )
+        })?;
+        let view = accessor.buffer_view.filter(|_| accessor.sparse.is_none());
+        let view = view.ok_or_else(|| format!("`{name}` is sparse or has no `bufferView`, expected plain values"))?;
+        let view = document.buffer_views.get(view).ok_or_else(|| format!("`{name}` is in no buffer view {view}"))?;
+        let buffer = buffers.get(&view.buffer).ok_or_else(|| format!("`{name}` is in no buffer {}", view.buffer))?;
+        let element = N * kind.bytes();
+        let stride = view.byte_stride.unwrap_or(element);
+        let (first, end) =
+            (view.byte_offset.saturating_add(accessor.byte_offset), view.byte_offset.saturating_add(view.byte_length));
+        // The last element may end before its stride does.
+        let needed = count.saturating_sub(1).saturating_mul(stride).saturating_add(element);
+        let fits = end <= buffer.len() && first <= end && (count == 0 || needed <= end - first);
+        if stride < element || !fits {
+            return Err(format!(
+                "`{name}`: {count} elements of {element} bytes, {stride} bytes apart from byte {} of a view of {} bytes from byte {}, are \
+                 not all within the {} bytes of buffer {}",
+                accessor.byte_offset,
+                view.byte_length,
+                view.byte_offset,
+                buffer.len(),
+                view.buffer
+            ));
+        }
+        Ok(Self { buffer: view.buffer, first, stride, kind, normalized: accessor.normalized })
     }
-    let kind = Kind::of(accessor.component_type).ok_or_else(|| {
-        let code = accessor.component_type;
-        format!(
-            "`{name}` has components of type {code}, expected 5126 (float), or 5120 to 5123 (integers of 8 and 16 bits)"
-        )
-    })?;
-    let view = accessor.buffer_view.filter(|_| accessor.sparse.is_none());
-    let view = view.ok_or_else(|| format!("`{name}` is sparse or has no `bufferView`, expected plain values"))?;
-    let view = document.buffer_views.get(view).ok_or_else(|| format!("`{name}` is in no buffer view {view}"))?;
-    let buffer = buffers.get(&view.buffer).ok_or_else(|| format!("`{name}` is in no buffer {}", view.buffer))?;
-    let element = N * kind.bytes();
-    let stride = view.byte_stride.unwrap_or(element);
-    let end = view.byte_offset.saturating_add(view.byte_length);
-    let inside = buffer.get(view.byte_offset..end).and_then(|view| view.get(accessor.byte_offset..));
-    // The last element may end before its stride does.
-    let needed = count.saturating_sub(1).saturating_mul(stride).saturating_add(element);
-    let inside = inside.filter(|inside| stride >= element && (count == 0 || needed <= inside.len()));
-    let inside = inside.ok_or_else(|| {
-        format!(
-            "`{name}`: {count} elements of {element} bytes, {stride} bytes apart from byte {} of a view of {} bytes from byte {}, are \
-             not all within the {} bytes of buffer {}",
-            accessor.byte_offset,
-            view.byte_length,
-            view.byte_offset,
-            buffer.len(),
-            view.buffer
-        )
-    })?;
-    let value = |bytes: &[u8]| match kind.number(bytes) {
-        // The least integer stands for −1, as the one above it does.
-        (number, largest) if accessor.normalized => (number / largest).max(-1.0),
-        (number, _) => number,
-    };
-    let of = |i: usize| {
-        let element = &inside[stride * i..];
-        std::array::from_fn(|component| value(&element[kind.bytes() * component..]))
-    };
-    Ok((0..count).map(of).collect())
+
+    /// Reads the numbers of some Gaussians.
+    ///
+    /// # Errors
+    /// If the file cannot be read.
+    ///
+    /// # Panics
+    /// If there are not so many Gaussians, or the buffers are others.
+    pub fn read(&self, buffers: &Buffers, which: Range<usize>) -> io::Result<Vec<[f32; N]>> {
+        if which.is_empty() {
+            return Ok(Vec::new());
+        }
+        let last = self.first + self.stride * (which.end - 1);
+        let bytes = buffers[&self.buffer].part(self.first + self.stride * which.start..last + N * self.kind.bytes())?;
+        let value = |bytes: &[u8]| match self.kind.number(bytes) {
+            // The least integer stands for −1, as the one above it does.
+            (number, largest) if self.normalized => (number / largest).max(-1.0),
+            (number, _) => number,
+        };
+        let of = |element: &[u8]| std::array::from_fn(|i| value(&element[self.kind.bytes() * i..]));
+        Ok(bytes.chunks(self.stride).map(of).collect())
+    }
 }

@@ -1,8 +1,10 @@
 //! The bytes of a document's buffers: the container's, in the document itself, or in files beside it.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::Read;
+use std::io::{self, Read, Seek, SeekFrom};
+use std::ops::Range;
 use std::path::{Component, Path, PathBuf};
 
 use base64::Engine;
@@ -14,17 +16,51 @@ use crate::ply::brief;
 /// Beginning of a URI that holds its data, up to the media type.
 const DATA: &str = "data:";
 
+/// The bytes of a buffer.
+pub enum Buffer {
+    /// All bytes, in memory.
+    Held(Vec<u8>),
+    /// Some bytes of a file, which are read when they are needed.
+    InFile { file: File, first: u64, len: usize },
+}
+
+impl Buffer {
+    pub fn len(&self) -> usize {
+        match self {
+            Self::Held(bytes) => bytes.len(),
+            Self::InFile { len, .. } => *len,
+        }
+    }
+
+    /// Some of the bytes, within [`Self::len`].
+    pub fn part(&self, which: Range<usize>) -> io::Result<Cow<'_, [u8]>> {
+        match self {
+            Self::Held(bytes) => Ok(Cow::Borrowed(&bytes[which])),
+            Self::InFile { file, first, .. } => {
+                let mut bytes = vec![0; which.len()];
+                let mut file = file;
+                file.seek(SeekFrom::Start(first + which.start as u64))?;
+                file.read_exact(&mut bytes)?;
+                Ok(Cow::Owned(bytes))
+            }
+        }
+    }
+}
+
+/// Buffers by their index.
+pub type Buffers = BTreeMap<usize, Buffer>;
+
 /// Reads the buffers that primitives with the extension use, and no other. `binary` is the container's second chunk.
 ///
 /// # Errors
 /// What is wrong, and what was expected.
-pub fn load(document: &Document, path: &Path, mut binary: Option<Vec<u8>>) -> Result<BTreeMap<usize, Vec<u8>>, String> {
+pub fn load(document: &Document, path: &Path, mut binary: Option<Buffer>) -> Result<Buffers, String> {
     let primitives = document.meshes.iter().flat_map(|mesh| &mesh.primitives);
     let splats = primitives.filter(|primitive| primitive.extensions.splatting.is_some());
     let accessors =
         splats.flat_map(|primitive| primitive.attributes.values()).filter_map(|&i| document.accessors.get(i));
     let views = accessors.filter_map(|accessor| document.buffer_views.get(accessor.buffer_view?));
-    let mut loaded = BTreeMap::new();
+    let mut loaded = Buffers::new();
     for index in views.map(|view| view.buffer) {
         if loaded.contains_key(&index) {
             continue;
@@ -39,8 +75,8 @@ pub fn load(document: &Document, path: &Path, mut binary: Option<Vec<u8>>) -> Re
                 ));
             }
             Some(uri) => match uri.strip_prefix(DATA) {
-                Some(data) => decoded(data).map_err(|what| format!("buffer {index}: {what}"))?,
-                None => beside(path, uri).map_err(|what| format!("buffer {index}: {what}"))?,
+                Some(data) => Buffer::Held(decoded(data).map_err(|what| format!("buffer {index}: {what}"))?),
+                None => Buffer::Held(beside(path, uri).map_err(|what| format!("buffer {index}: {what}"))?),
             },
         };
         if bytes.len() < buffer.byte_length {

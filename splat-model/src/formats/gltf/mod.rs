@@ -32,8 +32,8 @@ mod tests;
 mod write;
 
 pub(super) use document::is_document;
-pub(super) use read::{read_binary, read_text};
-pub(super) use write::write;
+pub(super) use read::GltfRows;
+pub(super) use write::{Outline, write};
 
 /// The highest degree of the spherical harmonics.
 pub(super) const DEGREE_MAX: usize = 3;

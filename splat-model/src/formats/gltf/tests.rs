@@ -305,4 +305,7 @@ fn containers_are_not_believed() {
     refuse(&changed(8, 20 + json), "no binary chunk");
     let short = changed(20 + json as usize, 8);
     refuse(&short, "8 bytes, expected `byteLength`");
+    // Its data is read later, and has to be there.
+    let data = u32::from_le_bytes(bytes[20 + json as usize..24 + json as usize].try_into().unwrap());
+    refuse(&changed(20 + json as usize, data + 1), "truncated");
 }

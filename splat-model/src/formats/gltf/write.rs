@@ -1,6 +1,6 @@
 //! Writing of both containers.
 
-use std::io::{self, Write};
+use std::io::{self, Seek, SeekFrom, Write};
 use std::path::Path;
 
 use base64::Engine;
@@ -27,42 +27,137 @@ const PIECE: usize = 3 << 18;
 /// Writes rows that fit the format ([`crate::formats::fit`]), in the binary container or, for [`Format::Gltf`], as JSON that holds the data as base64.
 /// `scene` gives the origin and the mark of antialiasing.
 pub fn write(path: &Path, rows: &GaussianRows, scene: &SceneFile, format: Format) -> Result<(), FormatError> {
-    let attributes = attributes(rows);
-    let document = document(&attributes, rows, scene);
-    let bytes = attributes.iter().map(|attribute| attribute.bytes.len()).sum::<usize>();
+    let mut outline = Outline::new(rows.sh_degree);
+    outline.add(rows);
     replace(path, |out| match format {
-        Format::Glb => binary(out, &document, &attributes, bytes),
-        _ => text(out, &document, &attributes, bytes),
+        Format::Glb => outline.begin_binary(out, scene)?.put(out, rows),
+        _ => text(out, &outline.document(scene), &attributes(rows), outline.bytes()),
     })
     .map_err(|refused| FormatError::refused(path, refused))
 }
 
-fn binary(
-    out: &mut impl Write,
-    document: &Map<String, Value>,
-    attributes: &[Attribute],
-    bytes: usize,
-) -> io::Result<()> {
-    let mut document = document.clone();
-    if bytes > 0 {
-        document.insert("buffers".into(), json!([{ "byteLength": bytes }]));
+/// What a document says of the Gaussians, which may come some at a time.
+pub(in crate::formats) struct Outline {
+    sh_degree: usize,
+    pub count: usize,
+    /// The smallest and the largest centre by axis, in glTF's frame.
+    bounds: Option<[[f32; 3]; 2]>,
+}
+
+impl Outline {
+    /// An outline without Gaussians.
+    pub fn new(sh_degree: usize) -> Self {
+        Self { sh_degree, count: 0, bounds: None }
     }
-    let mut json = serde_json::to_vec(&document)?;
-    // Chunks end at multiples of four bytes.
-    json.resize(json.len().next_multiple_of(4), b' ');
-    let word = |bytes: usize| {
-        let word = u32::try_from(bytes)
-            .map_err(|_| io::Error::other("more than 4 GiB, the most of a .glb: write another format"));
-        word.map(u32::to_le_bytes)
-    };
-    let length = 20 + json.len() + if bytes > 0 { 8 + bytes } else { 0 };
-    out.write_all(&[MAGIC, VERSION.to_le_bytes(), word(length)?, word(json.len())?, CHUNKS[0]].concat())?;
-    out.write_all(&json)?;
-    if bytes == 0 {
-        return Ok(());
+
+    /// Adds Gaussians.
+    pub fn add(&mut self, rows: &GaussianRows) {
+        self.count += rows.len();
+        for mean in turned(rows) {
+            let [low, high] = self.bounds.get_or_insert([mean; 2]);
+            *low = [0, 1, 2].map(|axis| low[axis].min(mean[axis]));
+            *high = [0, 1, 2].map(|axis| high[axis].max(mean[axis]));
+        }
     }
-    out.write_all(&[word(bytes)?, CHUNKS[1]].concat())?;
-    attributes.iter().try_for_each(|attribute| out.write_all(&attribute.bytes))
+
+    /// Attributes without bytes.
+    fn attributes(&self) -> Vec<Attribute> {
+        attributes(&GaussianRows { sh_degree: self.sh_degree, ..GaussianRows::default() })
+    }
+
+    fn bytes(&self) -> usize {
+        self.count * self.attributes().iter().map(|attribute| attribute.width).sum::<usize>()
+    }
+
+    /// Writes the beginning of a binary container.
+    pub fn begin_binary(&self, out: &mut (impl Write + Seek), scene: &SceneFile) -> io::Result<Pieces> {
+        let (bytes, mut document) = (self.bytes(), self.document(scene));
+        if bytes > 0 {
+            document.insert("buffers".into(), json!([{ "byteLength": bytes }]));
+        }
+        let mut json = serde_json::to_vec(&document)?;
+        // Chunks end at multiples of four bytes.
+        json.resize(json.len().next_multiple_of(4), b' ');
+        let word = |bytes: usize| {
+            let word = u32::try_from(bytes)
+                .map_err(|_| io::Error::other("more than 4 GiB, the most of a .glb: write another format"));
+            word.map(u32::to_le_bytes)
+        };
+        let length = 20 + json.len() + if bytes > 0 { 8 + bytes } else { 0 };
+        out.write_all(&[MAGIC, VERSION.to_le_bytes(), word(length)?, word(json.len())?, CHUNKS[0]].concat())?;
+        out.write_all(&json)?;
+        if bytes > 0 {
+            out.write_all(&[word(bytes)?, CHUNKS[1]].concat())?;
+        }
+        Ok(Pieces { data: out.stream_position()?, count: self.count, next: 0 })
+    }
+
+    /// The document without its buffer.
+    fn document(&self, scene: &SceneFile) -> Map<String, Value> {
+        let mut asset = object(json!({ "version": "2.0", "generator": concat!("splat ", env!("CARGO_PKG_VERSION")) }));
+        let mut extras = extras::of(scene.world());
+        if scene.antialiased {
+            extras.insert("antialiased".into(), json!(true));
+        }
+        if !extras.is_empty() {
+            asset.insert("extras".into(), extras.into());
+        }
+        // Accessors have at least one element, so an empty scene has no mesh.
+        let Some([low, high]) = self.bounds else {
+            return object(json!({ "asset": asset, "extensionsUsed": [EXTENSION], "scene": 0, "scenes": [{}] }));
+        };
+        let mut at = 0;
+        let (mut views, mut accessors, mut names) = (Vec::new(), Vec::new(), Map::new());
+        for (i, Attribute { name, mut accessor, width, .. }) in self.attributes().into_iter().enumerate() {
+            let bytes = width * self.count;
+            views.push(json!({ "buffer": 0, "byteOffset": at, "byteLength": bytes, "target": ARRAY_BUFFER }));
+            at += bytes;
+            accessor.insert("count".into(), json!(self.count));
+            accessor.insert("bufferView".into(), json!(i));
+            if name == POSITION {
+                accessor
+                    .extend([("min".into(), json!(low.map(f64::from))), ("max".into(), json!(high.map(f64::from)))]);
+            }
+            accessors.push(accessor);
+            names.insert(name, json!(i));
+        }
+        let splatting = json!({
+            "kernel": KERNEL, "colorSpace": COLOUR_SPACE, "projection": "perspective", "sortingMethod": "cameraDistance"
+        });
+        let primitive = json!({ "mode": 0, "attributes": names, "extensions": { EXTENSION: splatting } });
+        object(json!({
+            "asset": asset,
+            "extensionsUsed": [EXTENSION],
+            "scene": 0,
+            "scenes": [{ "nodes": [0] }],
+            "nodes": [{ "mesh": 0 }],
+            "meshes": [{ "primitives": [primitive] }],
+            "accessors": accessors,
+            "bufferViews": views,
+        }))
+    }
+}
+
+/// The data of a binary container, of which Gaussians have a piece in each attribute.
+pub(in crate::formats) struct Pieces {
+    /// First byte of the data in the file.
+    data: u64,
+    count: usize,
+    next: usize,
+}
+
+impl Pieces {
+    /// Writes the next Gaussians.
+    pub fn put(&mut self, out: &mut (impl Write + Seek), rows: &GaussianRows) -> io::Result<()> {
+        let mut first = self.data;
+        for Attribute { width, bytes, .. } in attributes(rows) {
+            out.seek(SeekFrom::Start(first + (width * self.next) as u64))?;
+            out.write_all(&bytes)?;
+            first += (width * self.count) as u64;
+        }
+        self.next += rows.len();
+        Ok(())
+    }
 }
 
 fn text(out: &mut impl Write, document: &Map<String, Value>, attributes: &[Attribute], bytes: usize) -> io::Result<()> {
@@ -87,35 +182,36 @@ fn text(out: &mut impl Write, document: &Map<String, Value>, attributes: &[Attri
     out.write_all(b"\"}]}")
 }
 
-/// An attribute and its accessor, without the place of its bytes.
+/// An attribute of some Gaussians, and its accessor without the place of its bytes.
 struct Attribute {
     name: String,
     accessor: Map<String, Value>,
+    /// Bytes of a Gaussian.
+    width: usize,
     bytes: Vec<u8>,
 }
 
 fn floats<const N: usize>(name: impl Into<String>, values: impl ExactSizeIterator<Item = [f32; N]>) -> Attribute {
     let shape = if N == 1 { "SCALAR".to_owned() } else { format!("VEC{N}") };
-    let accessor = object(json!({ "componentType": FLOAT, "count": values.len(), "type": shape }));
+    let accessor = object(json!({ "componentType": FLOAT, "type": shape }));
     let mut bytes = Vec::with_capacity(4 * N * values.len());
     values.for_each(|value| value.iter().for_each(|number| bytes.extend(number.to_le_bytes())));
-    Attribute { name: name.into(), accessor, bytes }
+    Attribute { name: name.into(), accessor, width: 4 * N, bytes }
 }
 
 fn object(value: Value) -> Map<String, Value> {
     value.as_object().cloned().unwrap_or_default()
 }
 
+/// Centres in glTF's frame.
+fn turned(rows: &GaussianRows) -> impl ExactSizeIterator<Item = [f32; 3]> {
+    let axes = HalfTurn::Z.axes();
+    rows.means.iter().map(move |mean| [0, 1, 2].map(|axis| axes[axis] * mean[axis]))
+}
+
 fn attributes(rows: &GaussianRows) -> Vec<Attribute> {
     let turn = HalfTurn::Z;
     let axes = turn.axes();
-    let means = rows.means.iter().map(|mean| [0, 1, 2].map(|axis| axes[axis] * mean[axis]));
-    let mut position = floats(POSITION, means.clone());
-    let bound = |of: fn(f32, f32) -> f32| {
-        let bound = means.clone().reduce(|a, b| [0, 1, 2].map(|axis| of(a[axis], b[axis])));
-        bound.unwrap_or_default().map(f64::from)
-    };
-    position.accessor.extend([("min".into(), json!(bound(f32::min))), ("max".into(), json!(bound(f32::max)))]);
     let colour = |i: usize| {
         // The cast clamps.
         let [r, g, b] = rows.sh_dc[i].map(|dc| (255.0 * (0.5 + DC * f64::from(dc))).round() as u8);
@@ -123,9 +219,8 @@ fn attributes(rows: &GaussianRows) -> Vec<Attribute> {
     };
     let colours = Attribute {
         name: "COLOR_0".into(),
-        accessor: object(
-            json!({ "componentType": UNSIGNED_BYTE, "normalized": true, "count": rows.len(), "type": "VEC4" }),
-        ),
+        accessor: object(json!({ "componentType": UNSIGNED_BYTE, "normalized": true, "type": "VEC4" })),
+        width: 4,
         bytes: (0..rows.len()).flat_map(colour).collect(),
     };
     let rotations = rows.rotations.iter().map(|rotation| {
@@ -140,7 +235,7 @@ fn attributes(rows: &GaussianRows) -> Vec<Attribute> {
         .map(|logs| logs.map(|log| f64::from(log.clamp(LOG_SCALES.0, LOG_SCALES.1)).exp() as f32));
     let opacities = rows.logit_opacities.iter().map(|&logit| [sigmoid(logit) as f32]);
     let mut attributes = vec![
-        position,
+        floats(POSITION, turned(rows)),
         colours,
         floats(ROTATION, rotations),
         floats(SCALE, scales),
@@ -153,45 +248,4 @@ fn attributes(rows: &GaussianRows) -> Vec<Attribute> {
         floats(harmonic(k), rows.sh_rest.chunks_exact(per_row).map(of))
     }));
     attributes
-}
-
-/// The document without its buffer.
-fn document(attributes: &[Attribute], rows: &GaussianRows, scene: &SceneFile) -> Map<String, Value> {
-    let mut asset = object(json!({ "version": "2.0", "generator": concat!("splat ", env!("CARGO_PKG_VERSION")) }));
-    let mut extras = extras::of(scene.world());
-    if scene.antialiased {
-        extras.insert("antialiased".into(), json!(true));
-    }
-    if !extras.is_empty() {
-        asset.insert("extras".into(), extras.into());
-    }
-    // Accessors have at least one element, so an empty scene has no mesh.
-    if rows.is_empty() {
-        return object(json!({ "asset": asset, "extensionsUsed": [EXTENSION], "scene": 0, "scenes": [{}] }));
-    }
-    let mut at = 0;
-    let (mut views, mut accessors, mut names) = (Vec::new(), Vec::new(), Map::new());
-    for (i, attribute) in attributes.iter().enumerate() {
-        let bytes = attribute.bytes.len();
-        views.push(json!({ "buffer": 0, "byteOffset": at, "byteLength": bytes, "target": ARRAY_BUFFER }));
-        at += bytes;
-        let mut accessor = attribute.accessor.clone();
-        accessor.insert("bufferView".into(), json!(i));
-        accessors.push(accessor);
-        names.insert(attribute.name.clone(), json!(i));
-    }
-    let splatting = json!({
-        "kernel": KERNEL, "colorSpace": COLOUR_SPACE, "projection": "perspective", "sortingMethod": "cameraDistance"
-    });
-    let primitive = json!({ "mode": 0, "attributes": names, "extensions": { EXTENSION: splatting } });
-    object(json!({
-        "asset": asset,
-        "extensionsUsed": [EXTENSION],
-        "scene": 0,
-        "scenes": [{ "nodes": [0] }],
-        "nodes": [{ "mesh": 0 }],
-        "meshes": [{ "primitives": [primitive] }],
-        "accessors": accessors,
-        "bufferViews": views,
-    }))
 }

@@ -1,0 +1,52 @@
+//! Bytes that training holds for each Gaussian. All allocations are counted, whatever the allocator keeps beyond them.
+
+use std::alloc::System;
+
+use burn::tensor::{DType, Device, Tensor};
+use glam::DAffine3;
+use splat_benches::SyntheticView;
+use splat_benches::allocations::{CountingAllocator, allocated, held};
+use splat_benches::step::Step;
+use splat_model::gaussians::Gaussians;
+use splat_model::loss::Truth;
+use splat_model::optim::MomentBits;
+use splat_op::Camera;
+
+#[global_allocator]
+static ALLOCATOR: CountingAllocator<System> = CountingAllocator(System);
+
+/// Bytes of the parameters of a Gaussian of degree 3 and of their moments in 8 bits.
+const STATE: f64 = 236.0 + 124.0;
+
+/// A small picture, in which the Gaussians are most of what is held.
+const SMALL: SyntheticView = SyntheticView { splats: 0, width: 96, height: 54, sigma_px: 0.3, opacity: [0.02, 0.7] };
+
+/// The most bytes held in two steps, and in the refinement after them.
+fn peaks(splats: usize) -> [f64; 2] {
+    let (view, device) = (SyntheticView { splats, ..SMALL }, Device::flex());
+    let camera = Camera::new(view.camera(&device, DType::F32).intrinsics, &DAffine3::IDENTITY, &device);
+    let truth = Truth::new(Tensor::<3>::ones([view.height, view.width, 3], &device) * 0.5);
+    let empty = held();
+    let gaussians = Gaussians::from_rows(&view.rows(), &device.clone().autodiff()).unwrap();
+    let mut step = Step::with_moments(gaussians, camera, truth, MomentBits::Eight);
+    step.run().unwrap();
+    let before = held() - empty;
+    let of_step = allocated(|| step.run().unwrap()).1.peak;
+    let trained = held() - empty;
+    let (count, of_refinement) = allocated(|| step.refine().unwrap());
+    assert!((1.19..1.21).contains(&(count as f64 / splats as f64)), "{count} Gaussians after {splats}");
+    [before + of_step, trained + of_refinement.peak].map(|bytes| bytes as f64)
+}
+
+/// 10,000,000 Gaussians train in 8 GB as long as this holds.
+#[test]
+fn a_gaussian_takes_as_much_memory_as_documented() {
+    let (few, many) = (200_000, 400_000);
+    let (of_few, of_many) = (peaks(few), peaks(many));
+    let [step, refinement] = [0, 1].map(|i| (of_many[i] - of_few[i]) / (many - few) as f64);
+    // After the refinement there are a fifth more.
+    let refinement = refinement / 1.2;
+    println!("{step:.0} bytes for each Gaussian in a step, {refinement:.0} in a refinement");
+    assert!(step > STATE && step <= 700.0, "{step} bytes for each Gaussian in a step");
+    assert!(refinement > STATE && refinement <= 700.0, "{refinement} bytes for each Gaussian in a refinement");
+}
