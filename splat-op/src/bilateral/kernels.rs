@@ -228,3 +228,63 @@ pub(super) fn grid_backward_kernel(image: &[f32], grad: &[f32], of_grid: &mut [f
         }
     }
 }
+
+/// Places along an axis of the grid.
+#[derive(CubeType, CubeLaunch, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+pub(super) struct Axis {
+    pub count: u32,
+    /// Distance in memory from one place to the next.
+    pub stride: u32,
+    /// Share of a squared difference in the mean.
+    pub share: f32,
+}
+
+#[cube]
+impl Axis {
+    /// Returns the share of the difference from value `i` to the next, and the derivative of all shares with respect to the value.
+    fn rough(&self, grid: &[f32], i: usize) -> (f32, f32) {
+        let at = i as u32 / self.stride % self.count;
+        let mut square = 0.0f32;
+        let mut slope = 0.0f32;
+        if at + 1 < self.count {
+            let difference = grid[i + self.stride as usize] - grid[i];
+            square = self.share * difference * difference;
+            slope -= 2.0 * self.share * difference;
+        }
+        if at > 0 {
+            slope += 2.0 * self.share * (grid[i] - grid[i - self.stride as usize]);
+        }
+        (square, slope)
+    }
+}
+
+/// Writes the derivative of the roughness, and the sum of the shares of each cube's values to `sums`, `[cubes]`.
+#[cube(launch_unchecked)]
+pub(super) fn roughness_kernel(
+    grid: &[f32],
+    gradient: &mut [f32],
+    sums: &mut [f32],
+    levels: Axis,
+    rows: Axis,
+    columns: Axis,
+    values: u32,
+    cubes: u32,
+) {
+    let mut shared = Shared::<[f32]>::new_slice(comptime!(UNITS));
+    if CUBE_POS < cubes as usize {
+        let i = CUBE_POS * comptime!(UNITS) + UNIT_POS as usize;
+        let mut own = 0.0f32;
+        if i < values as usize {
+            let (along_levels, of_levels) = levels.rough(grid, i);
+            let (along_rows, of_rows) = rows.rough(grid, i);
+            let (along_columns, of_columns) = columns.rough(grid, i);
+            own = along_levels + along_rows + along_columns;
+            gradient[i] = of_levels + of_rows + of_columns;
+        }
+        let total = cube_sum(own, &mut shared);
+        if UNIT_POS == 0 {
+            sums[CUBE_POS] = total;
+        }
+    }
+}

@@ -1,0 +1,76 @@
+//! How far the depth of a render is from known depths.
+//!
+//! A render accumulates `D = Σ wᵢ zᵢ` and `α = Σ wᵢ`, so its depth in a pixel is `D/α`. The miss is the mean of `|e|`,
+//! `e = D/(α z) − 1`, over the samples of known depth `z` in pixels with `α ≥ ½`, or zero if there are none. With `n` their number,
+//!
+//! ```text
+//! ∂D = Σ sign(e) / (n α z)     ∂α = −Σ sign(e) D / (n α² z)
+//! ```
+//!
+//! over the samples of a pixel, with `sign(0) = 0`. Which pixels count is piecewise constant.
+
+pub(crate) mod cpu;
+#[cfg(all(test, feature = "cube"))]
+mod kernel_tests;
+#[cfg(feature = "cube")]
+mod kernels;
+#[cfg(feature = "cube")]
+pub(crate) mod launch;
+#[cfg(test)]
+mod tests;
+
+use burn::backend::Dispatch;
+use burn::tensor::{DType, Int, Tensor};
+
+use crate::abilities::is_gpu;
+use crate::backend::depth_miss::DepthMissBackend;
+use crate::check::Reference;
+use crate::error::SplatError;
+use crate::record::record;
+
+/// The least alpha of a pixel whose depth counts.
+pub const COVERED: f64 = 0.5;
+
+record! {
+    /// Inputs of the miss, or their gradients.
+    pub struct Depths {
+        /// `[1, H, W]`: accumulated depth, scene units.
+        depth,
+        /// `[1, H, W]`: alpha.
+        alpha,
+        /// `[M]`: known depths, scene units. Constants.
+        known,
+    }
+}
+
+/// Returns the mean relative error of a render's depth as `[1]`. `depth` and `alpha`, `[H, W, 1]` f32, or f64 on CPUs, are those of a
+/// [`Rendered`](crate::Rendered); `known`, `[M]`, are known depths, camera z, scene units, more than zero; `pixels`, `[M]` i32, or i64 on CPUs, are their
+/// pixels, row-major, in ascending order. Samples of pixels beyond the picture are left out. Differentiable in depth and alpha.
+///
+/// # Errors
+/// If a shape is not as documented, or if types or devices differ.
+pub fn depth_miss(
+    depth: &Tensor<3>,
+    alpha: &Tensor<3>,
+    known: &Tensor<1>,
+    pixels: &Tensor<1, Int>,
+) -> Result<Tensor<1>, SplatError> {
+    let reference = Reference::new(depth)?;
+    let ([height, width, _], count) = (depth.dims(), known.dims()[0]);
+    reference.check("depth", depth, [None, None, Some(1)], "[H, W, 1]")?;
+    reference.check("alpha", alpha, [Some(height), Some(width), Some(1)], "[H, W, 1]")?;
+    reference.check("known", known, [None], "[M]")?;
+    if pixels.dims() != [count] {
+        let hint = "as many as known depths".into();
+        return Err(SplatError::Shape { name: "pixels", found: pixels.dims().to_vec(), expected: "[M]", hint });
+    }
+    if !(pixels.dtype() == DType::I32 || pixels.dtype() == DType::I64 && !is_gpu(&pixels.device())) {
+        let found = format!("{:?}", pixels.dtype());
+        return Err(SplatError::DType { name: "pixels", found, expected: "I32, or I64 on a CPU".into() });
+    }
+    reference.check_device("pixels", &pixels.device())?;
+    // Pictures come from `rasterize` as planes, so that this moves nothing.
+    let planes = |picture: &Tensor<3>| picture.clone().permute([2, 0, 1]).into();
+    let inputs = Depths { depth: planes(depth), alpha: planes(alpha), known: known.clone().into() };
+    Ok(Tensor::from_dispatch(<Dispatch as DepthMissBackend>::depth_miss(inputs, pixels.clone().into_dispatch())))
+}
