@@ -78,8 +78,9 @@ impl<S: Simd, F: Real> Pixels<S, F> {
     fn new(simd: S, [r, g, b]: [&[F]; 3], levels: usize) -> Self {
         let colour = [load(simd, r), load(simd, g), load(simd, b)];
         let [zero, one] = [F::ZERO, F::ONE].map(|value| splat::<S, F>(simd, value));
-        let [of_r, of_g, of_b] = LUMA.map(|weight| splat::<S, F>(simd, F::of(weight)));
-        let luma = colour[0] * of_r + colour[1] * of_g + colour[2] * of_b;
+        let mut luma = colour[0] * splat::<S, F>(simd, F::of(LUMA[0]));
+        luma = colour[1].mul_add(splat::<S, F>(simd, F::of(LUMA[1])), luma);
+        luma = colour[2].mul_add(splat::<S, F>(simd, F::of(LUMA[2])), luma);
         let z = luma.max(zero).min(one) * splat::<S, F>(simd, F::of((levels - 1) as f64));
         let (low, high) = (below(z.reduce_min(), levels), below(z.reduce_max(), levels) + 1);
         Self { colour, luma, z, low, high }
@@ -241,12 +242,15 @@ impl<F: Real> Band<'_, F> {
                 mix(&upper[near.clone()], &lower[near.clone()], *down, &mut maps);
                 let pixels =
                     Pixels::new(simd, planes(self.inputs.image, self.size, *y).map(|row| &row[from..]), levels);
-                let grad = planes(self.grad, self.size, *y).map(|row| load(simd, &row[from..]));
+                let [red, green, blue] = planes(self.grad, self.size, *y);
+                let grad = [load(simd, &red[from..]), load(simd, &green[from..]), load(simd, &blue[from..])];
                 (low, high) = (low.min(pixels.low), high.max(pixels.high));
                 let share = sum.then_some(*down);
                 let of_colour = pixels.backward((x, first..=last), (&maps, levels), grad, (share, &mut wide));
                 if let Some(out) = out {
-                    (0..3).for_each(|channel| store::<S, F>(of_colour[channel], &mut out[channel][from..to]));
+                    for (channel, of_channel) in of_colour.into_iter().enumerate() {
+                        store::<S, F>(of_channel, &mut out[channel][from..to]);
+                    }
                 }
             }
             if !sum || low > high {
@@ -326,6 +330,9 @@ impl<S: Simd, F: Real> Pixels<S, F> {
         // The place along the levels is constant where the luma is at its limits.
         let free = self.luma.simd_gt(zero) & self.luma.simd_lt(one);
         let of_luma = free.select(along * splat::<S, F>(simd, F::of((levels - 1) as f64)), zero);
-        std::array::from_fn(|channel| of_luma.mul_add(splat::<S, F>(simd, F::of(LUMA[channel])), direct[channel]))
+        for (channel, direct) in direct.iter_mut().enumerate() {
+            *direct = of_luma.mul_add(splat::<S, F>(simd, F::of(LUMA[channel])), *direct);
+        }
+        direct
     }
 }

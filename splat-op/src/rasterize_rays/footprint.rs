@@ -285,7 +285,10 @@ impl<S: Simd, F: Real> RayRules<S, F> {
                 let dot = alpha.mul_add(u, beta * v);
                 let product = gamma.mul_add(s, thick * dot);
                 sound = d.simd_gt(self.d_min) & product.simd_gt(self.zero);
-                inverse = known.unwrap_or_else(|| sound.select(self.one / d, self.zero));
+                inverse = match known {
+                    Some(inverse) => inverse,
+                    None => sound.select(self.one / d, self.zero),
+                };
                 (lambda, along) = (product * inverse, s * inverse);
                 apart = [
                     (-lambda).mul_add(u, alpha),
@@ -295,7 +298,10 @@ impl<S: Simd, F: Real> RayRules<S, F> {
                 let [of_u, of_v, of_s] = apart;
                 exponent = of_u.mul_add(of_u, of_v.mul_add(of_v, thick * of_s * of_s)) * self.half_log2_e;
             } else {
-                inverse = known.unwrap_or_else(|| sound.select(self.one / d, self.zero));
+                inverse = match known {
+                    Some(inverse) => inverse,
+                    None => sound.select(self.one / d, self.zero),
+                };
                 lambda = s * inverse;
                 exponent = if EXACT { exponent * inverse } else { exponent };
             }

@@ -250,7 +250,7 @@ impl<F: Real> RayTile<F> {
 
 /// Calls `f` with the number of each bit that is set, in ascending order.
 #[inline(always)]
-pub(super) fn each_bit(mut bits: u32, mut f: impl FnMut(usize)) {
+fn each_bit(mut bits: u32, mut f: impl FnMut(usize)) {
     while bits != 0 {
         f(bits.trailing_zeros() as usize);
         bits &= bits - 1;

@@ -6,7 +6,7 @@ use fearless_simd::prelude::*;
 
 use super::footprint::{RayFootprint, RayLayerSimd, RayRules};
 use super::order::{Ids, LayerSlots};
-use super::tile::{Open, RayTile, TOGETHER, each_bit};
+use super::tile::{Open, RayTile, TOGETHER};
 use crate::depth_slope::DEPTH_SLOPE;
 use crate::intersect::TILE_PIXELS;
 use crate::rasterize::cpu::{MOMENTS, TilePlanes};
@@ -106,14 +106,10 @@ fn layers<S: Simd, F: Real, const EXACT: bool, const SORTED: bool>(
     }
     let pairs = &mut pairs[base..*used];
     let mut open = Open::<S, F>::new(lanes(simd, &tile.open, place));
-    // Contribution of everything behind the layer, as the gradient weighs it: g·R.
-    let mut behind = lanes::<S, F>(simd, &grad.planes.background_rho, place);
-    let mut gradient = |alpha: F::Block<S>, along: F::Block<S>, weight: F::Block<S>| {
-        let ahead = along - behind;
-        behind = alpha.mul_add(ahead, behind);
-        (alpha.simd_gt(zero) & alpha.simd_lt(rules.alpha_max)).select(weight * ahead, zero)
-    };
-    list.iter().for_each(|&i| seen_by[i as usize] |= 1 << (place / vector));
+    let mut behind = Behind { rho: lanes::<S, F>(simd, &grad.planes.background_rho, place) };
+    for &i in list {
+        seen_by[i as usize] |= 1 << (place / vector);
+    }
     if SORTED {
         slots.clear();
         for ((pair, &i), values) in list.iter().enumerate().zip(pairs.chunks_exact_mut(parts * vector)) {
@@ -134,7 +130,7 @@ fn layers<S: Simd, F: Real, const EXACT: bool, const SORTED: bool>(
         }
         for slot in (0..slots.count()).rev() {
             let [weight, alpha, along, id] = slots.get::<S>(simd, slot);
-            let (h, shows) = (gradient(alpha, along, weight), alpha.simd_gt(zero));
+            let (h, shows) = (behind.pass([alpha, along, weight], rules), alpha.simd_gt(zero));
             let mut ids = Ids::<S, F>::new(id, shows);
             while let Some((pair, same)) = ids.next() {
                 let values = &mut pairs[parts * pair * vector..][..2 * vector];
@@ -161,10 +157,27 @@ fn layers<S: Simd, F: Real, const EXACT: bool, const SORTED: bool>(
         }
         for (kept, values) in layers.chunks_exact(2 * vector).zip(pairs.chunks_exact_mut(parts * vector)).rev() {
             let (alpha, along) = (lanes(simd, kept, 0), lanes(simd, kept, vector));
-            store(gradient(alpha, along, lanes(simd, values, vector)), values, 0);
+            let weight = lanes(simd, values, vector);
+            store(behind.pass([alpha, along, weight], rules), values, 0);
         }
     }
     open.transmittance
+}
+
+/// The contribution of everything behind a layer, as the gradient weighs it: g·R. What is done for each layer is a function that is always
+/// inlined: a closure that the compiler leaves outside would lack the processor's instructions.
+struct Behind<S: Simd, F: Real> {
+    rho: F::Block<S>,
+}
+
+impl<S: Simd, F: Real> Behind<S, F> {
+    /// Passes a layer with its alpha, its value along the gradient and its weight, from behind. Returns `h`.
+    #[inline(always)]
+    fn pass(&mut self, [alpha, along, weight]: [F::Block<S>; 3], rules: &RayRules<S, F>) -> F::Block<S> {
+        let ahead = along - self.rho;
+        self.rho = alpha.mul_add(ahead, self.rho);
+        (alpha.simd_gt(rules.zero) & alpha.simd_lt(rules.alpha_max)).select(weight * ahead, rules.zero)
+    }
 }
 
 /// The gradients of the planes of a vector of pixels, by which the values of each layer are weighed.
@@ -253,14 +266,17 @@ fn add_rows<S: Simd, F: Real, const EXACT: bool>(
         };
         let mut features = [zero; TOGETHER];
         let (mut places, mut count) = ([(0, 0); VECTORS], 0);
-        each_bit(*vectors, |number| {
+        let mut left = *vectors;
+        while left != 0 {
+            let number = left.trailing_zeros() as usize;
+            left &= left - 1;
             let (place, at) = (number * vector, next[number]);
             next[number] += parts * vector;
             places[count] = (place, at);
             count += 1;
             let values = &pairs[at..][..parts * vector];
             let (h, weight) = (lanes::<S, F>(simd, values, 0), lanes::<S, F>(simd, values, vector));
-            let inverse = EXACT.then(|| lanes::<S, F>(simd, values, 2 * vector));
+            let inverse = if EXACT { Some(lanes::<S, F>(simd, values, 2 * vector)) } else { None };
             let layer = rules.layer::<EXACT, false>(splat, &tile.pixels(simd, place), inverse);
             let plane = |channel: usize| lanes::<S, F>(simd, &grad.planes.planes[channel], place);
             let seen = if grad.depth { weight * plane(tile.channels) } else { zero };
@@ -268,7 +284,7 @@ fn add_rows<S: Simd, F: Real, const EXACT: bool>(
             for channel in 0..TOGETHER.min(tile.channels) {
                 features[channel] = plane(channel).mul_add(weight, features[channel]);
             }
-        });
+        }
         *vectors = 0;
         fixed.write::<EXACT>(splat.0, row, [tile.channels, channels], grad.absolute);
         for channel in 0..TOGETHER.min(tile.channels) {

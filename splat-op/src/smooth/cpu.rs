@@ -56,9 +56,14 @@ impl<S: Simd, F: Real> Shares<S, F> {
     fn new(simd: S, scales: &[[F; 3]], widths: &[F], at: usize) -> Self {
         let last = widths.len() - 1;
         let width = F::Block::<S>::from_fn(simd, |lane| widths[(at + lane).min(last)]);
-        let scale = [0, 1, 2].map(|axis| F::Block::<S>::from_fn(simd, |lane| scales[(at + lane).min(last)][axis]));
-        let inverse = scale.map(|scale| splat::<S, F>(simd, F::ONE) / hypotenuse::<S, F>(scale, width));
-        Self { width, inverse, share: std::array::from_fn(|axis| scale[axis] * inverse[axis]) }
+        let at = |axis: usize| F::Block::<S>::from_fn(simd, |lane| scales[(at + lane).min(last)][axis]);
+        let scale = [at(0), at(1), at(2)];
+        let (mut inverse, mut share) = (scale, scale);
+        for axis in 0..3 {
+            inverse[axis] = splat::<S, F>(simd, F::ONE) / hypotenuse::<S, F>(scale[axis], width);
+            share[axis] = scale[axis] * inverse[axis];
+        }
+        Self { width, inverse, share }
     }
 
     /// The product of the shares.
@@ -121,10 +126,11 @@ impl<S: Simd, F: Real> Shares<S, F> {
     fn backward(&self, grad: F::Block<S>, out: &mut [[F; 3]]) {
         let [x, y, z] = self.share;
         let others = [y * z, x * z, x * y];
-        let of_scale: [F::Block<S>; 3] = std::array::from_fn(|axis| {
+        let mut of_scale = others;
+        for axis in 0..3 {
             let added = self.width * self.inverse[axis];
-            grad * others[axis] * (added * added * self.inverse[axis])
-        });
+            of_scale[axis] = grad * others[axis] * (added * added * self.inverse[axis]);
+        }
         for (lane, out) in out.iter_mut().enumerate().take(block_len::<S, F>()) {
             *out = [of_scale[0][lane], of_scale[1][lane], of_scale[2][lane]];
         }
