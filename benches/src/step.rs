@@ -5,7 +5,7 @@ use splat_model::density::rows::{Gradients, StepRates, Trained};
 use splat_model::density::{Adaptive, AdaptiveConfig, Observed, Strategy};
 use splat_model::gaussians::Gaussians;
 use splat_model::loss::{DEFAULT_LAMBDA, Truth, photometric};
-use splat_model::optim::{Adam, LearningRates};
+use splat_model::optim::{Adam, LearningRates, MomentBits};
 use splat_model::trainer::Guard;
 use splat_op::{Camera, Extras, SplatError, render_view};
 
@@ -29,9 +29,15 @@ pub(crate) const SOUND: &str = "the scenes of the benches have finite losses and
 impl Step {
     /// Creates a step. `gaussians` are on an autodiff device, `camera` and `truth` on its inner device.
     pub fn new(gaussians: Gaussians, camera: Camera, truth: Truth) -> Self {
+        Self::with_moments(gaussians, camera, truth, MomentBits::ThirtyTwo)
+    }
+
+    /// Creates a step with moments of so many bits.
+    pub fn with_moments(gaussians: Gaussians, camera: Camera, truth: Truth, bits: MomentBits) -> Self {
         let background = Tensor::zeros([3], &camera.cam_from_world.device());
         let guard = Guard::new(&camera.cam_from_world.device());
-        Self { scene: Trained::new(gaussians), density: density(), camera, background, truth, guard, step: 0 }
+        let scene = Trained::with_bits(gaussians, bits);
+        Self { scene, density: density(), camera, background, truth, guard, step: 0 }
     }
 
     /// Takes a step and returns the loss, `[1]`.

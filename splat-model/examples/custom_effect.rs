@@ -2,7 +2,7 @@
 //! Run with a capture: `cargo run --release -p splat-model --example custom_effect -- CAPTURE`.
 use burn::tensor::{Device, Gradients, Tensor};
 use splat_model::capture::{Capture, load_all};
-use splat_model::effects::{Effect, EffectContext, Learned, RenderInput};
+use splat_model::effects::{Effect, EffectContext, Leaf, Learned, RenderInput};
 use splat_model::state::{State, StateError};
 use splat_model::trainer::{TrainConfig, Trainer};
 use splat_op::Rendered;
@@ -20,6 +20,10 @@ impl Effect for Filter {
             return image;
         }
         image * (self.0.tracked().neg() + 1.0).reshape([1, 1, 1])
+    }
+
+    fn leaves(&mut self, _: EffectContext) -> Vec<Leaf> {
+        vec![self.0.leaf()]
     }
 
     fn step(&mut self, gradients: &mut Gradients, at: EffectContext) {

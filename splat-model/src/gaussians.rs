@@ -3,6 +3,7 @@
 use std::ops::Range;
 
 use burn::module::{Module, Param};
+use burn::tensor::kind::Basic;
 use burn::tensor::{Device, Int, Tensor, TensorData, activation};
 use rayon::prelude::*;
 use splat_op::{Colour, RawSplats, Splats, activate, largest_tensor};
@@ -68,6 +69,23 @@ impl GaussianRows {
         self.sh_rest.extend_from_slice(&from.sh_rest[rest * i..rest * i + taken]);
     }
 
+    /// Some of the rows.
+    ///
+    /// # Panics
+    /// If they do not exist.
+    pub fn part(&self, which: Range<usize>) -> Self {
+        let rest = self.rest_per_row();
+        Self {
+            means: self.means[which.clone()].to_vec(),
+            rotations: self.rotations[which.clone()].to_vec(),
+            log_scales: self.log_scales[which.clone()].to_vec(),
+            logit_opacities: self.logit_opacities[which.clone()].to_vec(),
+            sh_dc: self.sh_dc[which.clone()].to_vec(),
+            sh_rest: self.sh_rest[rest * which.start..rest * which.end].to_vec(),
+            sh_degree: self.sh_degree,
+        }
+    }
+
     /// Whether Gaussian `i` can be rendered: all its parameters are finite and within the range that f32 can compute with (see
     /// [`splat_op::activate`]). A Gaussian that cannot be rendered is masked wherever the scene is used.
     ///
@@ -84,11 +102,15 @@ impl GaussianRows {
         (0..self.len()).into_par_iter().filter(|&i| !self.is_usable(i)).count()
     }
 
-    /// All coefficients, `[N, (degree+1)², 3]` row-major.
-    fn sh(&self) -> Vec<f32> {
+    /// All coefficients of some Gaussians, `[N, (degree+1)², 3]` row-major.
+    fn sh(&self, which: Range<usize>) -> Vec<f32> {
         let rest = self.rest_per_row();
-        let of_row = |i: usize| self.sh_dc[i].iter().chain(&self.sh_rest[rest * i..rest * (i + 1)]).copied();
-        (0..self.sh_dc.len()).flat_map(of_row).collect()
+        let mut values = Vec::with_capacity(which.len() * (3 + rest));
+        for i in which {
+            values.extend_from_slice(&self.sh_dc[i]);
+            values.extend_from_slice(&self.sh_rest[rest * i..rest * (i + 1)]);
+        }
+        values
     }
 
     /// Appends coefficients from `sh`, all coefficients in the layout of [`Self::sh`].
@@ -153,7 +175,7 @@ pub(crate) fn sh_blocks(count: usize, coefficients: usize, device: &Device) -> V
 }
 
 /// Joins tensors of consecutive rows.
-pub(crate) fn joined<const D: usize>(mut blocks: Vec<Tensor<D>>) -> Tensor<D> {
+pub(crate) fn joined<const D: usize, K: Basic>(mut blocks: Vec<Tensor<D, K>>) -> Tensor<D, K> {
     if blocks.len() == 1 { blocks.swap_remove(0) } else { Tensor::cat(blocks, 0) }
 }
 
@@ -165,17 +187,17 @@ impl Gaussians {
     pub fn from_rows(rows: &GaussianRows, device: &Device) -> Result<Self, RowsError> {
         rows.check()?;
         let (count, coefficients) = (rows.len(), rows.rest_per_row() / 3 + 1);
-        let values = rows.sh();
-        let block = |rows: Range<usize>| {
-            let values = &values[3 * coefficients * rows.start..3 * coefficients * rows.end];
-            parameter(tensor(values, [rows.len(), coefficients, 3], device))
+        // One copy of the coefficients, most of a scene, besides the rows.
+        let block = |which: Range<usize>| {
+            let count = which.len();
+            parameter(tensor(rows.sh(which), [count, coefficients, 3], device))
         };
         let mut blocks = sh_blocks(count, coefficients, device).into_iter();
         Ok(Self {
-            means: parameter(tensor(rows.means.as_flattened(), [count, 3], device)),
-            rotations: parameter(tensor(rows.rotations.as_flattened(), [count, 4], device)),
-            log_scales: parameter(tensor(rows.log_scales.as_flattened(), [count, 3], device)),
-            logit_opacities: parameter(tensor(&rows.logit_opacities, [count], device)),
+            means: parameter(tensor(rows.means.as_flattened().to_vec(), [count, 3], device)),
+            rotations: parameter(tensor(rows.rotations.as_flattened().to_vec(), [count, 4], device)),
+            log_scales: parameter(tensor(rows.log_scales.as_flattened().to_vec(), [count, 3], device)),
+            logit_opacities: parameter(tensor(rows.logit_opacities.clone(), [count], device)),
             sh: block(blocks.next().unwrap_or(0..count)),
             sh_more: blocks.map(block).collect(),
         })
@@ -299,8 +321,8 @@ impl Gaussians {
     }
 }
 
-fn tensor<const D: usize>(values: &[f32], shape: [usize; D], device: &Device) -> Tensor<D> {
-    Tensor::from_data(TensorData::new(values.to_vec(), shape), device)
+fn tensor<const D: usize>(values: Vec<f32>, shape: [usize; D], device: &Device) -> Tensor<D> {
+    Tensor::from_data(TensorData::new(values, shape), device)
 }
 
 /// All elements of a tensor, row-major.

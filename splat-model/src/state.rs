@@ -7,7 +7,7 @@ mod file;
 
 use std::collections::BTreeMap;
 
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{DType, Device, Int, Tensor, TensorData};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use thiserror::Error;
@@ -59,14 +59,31 @@ pub enum StateError {
     },
 }
 
-/// An array of f32, row-major.
+/// An array, row-major.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Array {
     pub(crate) shape: Vec<usize>,
-    pub(crate) values: Vec<f32>,
+    pub(crate) values: Values,
 }
 
-/// Arrays of f32 and facts, each with a unique name.
+/// The elements of an array.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum Values {
+    F32(Vec<f32>),
+    /// Words of 32 bits.
+    I32(Vec<i32>),
+}
+
+impl Values {
+    pub(crate) fn bytes(&self) -> &[u8] {
+        match self {
+            Self::F32(values) => bytemuck::cast_slice(values),
+            Self::I32(words) => bytemuck::cast_slice(words),
+        }
+    }
+}
+
+/// Arrays of f32 or of words, and facts, each with a unique name.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct State {
     pub(crate) arrays: BTreeMap<String, Array>,
@@ -80,7 +97,14 @@ impl State {
     /// Saves a tensor of f32; reading it waits for the device.
     pub fn put<const D: usize>(&mut self, name: &str, tensor: Tensor<D>) {
         let shape = tensor.dims().to_vec();
-        self.arrays.insert(name.to_owned(), Array { shape, values: values_of(tensor) });
+        self.arrays.insert(name.to_owned(), Array { shape, values: Values::F32(values_of(tensor)) });
+    }
+
+    /// Saves a tensor of i32, bit for bit; reading it waits for the device.
+    pub fn put_words(&mut self, name: &str, tensor: Tensor<2, Int>) {
+        let shape = tensor.dims().to_vec();
+        let words = tensor.into_data().try_into_vec().expect("words are created as i32");
+        self.arrays.insert(name.to_owned(), Array { shape, values: Values::I32(words) });
     }
 
     /// Removes and returns the tensor of that name, on `device`, not tracked.
@@ -89,10 +113,29 @@ impl State {
     /// If there is no such tensor, or it has another number of dimensions.
     pub fn take<const D: usize>(&mut self, name: &str, device: &Device) -> Result<Tensor<D>, StateError> {
         let Array { shape, values } = self.arrays.remove(name).ok_or_else(|| self.missing(name))?;
+        let Values::F32(values) = values else { return Err(self.missing(name)) };
         match <[usize; D]>::try_from(shape) {
             Ok(shape) => Ok(Tensor::from_data(TensorData::new(values, shape), device)),
             Err(found) => Err(StateError::Shape { name: self.full(name), found, expected: vec![0; D] }),
         }
+    }
+
+    /// Removes and returns the words of that name and shape, on `device`.
+    ///
+    /// # Errors
+    /// If there are no such words, or they have another shape.
+    pub fn take_words(
+        &mut self,
+        name: &str,
+        expected: [usize; 2],
+        device: &Device,
+    ) -> Result<Tensor<2, Int>, StateError> {
+        let Array { shape, values } = self.arrays.remove(name).ok_or_else(|| self.missing(name))?;
+        let Values::I32(words) = values else { return Err(self.missing(name)) };
+        if shape != expected {
+            return Err(StateError::Shape { name: self.full(name), found: shape, expected: expected.to_vec() });
+        }
+        Ok(Tensor::from_data(TensorData::new(words, expected), (device, DType::I32)))
     }
 
     /// Removes and returns the tensor of that name and shape, on `device`, not tracked.
@@ -142,7 +185,7 @@ impl State {
 
     /// Size of all arrays, bytes.
     pub(crate) fn bytes(&self) -> usize {
-        self.arrays.values().map(|array| array.values.len() * size_of::<f32>()).sum()
+        self.arrays.values().map(|array| array.values.bytes().len()).sum()
     }
 
     /// Saves all entries of a part below a name.
@@ -220,6 +263,20 @@ mod tests {
         assert_eq!(state.told::<f64>("rate").unwrap(), 0.1_f64.next_up());
         assert!(matches!(state.take::<2>("means", &device), Err(StateError::Missing { name }) if name == "means"));
         state.finish().unwrap();
+    }
+
+    #[test]
+    fn words_are_taken_bit_for_bit_and_as_nothing_else() {
+        let device = Device::flex();
+        // As a float, the first would be NaN.
+        let words = [0x7fa0_0001, i32::MIN, -1, 0];
+        let mut state = State::default();
+        state.put_words("words", Tensor::from_data(TensorData::new(words.to_vec(), [2, 2]), (&device, DType::I32)));
+        assert_eq!(state.bytes(), 16);
+        let found = state.clone().take_words("words", [2, 2], &device).unwrap();
+        assert_eq!(found.into_data().try_into_vec::<i32>().unwrap(), words);
+        assert!(matches!(state.clone().take_words("words", [4, 1], &device), Err(StateError::Shape { .. })));
+        assert!(matches!(state.take::<2>("words", &device), Err(StateError::Missing { .. })));
     }
 
     #[test]

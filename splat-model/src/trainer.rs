@@ -8,10 +8,13 @@ mod differentiate;
 mod effects;
 mod error;
 mod guard;
+pub mod ranks;
 mod resolution;
+mod shared;
 mod state;
 mod views;
 
+use std::rc::Rc;
 use std::{iter, mem};
 
 use burn::tensor::{Device, Tensor};
@@ -38,6 +41,7 @@ pub use self::cost::MeasuredCost;
 use self::differentiate::Batch;
 pub use self::error::TrainError;
 pub use self::guard::{Fault, Guard};
+use self::ranks::{Alone, Ranks};
 pub use self::resolution::Resolution;
 use self::views::Views;
 
@@ -99,6 +103,9 @@ pub struct Trainer {
     means_decay: Decay,
     loss: Box<dyn Loss>,
     guard: Guard,
+    ranks: Rc<dyn Ranks>,
+    /// Whether the ranks are known to begin from the same run.
+    agreed: bool,
     /// Whether each stage is checked.
     checks: bool,
     rng: ChaCha8Rng,
@@ -161,7 +168,7 @@ impl Trainer {
         Ok(Self {
             options: config.render_options(extent),
             device: device.clone(),
-            scene: Trained::new(Gaussians::from_rows(&rows, &tracked)?),
+            scene: Trained::with_bits(Gaussians::from_rows(&rows, &tracked)?, config.moment_bits),
             views,
             effects,
             density,
@@ -169,6 +176,8 @@ impl Trainer {
             means_decay: config.step_rates().means_decay(extent, config.steps),
             loss: Box::new(move |seen: &LossInputs| photometric(seen.image.clone(), seen.truth, lambda)),
             guard: Guard::new(device),
+            ranks: Rc::new(Alone),
+            agreed: false,
             checks: false,
             rng,
             queue: Vec::new(),
@@ -190,9 +199,18 @@ impl Trainer {
     pub fn with_strategy(mut self, mut strategy: impl Strategy + 'static) -> Result<Self, TrainError> {
         let mut rows = self.scene.gaussians.to_rows();
         strategy.start(&mut rows);
-        self.scene = Trained::new(Gaussians::from_rows(&rows, &self.device.clone().autodiff())?);
+        let gaussians = Gaussians::from_rows(&rows, &self.device.clone().autodiff())?;
+        self.scene = Trained::with_bits(gaussians, self.config.moment_bits);
         self.density = Box::new(strategy);
         Ok(self)
+    }
+
+    /// Shares the views of each batch with other processes, which train the same run (see [`ranks`]). Before its first step, each
+    /// rank checks that all begin from the same version, options, photographs and state. From then on every rank has to take the same
+    /// steps. Steps wait for the device. Rank 0 always renders the first view of a batch; a rank without a view waits.
+    pub fn with_ranks(self, ranks: Rc<dyn Ranks>) -> Self {
+        let guard = if ranks.count() > 1 { Guard::at_once() } else { self.guard };
+        Self { ranks, guard, ..self }
     }
 
     /// Checks the output of each stage in every step, to find the first that goes wrong. Slow.
@@ -286,6 +304,11 @@ impl Trainer {
     /// # Errors
     /// Errors of [`Self::step`]. `look` may not have been called then.
     pub fn step_and_look(&mut self, mut look: impl FnMut(&Self)) -> Result<StepReport, TrainError> {
+        let shared = self.ranks.count() > 1;
+        let begins = shared && !mem::replace(&mut self.agreed, true);
+        if begins {
+            self.agree()?;
+        }
         self.step += 1;
         let (step, steps) = (self.step, self.config.steps);
         self.views.reduce(self.config.resolution.divisor_at(step, steps));
@@ -318,6 +341,9 @@ impl Trainer {
         if refined.is_some() {
             self.effects.forget_rows();
         }
+        if begins || (shared && refines) {
+            self.check_together()?;
+        }
         if !refines {
             look(self);
         }
@@ -349,15 +375,20 @@ impl Trainer {
         TrainError::Check { step: self.step, view: self.views.name(view).to_owned(), stage, detail }
     }
 
-    /// The next view: every photograph once per epoch, in random order.
+    /// The next view, which begins to be decoded.
     fn next_view(&mut self) -> usize {
+        let view = self.draw_view();
+        self.views.expect(iter::once(view).chain(self.queue.iter().rev().copied()));
+        view
+    }
+
+    /// The next view: every photograph once per epoch, in random order.
+    fn draw_view(&mut self) -> usize {
         if self.queue.is_empty() {
             self.queue = (0..self.views.len()).collect();
             self.queue.shuffle(&mut self.rng);
         }
-        let view = self.queue.pop().expect("filled above, and there is at least one view");
-        self.views.expect(iter::once(view).chain(self.queue.iter().rev().copied()));
-        view
+        self.queue.pop().expect("filled above, and there is at least one view")
     }
 }
 

@@ -6,8 +6,10 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, ensure};
 use clap::{ValueEnum, value_parser};
 use splat_model::formats::{
-    self, Deviation, Format, QuantisationError, SceneFile, SogOptions, SpzOptions, SpzVersion, Written,
+    self, ConvertOptions, Converted, Deviation, Format, QuantisationError, QuantisationSums, ROWS_AT_ONCE, SceneFile,
+    SceneReader, SogOptions, SpzOptions, SpzVersion,
 };
+use splat_model::gaussians::GaussianRows;
 
 use crate::{input, progress};
 
@@ -94,13 +96,9 @@ pub fn run(args: &ConvertArgs) -> Result<()> {
     let same =
         fs::canonicalize(&args.out).is_ok_and(|out| fs::canonicalize(&args.scene).is_ok_and(|scene| scene == out));
     ensure!(!same, "{shown} is the scene itself: name another file, so that the scene stays as it is");
-    let (mut scene, found) = formats::read(&args.scene).context("cannot read the scene")?;
-    let of_degree = scene.rows.sh_degree;
-    scene.rows.check()?;
-    if let Some(degree) = args.sh_degree.map(usize::from).filter(|degree| *degree < of_degree) {
-        scene.rows = input::selected(&scene.rows, 0..scene.rows.len(), degree);
-    }
-    scene.antialiased |= args.antialias;
+    let reader = SceneReader::open(&args.scene).context("cannot read the scene")?;
+    let (found, (splats, of_degree)) = (reader.format(), reader.size());
+    let about = SceneFile { antialiased: reader.about().antialiased | args.antialias, ..reader.about().clone() };
     if let Some(folder) = args.out.parent() {
         fs::create_dir_all(folder).with_context(|| format!("cannot make the folder for {shown}"))?;
     }
@@ -115,8 +113,54 @@ pub fn run(args: &ConvertArgs) -> Result<()> {
             of.extension()
         );
     }
+    let (written, added) = match formats::is_streamed(format) {
+        true => (streamed(args, reader, format)?, 0),
+        false => whole(args, reader, &about, format)?,
+    };
+
+    progress::say(&describe_file(&args.scene, found, splats, of_degree)?);
+    progress::say(&describe_file(&args.out, format, written.count, written.sh_degree)?);
+    if let Some(metres) = about.metres_per_unit {
+        progress::say(&format!("a scene unit is {metres} m"));
+    }
+    if added > 0 {
+        progress::say(&format!(
+            "added {added} invisible splats: outliers have chunks of their own, and cost no other splat its place"
+        ));
+    }
+    let mut lost = dropped(&about, format, &written, of_degree);
+    if !format.is_exact() {
+        lost.extend(table(&written.error, written.sh_degree));
+    }
+    if format == Format::Spz && written.error.scale.largest > SPZ_SCALE_ERROR {
+        lost.push(SPZ_SCALES.into());
+    }
+    progress::say(&if lost.is_empty() { "nothing is lost".into() } else { format!("lost:\n  {}", lost.join("\n  ")) });
+    Ok(())
+}
+
+/// Converts some rows at a time.
+fn streamed(args: &ConvertArgs, mut reader: SceneReader, format: Format) -> Result<Converted> {
+    let options = ConvertOptions {
+        sh_degree: args.sh_degree.map(usize::from),
+        antialiased: args.antialias,
+        spz: spz_options(args),
+    };
+    formats::convert(&mut reader, &args.out, format, &options)
+        .with_context(|| format!("cannot convert {} to {}", args.scene.display(), args.out.display()))
+}
+
+/// Converts with all rows in memory, and compares some of the file's at a time with them. Returns the number of added Gaussians too.
+fn whole(args: &ConvertArgs, reader: SceneReader, about: &SceneFile, format: Format) -> Result<(Converted, usize)> {
+    let rows = reader.read().context("cannot read the scene")?.rows;
+    rows.check()?;
+    let of_degree = rows.sh_degree;
+    let rows = match args.sh_degree.map(usize::from).filter(|degree| *degree < of_degree) {
+        Some(degree) => input::selected(&rows, 0..rows.len(), degree),
+        None => rows,
+    };
+    let scene = SceneFile { rows, ..about.clone() };
     let written = match format {
-        Format::Spz => formats::write_spz(&args.out, &scene, spz_options(args)),
         Format::Sog => {
             let entries = args.sh_palette.map(|entries| entries as usize);
             formats::write_sog(&args.out, &scene, SogOptions { entries })
@@ -124,29 +168,19 @@ pub fn run(args: &ConvertArgs) -> Result<()> {
         _ => formats::write(&args.out, &scene, format),
     };
     let written = written.context("cannot write the scene")?;
-    let (read, _) = formats::read(&args.out).context("cannot read what was written")?;
-    let loss = QuantisationError::between(&written.rows, &read.rows);
-
-    progress::say(&describe_file(&args.scene, found, scene.rows.len(), of_degree)?);
-    progress::say(&describe_file(&args.out, format, read.rows.len(), read.rows.sh_degree)?);
-    if let Some(metres) = scene.metres_per_unit {
-        progress::say(&format!("a scene unit is {metres} m"));
+    let (left_out, moved, added) = (written.left_out, written.moved, written.added);
+    let rows: GaussianRows = written.rows.into_owned();
+    // Only the rows that were written are needed from here on.
+    drop(scene);
+    let again = "cannot read what was written";
+    let mut read = SceneReader::open(&args.out).context(again)?;
+    let (count, sh_degree) = read.size();
+    let mut sums = QuantisationSums::default();
+    for first in (0..rows.len()).step_by(ROWS_AT_ONCE) {
+        let part = rows.part(first..rows.len().min(first + ROWS_AT_ONCE));
+        sums.add(&part, &read.next_rows(ROWS_AT_ONCE).context(again)?);
     }
-    if written.added > 0 {
-        progress::say(&format!(
-            "added {} invisible splats: outliers have chunks of their own, and cost no other splat its place",
-            written.added
-        ));
-    }
-    let mut lost = dropped(&scene, format, &written, of_degree);
-    if !format.is_exact() {
-        lost.extend(table(&loss, read.rows.sh_degree));
-    }
-    if format == Format::Spz && loss.scale.largest > SPZ_SCALE_ERROR {
-        lost.push(SPZ_SCALES.into());
-    }
-    progress::say(&if lost.is_empty() { "nothing is lost".into() } else { format!("lost:\n  {}", lost.join("\n  ")) });
-    Ok(())
+    Ok((Converted { count, sh_degree, left_out, moved, error: sums.error() }, added))
 }
 
 fn spz_options(args: &ConvertArgs) -> SpzOptions {
@@ -168,9 +202,9 @@ pub fn describe_file(path: &Path, format: Format, splats: usize, sh_degree: usiz
 }
 
 /// Lists everything that the format cannot store.
-fn dropped(scene: &SceneFile, format: Format, written: &Written, of_degree: usize) -> Vec<String> {
-    let (mut lost, sh_degree) = (Vec::new(), written.rows.sh_degree);
-    let Written { left_out, moved, .. } = *written;
+fn dropped(scene: &SceneFile, format: Format, written: &Converted, of_degree: usize) -> Vec<String> {
+    let mut lost = Vec::new();
+    let Converted { left_out, moved, sh_degree, .. } = *written;
     if moved > 0 {
         lost.push(format!(
             "the distance of {moved} splats, more than 512 times the scene's width away: they are moved to the border of \

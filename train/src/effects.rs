@@ -140,6 +140,15 @@ pub struct Chosen {
 }
 
 impl Chosen {
+    /// The effects of these names, as another rank of the run has chosen them.
+    ///
+    /// # Errors
+    /// If a name is unknown.
+    pub fn named(names: &[String]) -> Result<Self> {
+        let on = names.iter().map(|name| name.parse()).collect::<Result<_, String>>().map_err(anyhow::Error::msg)?;
+        Ok(Self { asked: names.join(","), on, plan: None, survey: None, measured: BTreeMap::new() })
+    }
+
     /// Whether an effect is on.
     pub fn has(&self, effect: EffectKind) -> bool {
         self.on.contains(&effect)

@@ -3,14 +3,16 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
+use std::sync::atomic::AtomicUsize;
 
 use anyhow::{Context, Result, ensure};
 use splat_model::capture::image::{load, load_all};
-use splat_model::capture::{Capture, CaptureError, Photo, Photograph};
+use splat_model::capture::{Capture, CaptureError, Photo, Photograph, PhotographFacts};
 use splat_model::effects::masks;
 use splat_model::formats;
 use splat_model::gaussians::GaussianRows;
 use splat_model::optim::scene_extent;
+use splat_model::trainer::ranks::{Ranks, gather_all, share_of};
 
 use crate::{progress, reconstruct};
 
@@ -113,6 +115,38 @@ impl PhotoSelection<'_> {
         }
         say_dropped(self.capture, views.len(), found.len())?;
         Ok(found)
+    }
+
+    /// Checks the photographs of some views together with the other ranks of a run, each of which decodes its share of them.
+    /// Then each rank decodes the others where it first trains on them. All are kept while they fit into `room`, bytes.
+    ///
+    /// # Errors
+    /// The errors of [`photographs`] in its own share, and if another rank is gone.
+    pub fn shared(&self, views: &[usize], room: usize, ranks: &dyn Ranks) -> Result<Vec<Photograph>> {
+        let names = views.iter().map(|&view| (self.capture.views[view].name.as_str(), view));
+        let by_name: BTreeMap<&str, usize> = names.collect();
+        let room = Arc::new(AtomicUsize::new(room));
+        let photograph = |(view, has_alpha, has_mask): (usize, bool, bool)| {
+            let of = &self.capture.views[view];
+            let (name, intrinsics) = (of.name.clone(), of.intrinsics_within(self.max_side));
+            let facts = PhotographFacts { name, intrinsics, cam_from_world: of.cam_from_world, has_alpha, has_mask };
+            Photograph::read_later(facts, &room, self.again(view))
+        };
+        let (mut own, mut found) = (BTreeMap::new(), Vec::new());
+        for some in views[share_of(ranks.rank(), ranks.count(), views.len())].chunks(AT_ONCE) {
+            for photo in decoded(self.capture, some, self.max_side, self.masked)? {
+                let photo = Arc::new(made_opaque(photo, self.opaque));
+                let view = by_name[photo.name.as_str()];
+                let facts = (view, photo.alpha.is_some(), photo.mask.is_some());
+                let of_own = photograph(facts);
+                of_own.keep(&photo);
+                own.insert(view, of_own);
+                found.push(facts);
+            }
+        }
+        let found = gather_all(ranks, &found)?.concat();
+        say_dropped(self.capture, views.len(), found.len())?;
+        Ok(found.into_iter().map(|facts| own.remove(&facts.0).unwrap_or_else(|| photograph(facts))).collect())
     }
 
     /// Returns a function that decodes a photograph again.

@@ -64,6 +64,7 @@ pub mod lpips;
 pub mod memory;
 pub mod output;
 pub mod progress;
+pub mod ranks;
 pub mod report;
 pub mod snapshots;
 pub mod strategy;
@@ -84,7 +85,7 @@ pub fn run(command: &Command) -> Result<()> {
         }
         Command::Resume(args) => {
             args.voice.apply();
-            train::resume(args).map(drop)
+            train::resume_together(args)
         }
         Command::Reconstruct(args) => {
             args.voice.apply();

@@ -5,6 +5,7 @@ use std::process::ExitCode;
 use clap::Parser;
 use splat_train::memory::Counted;
 use splat_train::options::Cli;
+use splat_train::ranks;
 use splat_train::train::Interrupted;
 
 /// Allocator that keeps freed blocks. A step allocates and frees tensors of megabytes; the system's allocator returns
@@ -28,13 +29,18 @@ fn quieten_wayland() {
 fn main() -> ExitCode {
     quieten_wayland();
     match splat_train::run(&Cli::parse().command) {
-        Ok(()) => ExitCode::SUCCESS,
+        Ok(()) => {
+            ranks::leave();
+            ExitCode::SUCCESS
+        }
         Err(error) => {
             if let Some(interrupted) = error.downcast_ref::<Interrupted>() {
-                splat_train::progress::error(&interrupted.to_string());
+                ranks::say(&interrupted.to_string());
+                ranks::leave();
                 return interrupted.exit_code().into();
             }
-            splat_train::progress::error(&splat_train::describe(&error));
+            ranks::say(&splat_train::describe(&error));
+            ranks::abort(1);
             ExitCode::FAILURE
         }
     }

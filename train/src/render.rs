@@ -111,6 +111,8 @@ pub fn run(args: &RenderArgs) -> Result<Vec<PathBuf>> {
         work: Workload::Render,
     };
     let options = accuracy.setting(&scene)?.apply(base);
+    // Half of the memory.
+    drop(rows);
     let splats = splats.stored(&options)?;
     let names = pictures::names(views.iter().map(|view| view.name.as_str()), args.format.extension());
     let counter = progress::counter("rendering", views.len());

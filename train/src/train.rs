@@ -1,7 +1,7 @@
 //! `splat train`: trains a scene on photographs, and writes the scene, its scores and its pictures.
 
-mod budget;
-mod checkpoints;
+pub(crate) mod budget;
+pub(crate) mod checkpoints;
 mod results;
 mod run;
 mod steps;
@@ -13,11 +13,12 @@ use std::path::PathBuf;
 use anyhow::Result;
 use clap::builder::RangedU64ValueParser;
 use serde::{Deserialize, Serialize};
-use splat_model::optim::sh_every_for;
+use splat_model::optim::{MomentBits, sh_every_for};
 use splat_model::trainer::{Resolution, TrainConfig, TrainError};
 
 pub use self::checkpoints::{RunState, state_of};
-pub use self::run::{resume, run, run_or_resume, run_with};
+pub(crate) use self::run::{photographs, views_of};
+pub use self::run::{resume, resume_together, run, run_or_resume, run_with};
 pub use self::stop::Interrupted;
 pub(crate) use self::stop::Stop;
 use self::time_limit::{GUESS, TrainingTime};
@@ -114,6 +115,11 @@ pub struct TrainArgs {
          eighth of a shorter run]", TrainConfig::default().sh_every
     ))]
     pub sh_every: Option<usize>,
+    /// Bits of each of Adam's moments, 32, 16 or 8: they take 472, 236 or 124 bytes of a Gaussian of degree 3 (see docs/ACCURACY.md for
+    /// what fewer bits cost)
+    #[arg(long, value_name = "BITS", default_value_t)]
+    #[serde(with = "crate::as_text", default)]
+    pub moment_bits: MomentBits,
     /// Model choices.
     #[command(flatten)]
     pub model: ModelArgs,
@@ -184,16 +190,18 @@ pub struct TrainArgs {
 }
 
 /// Options of `splat resume`.
-#[derive(Clone, Debug, clap::Args)]
+#[derive(Clone, Debug, clap::Args, Serialize)]
 pub struct ResumeArgs {
     /// Output folder of the run: its `--out`
     #[arg(value_name = "DIR")]
     pub out: PathBuf,
     /// Amount of output.
     #[command(flatten)]
+    #[serde(skip)]
     pub voice: VoiceArgs,
     /// View in the browser.
     #[command(flatten)]
+    #[serde(skip)]
     pub live: LiveArgs,
 }
 
@@ -213,6 +221,7 @@ impl TrainArgs {
         let steps = self.time.map_or(self.steps.unwrap_or(config.steps), |_| GUESS);
         config = self.schedule(config, steps);
         config.sh_degree = self.sh_degree.unwrap_or(config.sh_degree);
+        config.moment_bits = self.moment_bits;
         config.density = self.strategy.config().with_max_splats(self.max_splats);
         config.dials = config.dials.and(&self.accuracy.accuracy.setting());
         if let Some(mb) = self.cache_mb {

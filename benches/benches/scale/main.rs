@@ -2,7 +2,8 @@
 //! photographs.
 //!
 //! `cargo bench --workspace --bench scale -- splats` takes any of `splats`, `pixels` and `views`, by default all three. `plot`
-//! draws the recorded measurements. Each axis replaces its rows in `docs/scale/scale.csv` and its plot, and keeps the other
+//! draws the recorded measurements. `moments 10000000` prints a training step of so many Gaussians with Adam's moments in 32, 16 and 8
+//! bits, and records nothing. Each axis replaces its rows in `docs/scale/scale.csv` and its plot, and keeps the other
 //! axes. Every point runs in a process of its own, so that it does not reuse the memory of another. A point that would exceed
 //! [`MEMORY`] or [`PATIENCE`] by extrapolation from the point before is skipped, with a message.
 
@@ -18,6 +19,7 @@ use std::time::Duration;
 
 use splat_benches::allocations::CountingAllocator;
 use splat_benches::{MEDIUM, SyntheticView};
+use splat_model::optim::MomentBits;
 
 use point::{ScalePoint, ScaleWork};
 use record::{ScaleAxis, ScaleRow};
@@ -46,6 +48,11 @@ fn main() -> Result<(), Box<dyn Error>> {
             show(axis, &rows)
         });
     }
+    if let [first, counts @ ..] = &words[..]
+        && first == "moments"
+    {
+        return counts.iter().try_for_each(|count| moments(count.parse()?));
+    }
     let axes: Result<Vec<ScaleAxis>, String> = words.iter().map(|word| word.parse()).collect();
     let axes = axes.map(|axes| if axes.is_empty() { ScaleAxis::ALL.to_vec() } else { axes })?;
     fs::create_dir_all(FOLDER)?;
@@ -59,6 +66,18 @@ fn main() -> Result<(), Box<dyn Error>> {
         all.sort_by_key(|row| row.axis);
         fs::write(&csv, record::write(&all))?;
         show(axis, &rows)?;
+    }
+    Ok(())
+}
+
+/// Measures a training step with moments of each number of bits.
+fn moments(splats: usize) -> Result<(), Box<dyn Error>> {
+    let view = SyntheticView { splats, width: 1920, height: 1080, ..MEDIUM };
+    for moments in MomentBits::ALL {
+        println!(
+            "{}",
+            in_a_process(ScaleAxis::Splats, &ScalePoint { work: ScaleWork::Step, view, views: 1, moments })?
+        );
     }
     Ok(())
 }
@@ -100,7 +119,7 @@ fn measure(axis: ScaleAxis) -> Result<Vec<ScaleRow>, Box<dyn Error>> {
         }
         let mut before: Option<ScaleRow> = None;
         for (view, views) in points(axis) {
-            let point = ScalePoint { work, view, views };
+            let point = ScalePoint { work, view, views, moments: MomentBits::ThirtyTwo };
             if let Some(reason) = before.as_ref().and_then(|before| too_much(axis, before, &point)) {
                 println!("  {point} is skipped: {reason}");
                 continue;

@@ -15,6 +15,7 @@ use splat_benches::step::Step;
 use splat_benches::{SyntheticView, values};
 use splat_model::gaussians::Gaussians;
 use splat_model::loss::Truth;
+use splat_model::optim::MomentBits;
 use splat_model::trainer::Trainer;
 use splat_op::{Camera, Extras, intersect, project, render, with_gradient};
 
@@ -48,12 +49,18 @@ pub struct ScalePoint {
     pub view: SyntheticView,
     /// Number of photographs.
     pub views: usize,
+    /// Bits of Adam's moments in a step on one photograph.
+    pub moments: MomentBits,
 }
 
 impl Display for ScalePoint {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { work, view: SyntheticView { splats, width, height, .. }, views } = self;
-        write!(f, "{}, {splats} Gaussians, {width} × {height}, {views} views", work.name())
+        let Self { work, view: SyntheticView { splats, width, height, .. }, views, moments } = self;
+        write!(f, "{}, {splats} Gaussians, {width} × {height}, {views} views", work.name())?;
+        match moments {
+            MomentBits::ThirtyTwo => Ok(()),
+            bits => write!(f, ", moments of {bits} bits"),
+        }
     }
 }
 
@@ -72,11 +79,15 @@ impl ScalePoint {
         let SyntheticView { splats, width, height, sigma_px, opacity: [low, high] } = self.view;
         let numbers = [splats, width, height, self.views].map(|number| number.to_string());
         let fractions = [sigma_px, low, high].map(|number| number.to_string());
-        [self.work.name().to_owned()].into_iter().chain(numbers).chain(fractions).collect()
+        let moments = (self.moments != MomentBits::ThirtyTwo).then(|| self.moments.to_string());
+        [self.work.name().to_owned()].into_iter().chain(numbers).chain(fractions).chain(moments).collect()
     }
 
     pub fn read(words: &[String]) -> Result<Self, Box<dyn Error>> {
-        let [work, splats, width, height, views, sigma_px, low, high] = words else { return Err("eight words".into()) };
+        let [work, splats, width, height, views, sigma_px, low, high, moments @ ..] = words else {
+            return Err("eight words, and the bits of moments".into());
+        };
+        let moments = moments.first().map_or(Ok(MomentBits::ThirtyTwo), |bits| bits.parse())?;
         let view = SyntheticView {
             splats: splats.parse()?,
             width: width.parse()?,
@@ -84,7 +95,7 @@ impl ScalePoint {
             sigma_px: sigma_px.parse()?,
             opacity: [low.parse()?, high.parse()?],
         };
-        Ok(Self { work: ScaleWork::parse(work).ok_or("no such work")?, view, views: views.parse()? })
+        Ok(Self { work: ScaleWork::parse(work).ok_or("no such work")?, view, views: views.parse()?, moments })
     }
 }
 
@@ -97,7 +108,7 @@ pub fn run(point: &ScalePoint) -> Result<(), Box<dyn Error>> {
     let empty = held();
     let mut prepare = match (point.work, point.views) {
         (ScaleWork::Render, _) => render_and_backward(&point.view),
-        (ScaleWork::Step, 1) => step(&point.view),
+        (ScaleWork::Step, 1) => step(&point.view, point.moments),
         (ScaleWork::Step, views) => stateful(point.view.trainer(views), Trainer::step),
     };
     let set_up = held() - empty;
@@ -134,12 +145,12 @@ fn render_and_backward(view: &SyntheticView) -> Prepare {
 }
 
 /// Prepares a training step. The photograph is grey, so that the loss has a derivative everywhere.
-fn step(view: &SyntheticView) -> Prepare {
+fn step(view: &SyntheticView, moments: MomentBits) -> Prepare {
     let device = Device::flex();
     let gaussians = Gaussians::from_rows(&view.rows(), &device.clone().autodiff()).expect("rows of one scene");
     let camera = Camera::new(view.camera(&device, DType::F32).intrinsics, &DAffine3::IDENTITY, &device);
     let truth = Truth::new(Tensor::<3>::ones([view.height, view.width, 3], &device) * 0.5);
-    stateful(Step::new(gaussians, camera, truth), Step::run)
+    stateful(Step::with_moments(gaussians, camera, truth, moments), Step::run)
 }
 
 /// Resets the system's peak of the resident memory. On systems without a reset, the peak covers the whole process.

@@ -29,7 +29,7 @@ use self::blocks::Bounds;
 pub use colmap::{photographs_in, write_binary, write_binary_with_tracks};
 pub use error::CaptureError;
 pub use image::{Photo, load_all};
-pub use photograph::Photograph;
+pub use photograph::{Photograph, PhotographFacts};
 pub use scale::Scale;
 pub use split::Split;
 pub use tracks::{Observation, Tracks};

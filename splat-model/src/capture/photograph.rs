@@ -1,6 +1,7 @@
 //! Photographs of a run: kept decoded, or decoded on each use.
 
-use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, OnceLock};
 
 use glam::DAffine3;
 use splat_op::Intrinsics;
@@ -14,6 +15,30 @@ type Read = dyn Fn() -> Result<Photo, CaptureError> + Send + Sync;
 enum PixelSource {
     Kept(Arc<Photo>),
     Read(Arc<Read>),
+    Later(Arc<Later>),
+}
+
+/// Pixels that are decoded on their first use.
+struct Later {
+    read: Box<Read>,
+    /// Bytes that more pixels may take, in common with other photographs.
+    room: Arc<AtomicUsize>,
+    kept: OnceLock<Arc<Photo>>,
+}
+
+/// What is known of a photograph that is not decoded yet.
+#[derive(Clone, Debug)]
+pub struct PhotographFacts {
+    /// The view's name.
+    pub name: String,
+    /// Size and projection.
+    pub intrinsics: Intrinsics,
+    /// The view's pose.
+    pub cam_from_world: DAffine3,
+    /// Whether it has transparent parts.
+    pub has_alpha: bool,
+    /// Whether a mask excludes any of its pixels.
+    pub has_mask: bool,
 }
 
 /// One photograph and the source of its pixels.
@@ -45,6 +70,18 @@ impl Photograph {
         Self::with(photo, PixelSource::Read(Arc::new(read)))
     }
 
+    /// A photograph that `read` decodes on its first use. Its pixels are kept if they fit into `room`, bytes, which photographs
+    /// share. Others are decoded again on each use.
+    pub fn read_later(
+        facts: PhotographFacts,
+        room: &Arc<AtomicUsize>,
+        read: impl Fn() -> Result<Photo, CaptureError> + Send + Sync + 'static,
+    ) -> Self {
+        let PhotographFacts { name, intrinsics, cam_from_world, has_alpha, has_mask } = facts;
+        let later = Later { read: Box::new(read), room: Arc::clone(room), kept: OnceLock::new() };
+        Self { name, intrinsics, cam_from_world, has_alpha, has_mask, pixels: PixelSource::Later(Arc::new(later)) }
+    }
+
     fn with(photo: &Photo, pixels: PixelSource) -> Self {
         Self {
             name: photo.name.clone(),
@@ -58,7 +95,11 @@ impl Photograph {
 
     /// Whether its pixels stay in memory.
     pub fn is_kept(&self) -> bool {
-        matches!(self.pixels, PixelSource::Kept(_))
+        match &self.pixels {
+            PixelSource::Kept(_) => true,
+            PixelSource::Read(_) => false,
+            PixelSource::Later(later) => later.kept.get().is_some(),
+        }
     }
 
     /// The photograph with its pixels, decoded if they were not kept.
@@ -66,18 +107,35 @@ impl Photograph {
     /// # Errors
     /// If the picture is missing or has changed.
     pub fn pixels(&self) -> Result<Arc<Photo>, CaptureError> {
-        let read = match &self.pixels {
+        let photo = match &self.pixels {
             PixelSource::Kept(photo) => return Ok(Arc::clone(photo)),
-            PixelSource::Read(read) => read,
+            PixelSource::Read(read) => read()?,
+            PixelSource::Later(later) => match later.kept.get() {
+                Some(photo) => return Ok(Arc::clone(photo)),
+                None => (later.read)()?,
+            },
         };
-        let photo = read()?;
         let size = |camera: &Intrinsics| [camera.width, camera.height];
         if (size(&photo.intrinsics), photo.alpha.is_some(), photo.mask.is_some())
             != (size(&self.intrinsics), self.has_alpha, self.has_mask)
         {
             return Err(CaptureError::Changed { name: self.name.clone() });
         }
-        Ok(Arc::new(photo))
+        let photo = Arc::new(photo);
+        self.keep(&photo);
+        Ok(photo)
+    }
+
+    /// Keeps the decoded pixels of a photograph that is [read later](Self::read_later), if there is room.
+    pub fn keep(&self, photo: &Arc<Photo>) {
+        if let PixelSource::Later(later) = &self.pixels {
+            let bytes = self.bytes();
+            let fits = later.room.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |room| room.checked_sub(bytes));
+            if fits.is_ok() && later.kept.set(Arc::clone(photo)).is_err() {
+                // Another thread has kept it meanwhile.
+                later.room.fetch_add(bytes, Ordering::Relaxed);
+            }
+        }
     }
 
     /// Bytes of its decoded pixels.
@@ -112,6 +170,36 @@ mod tests {
         let kept = Photograph::from(photo.clone());
         assert!(kept.is_kept() && !read.is_kept());
         assert!(Arc::ptr_eq(&kept.pixels().unwrap(), &kept.pixels().unwrap()));
+    }
+
+    #[test]
+    fn what_is_read_later_is_kept_while_there_is_room() {
+        let photo = photos([0.0; 3]).remove(0);
+        let count = Arc::new(AtomicUsize::new(0));
+        let room = Arc::new(AtomicUsize::new(photo.rgb.len() + 1));
+        let later = || {
+            let (again, counted) = (photo.clone(), Arc::clone(&count));
+            let Photo { name, intrinsics, cam_from_world, .. } = photo.clone();
+            let facts = PhotographFacts { name, intrinsics, cam_from_world, has_alpha: false, has_mask: false };
+            Photograph::read_later(facts, &room, move || {
+                counted.fetch_add(1, Ordering::Relaxed);
+                Ok(again.clone())
+            })
+        };
+        let (first, second) = (later(), later());
+        assert!(!first.is_kept() && count.load(Ordering::Relaxed) == 0);
+        for (photograph, reads, is_kept) in [(&first, 1, true), (&second, 2, false)] {
+            count.store(0, Ordering::Relaxed);
+            (0..2).for_each(|_| assert_eq!(photograph.pixels().unwrap().rgb, photo.rgb));
+            assert_eq!((count.load(Ordering::Relaxed), photograph.is_kept()), (reads, is_kept));
+        }
+        assert_eq!(room.load(Ordering::Relaxed), 1);
+        let third = later();
+        third.keep(&Arc::new(photo.clone()));
+        assert!(!third.is_kept(), "there is no room");
+        room.store(photo.rgb.len(), Ordering::Relaxed);
+        third.keep(&Arc::new(photo.clone()));
+        assert!(third.is_kept() && third.pixels().unwrap().rgb == photo.rgb);
     }
 
     #[test]

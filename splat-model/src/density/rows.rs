@@ -11,7 +11,8 @@ use splat_op::{RawSplats, Splats};
 pub use self::gradients::Gradients;
 use self::harmonics::{first_and_more, put_harmonics, take_harmonics};
 use crate::gaussians::{GaussianRows, Gaussians, RowsError, parameter};
-use crate::optim::{Adam, LearningRates, Moments, Rates};
+use crate::optim::moments::Stored;
+use crate::optim::{Adam, LearningRates, MomentBits, Moments, Rates};
 use crate::state::{State, StateError};
 
 /// Adam moments of all parameters of a scene.
@@ -27,14 +28,14 @@ pub struct GaussianMoments {
 
 impl GaussianMoments {
     /// Zero moments.
-    pub fn new(gaussians: &Gaussians) -> Self {
+    pub fn new(gaussians: &Gaussians, bits: MomentBits) -> Self {
         Self {
-            means: Moments::new(&gaussians.means.val()),
-            rotations: Moments::new(&gaussians.rotations.val()),
-            log_scales: Moments::new(&gaussians.log_scales.val()),
-            logit_opacities: Moments::new(&gaussians.logit_opacities.val()),
-            sh: Moments::new(&gaussians.sh.val()),
-            sh_more: gaussians.sh_more.iter().map(|block| Moments::new(&block.val())).collect(),
+            means: Moments::with_bits(&gaussians.means.val(), bits),
+            rotations: Moments::with_bits(&gaussians.rotations.val(), bits),
+            log_scales: Moments::with_bits(&gaussians.log_scales.val(), bits),
+            logit_opacities: Moments::with_bits(&gaussians.logit_opacities.val(), bits),
+            sh: Moments::with_bits(&gaussians.sh.val(), bits),
+            sh_more: gaussians.sh_more.iter().map(|block| Moments::with_bits(&block.val(), bits)).collect(),
         }
     }
 
@@ -65,7 +66,12 @@ pub struct RowEdit {
 impl Trained {
     /// A scene with zero moments.
     pub fn new(gaussians: Gaussians) -> Self {
-        let moments = GaussianMoments::new(&gaussians);
+        Self::with_bits(gaussians, MomentBits::ThirtyTwo)
+    }
+
+    /// A scene with zero moments of so many bits.
+    pub fn with_bits(gaussians: Gaussians, bits: MomentBits) -> Self {
+        let moments = GaussianMoments::new(&gaussians, bits);
         Self { gaussians, moments, mark: None }
     }
 
@@ -103,7 +109,7 @@ impl Trained {
 
     /// Replaces the opacities' logits and sets their moments to zero.
     pub fn reset_opacities(&mut self, logits: Tensor<1>) {
-        self.moments.logit_opacities = Moments::new(&logits);
+        self.moments.logit_opacities = self.moments.logit_opacities.anew(&logits);
         replace(&mut self.gaussians.logit_opacities, logits);
     }
 
@@ -142,7 +148,7 @@ impl Trained {
                 logit_opacities: Some(logit_opacities),
                 sh: Some(sh),
                 ..
-            } if steps_scenes(&means) => {
+            } if steps_scenes(&means) && self.moments.means.bits() == MomentBits::ThirtyTwo => {
                 let grads = RawSplats { means, rotations: of_rotations, log_scales, logit_opacities, sh };
                 let rates = [rates.means.into(), rotations.into(), scales.into(), opacities.into(), sh_rates];
                 let factors = Raw::from_array(rates.map(|rate| adam.factors(rate, step)));
@@ -171,21 +177,24 @@ impl Trained {
             logit_opacities: take(&mut g.logit_opacities),
             sh: take(&mut g.sh),
         };
-        let (means, rotations, log_scales) = (m.means.take(), m.rotations.take(), m.log_scales.take());
-        let (logit_opacities, sh) = (m.logit_opacities.take(), m.sh.take());
+        let (means_m, means_v) = sums(&mut m.means);
+        let (rotations_m, rotations_v) = sums(&mut m.rotations);
+        let (log_scales_m, log_scales_v) = sums(&mut m.log_scales);
+        let (logit_opacities_m, logit_opacities_v) = sums(&mut m.logit_opacities);
+        let (sh_m, sh_v) = sums(&mut m.sh);
         let of_m = RawSplats {
-            means: means.m,
-            rotations: rotations.m,
-            log_scales: log_scales.m,
-            logit_opacities: logit_opacities.m,
-            sh: sh.m,
+            means: means_m,
+            rotations: rotations_m,
+            log_scales: log_scales_m,
+            logit_opacities: logit_opacities_m,
+            sh: sh_m,
         };
         let of_v = RawSplats {
-            means: means.v,
-            rotations: rotations.v,
-            log_scales: log_scales.v,
-            logit_opacities: logit_opacities.v,
-            sh: sh.v,
+            means: means_v,
+            rotations: rotations_v,
+            log_scales: log_scales_v,
+            logit_opacities: logit_opacities_v,
+            sh: sh_v,
         };
         let mark = self.mark.take().filter(|(id, _)| *id == coefficients).map(|(_, mark)| mark);
         let mark = mark.unwrap_or_else(|| Tensor::zeros([1], (&device.clone().inner(), DType::I32)));
@@ -196,11 +205,11 @@ impl Trained {
         g.log_scales = parameter(on(&device, params.log_scales));
         g.logit_opacities = parameter(on(&device, params.logit_opacities));
         g.sh = parameter(on(&device, params.sh));
-        m.means = Moments { m: of_m.means, v: of_v.means };
-        m.rotations = Moments { m: of_m.rotations, v: of_v.rotations };
-        m.log_scales = Moments { m: of_m.log_scales, v: of_v.log_scales };
-        m.logit_opacities = Moments { m: of_m.logit_opacities, v: of_v.logit_opacities };
-        m.sh = Moments { m: of_m.sh, v: of_v.sh };
+        m.means = Moments::full(of_m.means, of_v.means);
+        m.rotations = Moments::full(of_m.rotations, of_v.rotations);
+        m.log_scales = Moments::full(of_m.log_scales, of_v.log_scales);
+        m.logit_opacities = Moments::full(of_m.logit_opacities, of_v.logit_opacities);
+        m.sh = Moments::full(of_m.sh, of_v.sh);
         self.mark = Some((g.sh.id, mark));
     }
 
@@ -216,24 +225,25 @@ impl Trained {
         state
     }
 
-    /// Restores a scene. It can be trained if `device` is an autodiff device.
+    /// Restores a scene with moments of so many bits. It can be trained if `device` is an autodiff device.
     ///
     /// # Errors
     /// If a value is missing, or if parameters and moments are inconsistent.
-    pub fn load(from: &mut State, device: &Device) -> Result<Self, StateError> {
-        let (means, of_means) = take_parameter::<2>(from, "means", device, |shape| *shape == [shape[0], 3])?;
+    pub fn load(from: &mut State, bits: MomentBits, device: &Device) -> Result<Self, StateError> {
+        let (means, of_means) = take_parameter::<2>(from, "means", (bits, device), |shape| *shape == [shape[0], 3])?;
         let count = means.val().dims()[0];
-        let (rotations, of_rotations) = take_parameter::<2>(from, "rotations", device, |shape| *shape == [count, 4])?;
+        let (rotations, of_rotations) =
+            take_parameter::<2>(from, "rotations", (bits, device), |shape| *shape == [count, 4])?;
         let (log_scales, of_log_scales) =
-            take_parameter::<2>(from, "log_scales", device, |shape| *shape == [count, 3])?;
+            take_parameter::<2>(from, "log_scales", (bits, device), |shape| *shape == [count, 3])?;
         let (logit_opacities, of_opacities) =
-            take_parameter::<1>(from, "logit_opacities", device, |shape| *shape == [count])?;
+            take_parameter::<1>(from, "logit_opacities", (bits, device), |shape| *shape == [count])?;
         let is_sh = |&[rows, coefficients, channels]: &[usize; 3]| {
             let largest = splat_op::sh::SH_DEGREE_MAX + 1;
             let side = coefficients.isqrt();
             rows == count && (1..=largest).contains(&side) && side * side == coefficients && channels == 3
         };
-        let (sh, of_sh) = take_harmonics(from, device, is_sh)?;
+        let (sh, of_sh) = take_harmonics(from, (bits, device), is_sh)?;
         let ((sh, sh_more), (of_sh, of_sh_more)) = (first_and_more(sh), first_and_more(of_sh));
         Ok(Self {
             gaussians: Gaussians { means, rotations, log_scales, logit_opacities, sh, sh_more },
@@ -277,6 +287,14 @@ fn take<const D: usize>(param: &mut Param<Tensor<D>>) -> Tensor<D> {
     std::mem::replace(param, empty).into_value().inner()
 }
 
+/// Moves the sums of a parameter out.
+fn sums<const D: usize>(moments: &mut Moments<D>) -> (Tensor<D>, Tensor<D>) {
+    match moments.take().0 {
+        Stored::Full { m, v } => (m, v),
+        Stored::Packed { .. } => unreachable!("the caller checked that all moments have 32 bits"),
+    }
+}
+
 fn update<const D: usize>(
     param: &mut Param<Tensor<D>>,
     gradient: Option<Tensor<D>>,
@@ -305,11 +323,8 @@ fn edit_rows<const D: usize>(
     added: &Param<Tensor<D>>,
 ) {
     let added = added.val().inner();
-    let without_history = added.zeros_like();
-    let edited = |old: Tensor<D>, new: &Tensor<D>| Tensor::cat(vec![old.select(0, keep.clone()), new.clone()], 0);
-    let values = edited(param.val().inner(), &added);
-    moments.m = edited(moments.m.clone(), &without_history);
-    moments.v = edited(moments.v.clone(), &without_history);
+    moments.edit(keep, added.dims()[0]);
+    let values = Tensor::cat(vec![param.val().inner().select(0, keep.clone()), added], 0);
     replace(param, values);
 }
 
@@ -328,7 +343,7 @@ fn put_parameter<const D: usize>(to: &mut State, name: &str, param: &Param<Tenso
 fn take_parameter<const D: usize>(
     from: &mut State,
     name: &str,
-    device: &Device,
+    (bits, device): (MomentBits, &Device),
     fits: impl Fn(&[usize; D]) -> bool,
 ) -> Result<(Param<Tensor<D>>, Moments<D>), StateError> {
     let plain = device.clone().inner();
@@ -338,7 +353,7 @@ fn take_parameter<const D: usize>(
         if !fits(&shape) {
             return Err(StateError::Fit { name: name.to_owned(), found: shape.to_vec() });
         }
-        Ok((parameter(on(device, values)), Moments::load(part, shape, &plain)?))
+        Ok((parameter(on(device, values)), Moments::load_with_bits(part, shape, bits, &plain)?))
     })
 }
 

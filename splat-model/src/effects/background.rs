@@ -24,7 +24,7 @@ use splat_op::{Intrinsics, Rendered, environment};
 use thiserror::Error;
 
 use super::learned::{EffectContext, Falling, Learned};
-use super::{Effect, EffectKind, RenderInput, saved_bytes};
+use super::{Effect, EffectKind, Leaf, RenderInput, saved_bytes};
 use crate::gaussians::{Gaussians, values_of};
 use crate::json;
 use crate::state::{State, StateError};
@@ -211,6 +211,10 @@ impl Effect for LearnedBackground {
         input.extras.background = Some(self.colour.tracked());
     }
 
+    fn leaves(&mut self, _: EffectContext) -> Vec<Leaf> {
+        vec![self.colour.leaf()]
+    }
+
     fn step(&mut self, gradients: &mut Gradients, at: EffectContext) {
         self.colour.step(gradients, RATE.at(at.step, at.steps), at.verdict);
     }
@@ -325,6 +329,10 @@ impl Effect for Environment {
 
     fn image(&mut self, image: Tensor<3>, input: &RenderInput, picture: &Rendered<3>, at: EffectContext) -> Tensor<3> {
         self.behind(image, picture.alpha.clone(), at.view, &input.camera.intrinsics)
+    }
+
+    fn leaves(&mut self, _: EffectContext) -> Vec<Leaf> {
+        vec![self.coefficients.leaf()]
     }
 
     fn step(&mut self, gradients: &mut Gradients, at: EffectContext) {

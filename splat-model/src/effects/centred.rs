@@ -3,6 +3,7 @@
 
 use burn::tensor::{Gradients, Tensor};
 
+use super::leaf::Leaf;
 use super::learned::{EffectContext, Learned};
 use crate::state::{State, StateError};
 
@@ -24,6 +25,11 @@ impl<const D: usize> Centred<D> {
     /// The tracked parameter of a photograph.
     pub fn tracked(&mut self, view: usize) -> Tensor<D> {
         self.all[view].tracked()
+    }
+
+    /// The parameter of a photograph for [`Effect::leaves`](super::Effect::leaves).
+    pub fn leaf(&mut self, view: usize) -> Leaf {
+        self.all[view].leaf()
     }
 
     /// The parameter of a photograph without autodiff.

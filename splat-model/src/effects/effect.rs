@@ -14,6 +14,7 @@ use splat_op::{
 };
 
 use super::background::Background;
+use super::leaf::Leaf;
 use super::learned::EffectContext;
 use crate::gaussians::{GaussianRows, Gaussians};
 use crate::state::{State, StateError};
@@ -139,6 +140,15 @@ pub trait Effect: Any {
     /// Returns a term to add to the loss, `[1]`, tracked.
     fn penalty(&mut self, _input: &RenderInput, _picture: &Rendered<3>, _at: EffectContext) -> Option<Tensor<1>> {
         None
+    }
+
+    /// Lists the parameters whose gradients [`Self::step`] takes at a view, for example by
+    /// [`Learned::leaf`](super::Learned::leaf). Called only in runs of several processes, of which one renders the view, before
+    /// any effect takes a step. Every process lists the same parameters in the same order. Other state may depend on
+    /// [`Self::draw`], [`Self::step`] and [`Self::forget_rows`], which are called in all processes, and on the scene and the step
+    /// in [`Self::before`], but not on which views a process renders.
+    fn leaves(&mut self, _at: EffectContext) -> Vec<Leaf> {
+        Vec::new()
     }
 
     /// Takes an optimiser step on the effect's parameters, for example by [`Learned::step`](super::Learned::step). Called

@@ -14,7 +14,7 @@ use splat_op::{Rendered, colour_map};
 
 use super::centred::Centred;
 use super::learned::{EffectContext, Falling};
-use super::{Effect, EffectKind, RenderInput};
+use super::{Effect, EffectKind, Leaf, RenderInput};
 use crate::state::{State, StateError};
 
 /// Options of exposures.
@@ -67,6 +67,10 @@ impl Effect for Exposure {
 
     fn penalty(&mut self, _: &RenderInput, _: &Rendered<3>, at: EffectContext) -> Option<Tensor<1>> {
         Some(self.pull(at.view))
+    }
+
+    fn leaves(&mut self, at: EffectContext) -> Vec<Leaf> {
+        vec![self.maps.leaf(at.view)]
     }
 
     fn step(&mut self, gradients: &mut Gradients, at: EffectContext) {

@@ -17,7 +17,7 @@ use splat_op::bilateral::{self, MAP};
 
 use super::centred::Centred;
 use super::learned::{EffectContext, Falling};
-use super::{Effect, EffectKind, RenderInput};
+use super::{Effect, EffectKind, Leaf, RenderInput};
 use crate::state::{State, StateError};
 
 /// Grid positions along a side of the picture.
@@ -77,6 +77,10 @@ impl Effect for Grids {
 
     fn penalty(&mut self, _: &RenderInput, _: &Rendered<3>, at: EffectContext) -> Option<Tensor<1>> {
         Some(self.pull(at.view))
+    }
+
+    fn leaves(&mut self, at: EffectContext) -> Vec<Leaf> {
+        vec![self.grids.leaf(at.view)]
     }
 
     fn step(&mut self, gradients: &mut Gradients, at: EffectContext) {

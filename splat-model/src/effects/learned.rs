@@ -5,6 +5,7 @@
 use burn::tensor::{Gradients, Int, Tensor};
 use serde::{Deserialize, Serialize};
 
+use super::leaf::Leaf;
 use crate::optim::{Adam, Moments};
 use crate::state::{State, StateError};
 
@@ -81,6 +82,12 @@ impl<const D: usize> Learned<D> {
             None => self.leaf.clone(),
             Some(unit) => self.leaf.clone() * Tensor::from_inner(unit.clone()),
         }
+    }
+
+    /// The parameter for [`Effect::leaves`](super::Effect::leaves).
+    pub fn leaf(&mut self) -> Leaf {
+        self.tracked();
+        Leaf::new(self.leaf.clone())
     }
 
     /// The value without autodiff.

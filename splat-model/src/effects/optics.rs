@@ -20,7 +20,7 @@ use splat_op::{Camera, CameraModel, Intrinsics, Projected, SplatError};
 use thiserror::Error;
 
 use super::learned::{EffectContext, Learned};
-use super::{Effect, RenderInput, motion};
+use super::{Effect, Leaf, RenderInput, motion};
 use crate::state::{State, StateError};
 
 /// The camera has a lens, and rolling shutters and defocus are simulated for pinholes only.
@@ -193,6 +193,12 @@ impl Effect for Optics {
             RenderInput { camera, ..input.clone() }
         };
         poses.into_iter().map(from).collect()
+    }
+
+    fn leaves(&mut self, at: EffectContext) -> Vec<Leaf> {
+        let of_view = [&mut self.exposures, &mut self.readouts, &mut self.foci];
+        let of_view = of_view.into_iter().filter_map(|all| all.get_mut(at.view)).map(Learned::leaf);
+        self.aperture.as_mut().map(Learned::leaf).into_iter().chain(of_view).collect()
     }
 
     fn step(&mut self, gradients: &mut Gradients, at: EffectContext) {

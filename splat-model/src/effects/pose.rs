@@ -22,7 +22,7 @@ use splat_op::{Rendered, pose};
 
 use self::anchors::{Anchors, DeviceAnchors, rotation};
 use super::learned::{EffectContext, Learned};
-use super::{Effect, EffectKind, RenderInput, saved_bytes};
+use super::{Effect, EffectKind, Leaf, RenderInput, saved_bytes};
 use crate::gaussians::{Gaussians, values_of};
 use crate::state::{State, StateError};
 
@@ -112,6 +112,10 @@ impl Effect for Poses {
     fn penalty(&mut self, input: &RenderInput, _: &Rendered<3>, at: EffectContext) -> Option<Tensor<1>> {
         let anchors = self.anchors[at.view].as_ref()?;
         Some(anchors.penalty(&input.camera.cam_from_world) * self.config.anchor_weight)
+    }
+
+    fn leaves(&mut self, at: EffectContext) -> Vec<Leaf> {
+        vec![self.corrections[at.view].leaf()]
     }
 
     fn step(&mut self, gradients: &mut Gradients, at: EffectContext) {

@@ -8,6 +8,7 @@ use splat_op::Rendered;
 
 use super::background::Background;
 use super::effect::{Effect, RenderInput};
+use super::leaf::Leaf;
 use super::learned::EffectContext;
 use crate::gaussians::{GaussianRows, Gaussians};
 use crate::state::{State, StateError};
@@ -78,6 +79,10 @@ impl Effect for EffectStack {
 
     fn penalty(&mut self, input: &RenderInput, picture: &Rendered<3>, at: EffectContext) -> Option<Tensor<1>> {
         self.0.iter_mut().filter_map(|effect| effect.penalty(input, picture, at)).reduce(|a, b| a + b)
+    }
+
+    fn leaves(&mut self, at: EffectContext) -> Vec<Leaf> {
+        self.0.iter_mut().flat_map(|effect| effect.leaves(at)).collect()
     }
 
     fn step(&mut self, gradients: &mut Gradients, at: EffectContext) {

@@ -40,6 +40,7 @@ mod opacity;
 mod quaternion;
 mod sog;
 mod spz;
+mod stream;
 #[cfg(test)]
 mod testing;
 #[cfg(test)]
@@ -54,9 +55,10 @@ use std::path::{Path, PathBuf};
 use glam::DVec3;
 use thiserror::Error;
 
-pub use loss::{Deviation, QuantisationError};
+pub use loss::{Deviation, QuantisationError, QuantisationSums};
 pub use sog::SogOptions;
 pub use spz::{SpzOptions, SpzVersion};
+pub use stream::{ConvertOptions, Converted, ROWS_AT_ONCE, SceneReader, convert, is_streamed};
 
 use crate::density::morton_order;
 use crate::gaussians::GaussianRows;
@@ -265,27 +267,9 @@ pub fn detect(path: &Path) -> Result<Format, FormatError> {
 /// A [`FormatError`] for every file that is not a complete scene of one of the formats. Memory is bounded by a multiple of the
 /// file's size, whatever the header claims: a small multiple for PLY and glTF, and the limits of compression for SPZ and SOG.
 pub fn read(path: &Path) -> Result<(SceneFile, Format), FormatError> {
-    Ok(match Beginning::of(path)? {
-        Beginning::Spz => (spz::read(path)?, Format::Spz),
-        Beginning::Glb => (gltf::read_binary(path)?, Format::Glb),
-        Beginning::Zip => (sog::read_archive(path)?, Format::Sog),
-        Beginning::Json => {
-            let (format, json) = json(path)?;
-            let scene = match format {
-                Format::Sog => sog::read_folder(path, &json)?,
-                _ => gltf::read_text(path, &json)?,
-            };
-            (scene, format)
-        }
-        Beginning::Ply => {
-            let (input, header) = ply::PlyReader::open(path)?;
-            let (format, (rows, WorldFrame { origin, metres_per_unit })) = match compressed::is_compressed(&header) {
-                true => (Format::CompressedPly, compressed::read(path, input, &header)?),
-                false => (Format::Ply, ply::read_from(input, &header)?),
-            };
-            (SceneFile { rows, origin, metres_per_unit, antialiased: false }, format)
-        }
-    })
+    let reader = SceneReader::open(path)?;
+    let format = reader.format();
+    Ok((reader.read()?, format))
 }
 
 /// Writes the part of a scene that the format can hold ([`fit`]).

@@ -4,53 +4,14 @@ use burn::backend::Flex;
 use burn::tensor::{DType, Device, Int, Tensor, TensorData};
 use rayon::prelude::*;
 pub use splat_op::adam::Rates;
+use splat_op::adam::packed::{HostState, PackedFactors, PackedStep, step_on_host, step_packed};
 use splat_op::adam::{Band, Factors, Stepped};
 
-use crate::state::{State, StateError};
+use super::moments::{Moments, Stored};
 
 /// Gradients are clamped to ± this before they are squared: in f32, `1e17² / (1 − β₂)` is still finite. Steps stay
 /// bounded by the learning rate either way, because Adam is invariant to the gradient's length.
 const LARGEST_GRADIENT: f64 = 1e17;
-
-/// Running sums over the gradients of one parameter, of the parameter's shape, without autodiff.
-///
-/// They are the paper's `m` and `v` divided by `1 − β₁` and `1 − β₂`, which saves two passes over memory per step; scalar
-/// factors compensate for it. Zero means "no history", and rows may be moved, copied or zeroed with the parameter's.
-#[derive(Clone, Debug)]
-pub struct Moments<const D: usize> {
-    /// `Σ β₁ᵏ g`
-    pub(crate) m: Tensor<D>,
-    /// `Σ β₂ᵏ g²`
-    pub(crate) v: Tensor<D>,
-}
-
-impl<const D: usize> Moments<D> {
-    /// Moments without history, for a parameter of the shape of `param`.
-    pub fn new(param: &Tensor<D>) -> Self {
-        let m = param.clone().inner().zeros_like();
-        Self { v: m.zeros_like(), m }
-    }
-
-    /// Moves the sums out, so that no other reference exists.
-    pub(crate) fn take(&mut self) -> Self {
-        let empty = Tensor::empty([0; D], &self.m.device());
-        std::mem::replace(self, Self { m: empty.clone(), v: empty })
-    }
-
-    /// Saves both sums.
-    pub fn save(&self, to: &mut State) {
-        to.put("m", self.m.clone());
-        to.put("v", self.v.clone());
-    }
-
-    /// Loads the sums of a parameter of this shape.
-    ///
-    /// # Errors
-    /// If they are missing or of another shape.
-    pub fn load(from: &mut State, shape: [usize; D], device: &Device) -> Result<Self, StateError> {
-        Ok(Self { m: from.take_shaped("m", shape, device)?, v: from.take_shaped("v", shape, device)? })
-    }
-}
 
 /// The optimiser's constants; its state is in [`Moments`].
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -103,6 +64,8 @@ impl Adam {
     }
 
     /// Computes [`Self::step`] in tensor code on any device. Tests compare all other forms with it.
+    ///
+    /// Panics if the moments are packed.
     pub fn step_in_tensors<const D: usize>(
         &self,
         param: Tensor<D>,
@@ -111,7 +74,10 @@ impl Adam {
         moments: &mut Moments<D>,
         t: usize,
     ) -> Tensor<D> {
-        step_in_tensors(&self.factors(lr.into(), t), param, grad, moments)
+        let Stored::Full { m, v } = moments.take().0 else { panic!("packed moments have no form in tensors") };
+        let (param, m, v) = step_in_tensors(&self.factors(lr.into(), t), param, grad, (m, v));
+        *moments = Moments::full(m, v);
+        param
     }
 
     /// Computes [`Self::step`], but changes nothing if the verdict, `[2]`, holds a step (see [`splat_op::adam`]).
@@ -124,32 +90,38 @@ impl Adam {
         (t, verdict): (usize, Option<&Tensor<1, Int>>),
     ) -> Tensor<D> {
         assert_eq!(param.shape(), grad.shape(), "a gradient has the shape of its parameter");
-        assert_eq!(param.shape(), moments.m.shape(), "moments have the shape of their parameter");
         let factors = self.factors(lr.into(), t);
+        let (m, v) = match moments.take().0 {
+            Stored::Full { m, v } => (m, v),
+            Stored::Packed { words, packing } => {
+                let factors = PackedFactors { factors, packing, step: t as u32 };
+                let (param, words) = packed_step(param, grad, words, &factors, verdict);
+                *moments = Moments(Stored::Packed { words, packing });
+                return param;
+            }
+        };
+        assert_eq!(param.shape(), m.shape(), "moments have the shape of their parameter");
         // On a GPU, one operation does the whole step.
-        let Moments { m, v } = moments.take();
-        let stepped = splat_op::adam::step(Stepped { param, m, v }, &grad, verdict, factors);
-        let is_done = stepped.is_ok();
-        let (Ok(Stepped { param, m, v }) | Err(Stepped { param, m, v })) = stepped;
-        *moments = Moments { m, v };
-        if is_done {
-            return param;
-        }
-        if let Some(verdict) = verdict {
-            let (old, history) = (param.clone(), moments.clone());
-            let new = step_in_tensors(&factors, param, grad, moments);
-            let held = verdict.clone().narrow(0, 0, 1).not_equal_elem(0).reshape([1; D]).expand(old.shape());
-            moments.m.inplace(|m| m.mask_where(held.clone(), history.m));
-            moments.v.inplace(|v| v.mask_where(held.clone(), history.v));
-            return new.mask_where(held, old);
-        }
-        // Flex works in host memory and hands it over without a copy. One fused pass over it on all cores takes a third
-        // of the time of the tensor operations, which are eleven passes on one core.
-        if param.device() == Device::flex() && param.dtype() == DType::F32 {
-            step_in_host_memory(&factors, param, grad, moments)
-        } else {
-            step_in_tensors(&factors, param, grad, moments)
-        }
+        let (param, m, v) = match splat_op::adam::step(Stepped { param, m, v }, &grad, verdict, factors) {
+            Ok(Stepped { param, m, v }) => (param, m, v),
+            Err(Stepped { param, m, v }) => match verdict {
+                Some(verdict) => {
+                    let (old, of_m, of_v) = (param.clone(), m.clone(), v.clone());
+                    let (new, m, v) = step_in_tensors(&factors, param, grad, (m, v));
+                    let held = verdict.clone().narrow(0, 0, 1).not_equal_elem(0).reshape([1; D]).expand(old.shape());
+                    let kept = |new: Tensor<D>, old| new.mask_where(held.clone(), old);
+                    (kept(new, old), kept(m, of_m), kept(v, of_v))
+                }
+                // Flex works in host memory and hands it over without a copy. One fused pass over it on all cores takes a third
+                // of the time of the tensor operations, which are eleven passes on one core.
+                None if param.device() == Device::flex() && param.dtype() == DType::F32 => {
+                    step_in_host_memory(&factors, param, grad, (m, v))
+                }
+                None => step_in_tensors(&factors, param, grad, (m, v)),
+            },
+        };
+        *moments = Moments::full(m, v);
+        param
     }
 
     /// The scalars of one step, combined so that tensors are traversed as few times as possible.
@@ -163,18 +135,19 @@ impl Adam {
     }
 }
 
+/// Returns the parameter and both sums.
 fn step_in_tensors<const D: usize>(
     factors: &Factors,
     param: Tensor<D>,
     grad: Tensor<D>,
-    moments: &mut Moments<D>,
-) -> Tensor<D> {
+    (m, v): (Tensor<D>, Tensor<D>),
+) -> (Tensor<D>, Tensor<D>, Tensor<D>) {
     let grad = grad.clamp(-LARGEST_GRADIENT, LARGEST_GRADIENT);
-    moments.m.inplace(|m| m * factors.beta1 + grad.clone());
-    moments.v.inplace(|v| v * factors.beta2 + grad.square());
-    let root = moments.v.clone().sqrt() + factors.floor;
-    let ratio = moments.m.clone() / root;
-    param - rated(factors.rate, ratio)
+    let m = m * factors.beta1 + grad.clone();
+    let v = v * factors.beta2 + grad.square();
+    let root = v.clone().sqrt() + factors.floor;
+    let ratio = m.clone() / root;
+    (param - rated(factors.rate, ratio), m, v)
 }
 
 /// Multiplies each number by its rate.
@@ -190,27 +163,49 @@ fn rated<const D: usize>(rate: Rates, ratio: Tensor<D>) -> Tensor<D> {
     Tensor::cat(vec![first, others], 1)
 }
 
-/// Computes the step for f32 on a device whose tensors are in host memory.
+/// Computes the step for f32 on a device whose tensors are in host memory. Returns the parameter and both sums.
 fn step_in_host_memory<const D: usize>(
     factors: &Factors,
     param: Tensor<D>,
     grad: Tensor<D>,
-    moments: &mut Moments<D>,
-) -> Tensor<D> {
+    (m, v): (Tensor<D>, Tensor<D>),
+) -> (Tensor<D>, Tensor<D>, Tensor<D>) {
     let options = (&param.device(), DType::F32);
     let band = factors.rate.band(&param.dims());
-    let (mut param, grad) = (host_data(param), host_data(grad));
-    let Moments { m, v } = moments;
-    m.inplace(|m| {
-        let mut m = host_data(m);
-        v.inplace(|v| {
-            let mut v = host_data(v);
-            step_slices(factors, values_mut(&mut param), values(&grad), values_mut(&mut m), values_mut(&mut v), band);
-            Tensor::from_data(v, options)
-        });
-        Tensor::from_data(m, options)
-    });
-    Tensor::from_data(param, options)
+    let [mut param, grad, mut m, mut v] = [param, grad, m, v].map(host_data);
+    step_slices(factors, values_mut(&mut param), values(&grad), values_mut(&mut m), values_mut(&mut v), band);
+    let [param, m, v] = [param, m, v].map(|data| Tensor::from_data(data, options));
+    (param, m, v)
+}
+
+/// Performs the step with packed moments: on a GPU in one operation, elsewhere in host memory. Returns the parameter and the words.
+fn packed_step<const D: usize>(
+    param: Tensor<D>,
+    grad: Tensor<D>,
+    words: Tensor<2, Int>,
+    factors: &PackedFactors,
+    verdict: Option<&Tensor<1, Int>>,
+) -> (Tensor<D>, Tensor<2, Int>) {
+    let (param, words) = match step_packed(PackedStep { param, words }, &grad, verdict, *factors) {
+        Ok(PackedStep { param, words }) => return (param, words),
+        Err(PackedStep { param, words }) => (param, words),
+    };
+    if verdict.is_some_and(|verdict| verdict.clone().into_data().iter::<i64>().next() != Some(0)) {
+        return (param, words);
+    }
+    assert_eq!(param.dtype(), DType::F32, "moments are packed for parameters in f32");
+    let (dims, device) = (param.dims(), param.device());
+    let (width, band) = (dims[1..].iter().product::<usize>().max(1), factors.factors.rate.band(&dims));
+    let is_flex = device == Device::flex();
+    let [mut param, grad] = [param, grad].map(|tensor| if is_flex { host_data(tensor) } else { tensor.into_data() });
+    let mut words = match is_flex {
+        true => words.try_into_primitive::<Flex>().expect("as in `host_data`").into_data(),
+        false => words.into_data(),
+    };
+    let of_words = words.as_mut_slice::<i32>().expect("words are created as i32");
+    let state = HostState { param: values_mut(&mut param), grad: values(&grad), words: of_words };
+    step_on_host(state, width, band, factors);
+    (Tensor::from_data(param, (&device, DType::F32)), Tensor::from_data(words, (&device, DType::I32)))
 }
 
 /// Returns the elements of a tensor on Flex. `Tensor::into_data` would move a future that has room for those of all backends,

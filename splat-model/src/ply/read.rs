@@ -2,50 +2,19 @@
 
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, ErrorKind, Read};
+use std::ops::Range;
 use std::path::Path;
 
-use glam::DVec3;
 use ply_rs_bw::parser::{ParseError, Parser, Reader};
 use ply_rs_bw::ply::{
     DefaultElement, ElementDef, Encoding, Header, Property, PropertyAccess, PropertyAccessResult, PropertyType,
     ScalarType,
 };
 
-use super::frame::world_frame;
-use super::row::{REQUIRED, degree_of_rest, push_row, rest_names, rest_per_channel};
-use super::{PlyError, VERTEX, WorldFrame};
-use crate::gaussians::GaussianRows;
+use super::{PlyError, VERTEX};
 
 /// Maximum length of a header, bytes. Degree 4 with every property takes 3 KB.
 const MAX_HEADER_BYTES: u64 = 1 << 20;
-
-/// Reads a scene, and the origin that its positions are relative to (zero if the file names none).
-///
-/// Values of other numeric types are converted to the nearest f32; whether they are finite is not checked.
-///
-/// # Errors
-///
-/// A [`PlyError`] for every file that is not a complete scene in the layout of [this module](super). Memory is bounded
-/// by a small multiple of the file's true size, whatever its header claims.
-pub fn read(path: &Path) -> Result<(GaussianRows, DVec3), PlyError> {
-    let (input, header) = PlyReader::open(path)?;
-    read_from(input, &header).map(|(rows, world)| (rows, world.origin))
-}
-
-/// Reads a scene and its frame from a file whose header has been read.
-pub(crate) fn read_from(mut input: PlyReader, header: &Header) -> Result<(GaussianRows, WorldFrame), PlyError> {
-    let path = input.path;
-    let world = world_frame(path, header)?;
-    let vertex = vertex(path, header)?;
-    let (degree, properties) = check_properties(path, vertex)?;
-    input.begin(header)?;
-    let mut rows = empty_rows(vertex.count, degree);
-    input.each_row(vertex, header.encoding, &properties, |_, values| {
-        push_row(&mut rows, values);
-        Ok(())
-    })?;
-    Ok((rows, world))
-}
 
 fn io_error(path: &Path, action: &'static str, source: io::Error) -> PlyError {
     PlyError::Io { path: path.to_path_buf(), action, source }
@@ -91,7 +60,7 @@ impl PropertyAccess for Skipped {
 
 /// A file whose header has been read.
 pub(crate) struct PlyReader<'a> {
-    path: &'a Path,
+    pub(super) path: &'a Path,
     reader: BufReader<File>,
     /// Number of bytes after the header.
     payload_bytes: u64,
@@ -185,13 +154,25 @@ impl<'a> PlyReader<'a> {
         skipped.map(drop).map_err(|error| self.row_error(element, row, &error))
     }
 
-    /// Reads the rows of an element without lists, and passes the number of each row, from 0, and its values of `properties`
-    /// to `take`.
+    /// Reads all rows of an element, see [`Self::rows`].
     pub fn each_row(
         &mut self,
         element: &ElementDef,
         encoding: Encoding,
         properties: &[impl AsRef<str>],
+        take: impl FnMut(usize, &[f64]) -> Result<(), PlyError>,
+    ) -> Result<(), PlyError> {
+        self.rows(element, encoding, properties, 0..element.count, take)
+    }
+
+    /// Reads the next rows of an element without lists, of which `which` are the numbers, and passes the number of each row and its
+    /// values of `properties` to `take`.
+    pub fn rows(
+        &mut self,
+        element: &ElementDef,
+        encoding: Encoding,
+        properties: &[impl AsRef<str>],
+        which: Range<usize>,
         mut take: impl FnMut(usize, &[f64]) -> Result<(), PlyError>,
     ) -> Result<(), PlyError> {
         let parser = Parser::<RowValues>::new();
@@ -200,7 +181,20 @@ impl<'a> PlyReader<'a> {
         let mut bytes = vec![0; usize::try_from(least_row_bytes(element, Encoding::BinaryLittleEndian)).unwrap_or(0)];
         let mut line = String::new();
         let mut values = vec![0.0; columns.len()];
-        for i in 0..element.count {
+        let of_floats = |property: &ply_rs_bw::ply::PropertyDef| {
+            matches!(property.data_type, PropertyType::Scalar(ScalarType::Float))
+        };
+        // The usual layout, without the parser.
+        let plain = encoding == Encoding::BinaryLittleEndian && element.properties.values().all(of_floats);
+        for i in which {
+            if plain {
+                self.fill(&mut bytes).map_err(|error| self.row_error(element, i, &error))?;
+                let floats = bytes.as_chunks::<4>().0;
+                let of = |column: usize| f64::from(f32::from_le_bytes(floats[column]));
+                values.iter_mut().zip(&columns).for_each(|(value, &column)| *value = of(column));
+                take(i, &values)?;
+                continue;
+            }
             let row = match encoding {
                 Encoding::Ascii => self.ascii_row(&parser, element, &mut line),
                 Encoding::BinaryBigEndian => {
@@ -337,33 +331,13 @@ pub(crate) fn require(path: &Path, vertex: &ElementDef, properties: &[&str]) -> 
     }
 }
 
-fn missing_property<'a>(path: &Path, property: &str, found: impl Iterator<Item = &'a String>) -> PlyError {
+pub(super) fn missing_property<'a>(path: &Path, property: &str, found: impl Iterator<Item = &'a String>) -> PlyError {
     let detail = format!(
         "element `vertex` has no property `{property}`, found {}; export a scene in the original 3D Gaussian splatting \
          layout, and points with `x`, `y` and `z`",
         quoted(found)
     );
     layout_error(path, detail)
-}
-
-/// Checks that the properties describe a Gaussian, and returns the degree of its spherical harmonics and the names of all
-/// properties that [`push_row`] takes.
-fn check_properties(path: &Path, vertex: &ElementDef) -> Result<(usize, Vec<String>), PlyError> {
-    require(path, vertex, &REQUIRED)?;
-    let rest = || vertex.properties.keys().filter(|name| name.starts_with("f_rest_"));
-    let count = rest().count();
-    let degree = degree_of_rest(count).ok_or_else(|| {
-        let detail = format!(
-            "{count} properties `f_rest_*`, expected 0, 9, 24, 45 or 72 (degree 0 to 4); export all coefficients of the \
-             scene or none"
-        );
-        layout_error(path, detail)
-    })?;
-    let names: Vec<String> = REQUIRED.iter().map(|name| name.to_string()).chain(rest_names(count)).collect();
-    match names.iter().find(|name| !vertex.properties.contains_key(*name)) {
-        Some(property) => Err(missing_property(path, property, rest())),
-        None => Ok((degree, names)),
-    }
 }
 
 /// Minimum size of a row, bytes.
@@ -384,17 +358,4 @@ fn least_row_bytes(element: &ElementDef, encoding: Encoding) -> u64 {
         PropertyType::List(length, _) => size(length),
     };
     element.properties.values().map(|property| least(&property.data_type)).sum()
-}
-
-/// An empty scene with room for `count` rows, which the file was checked to hold.
-fn empty_rows(count: usize, sh_degree: usize) -> GaussianRows {
-    GaussianRows {
-        means: Vec::with_capacity(count),
-        rotations: Vec::with_capacity(count),
-        log_scales: Vec::with_capacity(count),
-        logit_opacities: Vec::with_capacity(count),
-        sh_dc: Vec::with_capacity(count),
-        sh_rest: Vec::with_capacity(3 * rest_per_channel(sh_degree) * count),
-        sh_degree,
-    }
 }

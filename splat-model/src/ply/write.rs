@@ -57,9 +57,18 @@ pub(crate) fn check(path: &Path, rows: &GaussianRows, world: WorldFrame) -> Resu
 /// # Errors
 /// If `out` cannot be written to.
 pub fn write_to(out: &mut impl Write, rows: &GaussianRows, world: impl Into<WorldFrame>) -> io::Result<()> {
-    let names = names(rows.sh_degree);
-    let header = file_header(world.into(), [element(VERTEX, rows.len(), ScalarType::Float, names)]);
-    Writer::<DefaultElement>::new().write_header(out, &header)?;
+    write_header(out, rows.len(), rows.sh_degree, world.into())?;
+    write_rows(out, rows)
+}
+
+/// Writes the header of a file with `count` Gaussians.
+pub(crate) fn write_header(out: &mut impl Write, count: usize, sh_degree: usize, world: WorldFrame) -> io::Result<()> {
+    let header = file_header(world, [element(VERTEX, count, ScalarType::Float, names(sh_degree))]);
+    Writer::<DefaultElement>::new().write_header(out, &header).map(drop)
+}
+
+/// Writes Gaussians after a header, or after others of the same degree.
+pub(crate) fn write_rows(out: &mut impl Write, rows: &GaussianRows) -> io::Result<()> {
     let mut values = Vec::new();
     for i in 0..rows.len() {
         values.clear();

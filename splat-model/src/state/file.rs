@@ -13,7 +13,7 @@ use safetensors::{Dtype, SafeTensorError, SafeTensors, View};
 use sha2::{Digest, Sha256};
 use thiserror::Error;
 
-use super::{Array, State};
+use super::{Array, State, Values};
 
 /// Metadata key of [`FORMAT`].
 const FORMAT_KEY: &str = "splat_state";
@@ -61,7 +61,10 @@ pub enum FileError {
 
 impl View for &Array {
     fn dtype(&self) -> Dtype {
-        Dtype::F32
+        match self.values {
+            Values::F32(_) => Dtype::F32,
+            Values::I32(_) => Dtype::I32,
+        }
     }
 
     fn shape(&self) -> &[usize] {
@@ -69,11 +72,11 @@ impl View for &Array {
     }
 
     fn data(&self) -> Cow<'_, [u8]> {
-        Cow::Borrowed(bytemuck::cast_slice(&self.values))
+        Cow::Borrowed(self.values.bytes())
     }
 
     fn data_len(&self) -> usize {
-        size_of_val(self.values.as_slice())
+        self.values.bytes().len()
     }
 }
 
@@ -130,10 +133,12 @@ impl State {
         let tensors = SafeTensors::deserialize(&bytes).map_err(|error| damaged(error.to_string()))?;
         let mut state = Self::default();
         for (name, view) in tensors.iter() {
-            if view.dtype() != Dtype::F32 {
-                return Err(damaged(format!("`{name}` is of the type {}, expected F32", view.dtype())));
-            }
-            let values = view.data().as_chunks::<4>().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect();
+            let words = view.data().as_chunks::<4>().0.iter();
+            let values = match view.dtype() {
+                Dtype::F32 => Values::F32(words.map(|bytes| f32::from_le_bytes(*bytes)).collect()),
+                Dtype::I32 => Values::I32(words.map(|bytes| i32::from_le_bytes(*bytes)).collect()),
+                other => return Err(damaged(format!("`{name}` is of the type {other}, expected F32 or I32"))),
+            };
             state.arrays.insert(name.to_owned(), Array { shape: view.shape().to_vec(), values });
         }
         let fact = |(name, text): (String, String)| name.strip_prefix(FACT).map(|name| (name.to_owned(), text));
@@ -155,7 +160,7 @@ impl State {
         for (name, Array { shape, values }) in &self.arrays {
             add(name.as_bytes());
             add(&shape.iter().flat_map(|side| (*side as u64).to_le_bytes()).collect::<Vec<_>>());
-            add(bytemuck::cast_slice(values));
+            add(values.bytes());
         }
         for (name, text) in &self.facts {
             add(name.as_bytes());
@@ -167,7 +172,7 @@ impl State {
 
 #[cfg(test)]
 mod tests {
-    use burn::tensor::{Device, Tensor};
+    use burn::tensor::{DType, Device, Tensor};
 
     use super::*;
 
@@ -175,6 +180,7 @@ mod tests {
         let mut state = State::default();
         state.put("scene/means", Tensor::<2>::from_floats([[1.0, -2.5], [f32::MIN_POSITIVE, 1e30]], &Device::flex()));
         state.put("none", Tensor::<1>::zeros([0], &Device::flex()));
+        state.put_words("scene/words", Tensor::from_data([[7, -1]], (&Device::flex(), DType::I32)));
         state.tell("step", &17).unwrap();
         state.tell("rate", &0.1_f64.next_up()).unwrap();
         state

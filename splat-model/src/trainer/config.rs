@@ -14,7 +14,7 @@ use crate::effects::optics::OpticsConfig;
 use crate::effects::pose::PoseConfig;
 use crate::loss::DEFAULT_LAMBDA;
 use crate::optim::schedule::STEPS_PER_SH_DEGREE;
-use crate::optim::{LearningRates, near_plane, sh_every_for};
+use crate::optim::{LearningRates, MomentBits, near_plane, sh_every_for};
 
 /// All options of a run. Defaults are those of the original implementation; [`Self::for_steps`] gives those of `splat train`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -35,6 +35,8 @@ pub struct TrainConfig {
     pub sh_every: usize,
     /// Learning rates.
     pub learning_rates: LearningRates,
+    /// Bits of each of Adam's moments of the scene: 32. They are half of a scene's memory in training.
+    pub moment_bits: MomentBits,
     /// Strategy of density control and its options.
     pub density: DensityConfig,
     /// Schedule of the photographs' size.
@@ -89,6 +91,7 @@ impl Default for TrainConfig {
             sh_degree: 3,
             sh_every: STEPS_PER_SH_DEGREE,
             learning_rates: LearningRates::default(),
+            moment_bits: MomentBits::default(),
             density: DensityConfig::default(),
             resolution: Resolution::FULL,
             background: [0.0; 3],

@@ -6,7 +6,7 @@ use burn::tensor::Tensor;
 use serde::Serialize;
 use splat_op::Rendered;
 
-use super::differentiate::Batch;
+use super::differentiate::OneView;
 use super::{TrainError, Trainer};
 use crate::effects::{Effect, EffectKind};
 
@@ -91,7 +91,7 @@ impl Trainer {
     /// Time until the loss and the gradients are computed, ms.
     fn time_step(&mut self) -> Result<f64, TrainError> {
         let start = Instant::now();
-        let Batch { loss, gradients, .. } = self.differentiate(VIEW)?;
+        let OneView { loss, gradients, .. } = self.differentiate(VIEW)?;
         // Both are read, because the device computes asynchronously.
         let _ = loss.into_data();
         let _ = gradients.means.map(|means| means.sum().into_data());
@@ -100,7 +100,8 @@ impl Trainer {
 
     /// Time from the picture to the gradients, ms. The picture is the photograph, slightly darkened.
     fn time_loss(&mut self) -> Result<f64, TrainError> {
-        let prepared = self.prepare(VIEW)?;
+        let drawn = self.effects.draw(&mut self.rng);
+        let prepared = self.prepare(VIEW, drawn)?;
         let truth = prepared.truth.image();
         let [height, width, _] = truth.dims();
         let alpha = Tensor::from_inner(Tensor::ones([height, width, 1], &truth.device()));

@@ -25,6 +25,19 @@ pub(super) struct PreparedStep {
     signals: Signals,
 }
 
+/// The results of the backward pass of a view.
+pub(super) struct OneView {
+    pub view: usize,
+    /// `[1]`
+    pub loss: Tensor<1>,
+    /// The gradients of the scene.
+    pub gradients: Gradients,
+    /// The gradients of effects' parameters.
+    pub left: Remaining,
+    /// The requested signals, if there are any.
+    pub seen: Option<Observed>,
+}
+
 /// The results of the backward passes of a batch.
 pub(super) struct Batch {
     /// `[1]`: the mean loss.
@@ -40,14 +53,10 @@ pub(super) struct Batch {
 impl Trainer {
     /// Differentiates the views of a step. The guard checks them one by one.
     pub(super) fn differentiate_batch(&mut self) -> Result<Batch, TrainError> {
-        let mut batch = self.differentiate_next()?;
-        for _ in 1..self.config.batch {
-            let next = self.differentiate_next()?;
-            batch.loss = batch.loss + next.loss;
-            batch.gradients = batch.gradients.plus(next.gradients);
-            batch.views.extend(next.views);
-            batch.held = next.held;
-        }
+        let mut batch = match self.ranks.count() {
+            1 => self.differentiate_alone()?,
+            _ => self.differentiate_shared()?,
+        };
         if self.config.batch > 1 {
             let share = 1.0 / self.config.batch as f64;
             batch.loss = batch.loss * share;
@@ -56,32 +65,64 @@ impl Trainer {
         Ok(batch)
     }
 
+    /// The views of a step in a run of one process. Losses and gradients are sums.
+    fn differentiate_alone(&mut self) -> Result<Batch, TrainError> {
+        let mut batch = self.differentiate_next()?;
+        for _ in 1..self.config.batch {
+            let next = self.differentiate_next()?;
+            batch.loss = batch.loss + next.loss;
+            batch.gradients = batch.gradients.plus(next.gradients);
+            batch.views.extend(next.views);
+            batch.held = next.held;
+        }
+        Ok(batch)
+    }
+
     fn differentiate_next(&mut self) -> Result<Batch, TrainError> {
         let view = self.next_view();
-        let mut one = self.differentiate(view)?;
-        let verdict = self.guard.look(self.step, view, &one.loss, &one.gradients);
-        one.held = verdict.map_err(|fault| self.non_finite(fault))?;
-        Ok(one)
+        let OneView { loss, gradients, left, .. } = self.differentiate(view)?;
+        let held = self.guard.look(self.step, view, &loss, &gradients).map_err(|fault| self.non_finite(fault))?;
+        Ok(Batch { loss, gradients, views: vec![(view, left)], held })
     }
 
     /// Computes the loss of a view and its gradients, and passes the requested signals to density control. The guard does not
     /// check them yet.
-    pub(super) fn differentiate(&mut self, view: usize) -> Result<Batch, TrainError> {
-        let prepared = self.prepare(view)?;
+    pub(super) fn differentiate(&mut self, view: usize) -> Result<OneView, TrainError> {
+        let drawn = self.effects.draw(&mut self.rng);
+        let mut one = self.differentiate_over(view, drawn)?;
+        if let Some(seen) = one.seen.take() {
+            self.density.observe(seen);
+        }
+        Ok(one)
+    }
+
+    /// As [`Self::differentiate`], over a `drawn` background if there is one, and checked by the guard. Density control is not
+    /// told.
+    pub(super) fn differentiate_guarded(
+        &mut self,
+        view: usize,
+        drawn: Option<[f32; 3]>,
+    ) -> Result<OneView, TrainError> {
+        let one = self.differentiate_over(view, drawn)?;
+        self.guard.look(self.step, view, &one.loss, &one.gradients).map_err(|fault| self.non_finite(fault))?;
+        Ok(one)
+    }
+
+    fn differentiate_over(&mut self, view: usize, drawn: Option<[f32; 3]>) -> Result<OneView, TrainError> {
+        let prepared = self.prepare(view, drawn)?;
         let picture = self.render(&prepared)?;
         let (loss, covered) = self.compare(&prepared, picture)?;
         self.go_back(prepared, loss, covered)
     }
 
     /// Prepares a view: Gaussians, camera and background after the effects, and the photograph.
-    pub(super) fn prepare(&mut self, view: usize) -> Result<PreparedStep, TrainError> {
+    pub(super) fn prepare(&mut self, view: usize, drawn: Option<[f32; 3]>) -> Result<PreparedStep, TrainError> {
         let at = EffectContext { view, step: self.step, steps: self.config.steps, verdict: None };
         let splats = self.scene.splats();
         let tracked = splats.means.device();
         let signals = self.density.listens_at(self.step);
         // The values of a probe are not read.
         let probe = |wanted: bool| wanted.then(|| Tensor::empty([splats.means.dims()[0], 2], &tracked).require_grad());
-        let drawn = self.effects.draw(&mut self.rng);
         let extras = Extras {
             background: Some(Tensor::from_floats(drawn.unwrap_or(self.config.background), &self.device)),
             mean2d_probe: probe(signals.gradient),
@@ -146,20 +187,21 @@ impl Trainer {
         prepared: PreparedStep,
         loss: Tensor<1>,
         covered: Option<Tensor<2>>,
-    ) -> Result<Batch, TrainError> {
+    ) -> Result<OneView, TrainError> {
         let PreparedStep { at, input: RenderInput { splats, camera, extras, .. }, signals, .. } = prepared;
         drop(splats);
         let mut left = loss.backward();
+        let mut seen = None;
         if signals != Signals::default() {
             let mut taken = |probe: Option<Tensor<2>>| probe.and_then(|probe| probe.grad_remove(&mut left));
             let (gradient, abs_gradient) = (taken(extras.mean2d_probe), taken(extras.mean2d_abs_probe));
             let size = (camera.intrinsics.width, camera.intrinsics.height);
-            self.density.observe(Observed { gradient, abs_gradient, covered, size });
+            seen = Some(Observed { gradient, abs_gradient, covered, size });
         }
         let gradients = Gradients::take(&self.scene.gaussians, &mut left);
         if self.checks {
             check_gradients(&gradients).map_err(|wrong| self.wrong(at.view, wrong))?;
         }
-        Ok(Batch { loss: loss.inner(), gradients, views: vec![(at.view, left)], held: None })
+        Ok(OneView { view: at.view, loss: loss.inner(), gradients, left, seen })
     }
 }

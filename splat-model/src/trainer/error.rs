@@ -3,6 +3,7 @@
 use splat_op::SplatError;
 use thiserror::Error;
 
+use super::ranks::RankError;
 use super::{Resolution, Stage};
 use crate::capture::CaptureError;
 use crate::effects::optics::LensError;
@@ -84,6 +85,44 @@ pub enum TrainError {
         /// The loss, or the names of the parameters with non-finite gradients.
         what: String,
     },
+    /// Another rank of the run failed. The scene keeps its state before the step.
+    #[error("rank {rank}: {message}")]
+    OtherRank {
+        /// Number of the rank.
+        rank: usize,
+        /// Its error.
+        message: String,
+    },
+    /// A rank was started with something else than rank 0.
+    #[error(
+        "{what} is {found} on rank {rank}, and {expected} on rank 0: start all ranks with the same program, options and capture"
+    )]
+    RanksDiffer {
+        /// Number of the rank.
+        rank: usize,
+        /// The difference.
+        what: String,
+        /// Value of the rank.
+        found: String,
+        /// Value of rank 0.
+        expected: String,
+    },
+    /// A rank has come to another state than rank 0.
+    #[error(
+        "after step {step}, {what} of rank {rank} is not that of rank 0. Ranks need processors of one kind, whose arithmetic is the \
+         same to the bit; an effect of your own has to list its parameters in `Effect::leaves`"
+    )]
+    Apart {
+        /// Number of the step, counted from 1.
+        step: usize,
+        /// Number of the rank.
+        rank: usize,
+        /// Name of the entry in the saved state.
+        what: String,
+    },
+    /// The ranks are no longer connected.
+    #[error(transparent)]
+    Ranks(#[from] RankError),
     /// A stage produced an invalid value (see [`with_checks`](super::Trainer::with_checks)).
     #[error("step {step}, photograph `{view}`: the stage `{stage}` is the first to go wrong: {detail}")]
     Check {
@@ -101,6 +140,6 @@ pub enum TrainError {
 impl TrainError {
     /// Whether the run failed after its start and the scene before the failed step can be saved.
     pub fn keeps_scene(&self) -> bool {
-        matches!(self, Self::NonFinite { .. } | Self::Check { .. } | Self::Photograph(_))
+        matches!(self, Self::NonFinite { .. } | Self::Check { .. } | Self::Photograph(_) | Self::OtherRank { .. })
     }
 }

@@ -45,6 +45,11 @@ impl Guard {
         Self { waits: splat_op::is_gpu(device), verdict: None, unread: Vec::new() }
     }
 
+    /// A guard that checks each step before it is taken, on any device. On a GPU it waits for the device in every step.
+    pub(super) fn at_once() -> Self {
+        Self { waits: false, verdict: None, unread: Vec::new() }
+    }
+
     /// Checks the loss, `[1]`, and the gradients of a step, counted from 1, on photograph number `view`, before the step is
     /// taken. On an asynchronous device it returns a verdict, `[2]`. The step must change nothing if a step is recorded in
     /// the verdict.

@@ -79,7 +79,8 @@ impl Trainer {
             return Err(TrainError::OtherRun { what: "a photograph in the queue".into(), found, expected });
         }
         let random: RandomState = state.told("random")?;
-        self.scene = state.load_part("scene", |part| Trained::load(part, &self.device.clone().autodiff()))?;
+        self.scene = state
+            .load_part("scene", |part| Trained::load(part, config.moment_bits, &self.device.clone().autodiff()))?;
         state.load_part("density", |part| self.density.load(part, &self.device))?;
         state.load_part("effects", |part| self.effects.load(part, &self.device))?;
         state.finish()?;

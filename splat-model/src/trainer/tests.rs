@@ -30,6 +30,7 @@ const EVENTFUL: AdaptiveConfig = AdaptiveConfig {
     max_splats: 60,
     division: Division::CloneOrSplit,
     growth: None,
+    waiting: 1.0,
     max_elongation: 30.0,
     focus: None,
 };

@@ -92,6 +92,11 @@ impl Views {
         [camera.width, camera.height]
     }
 
+    /// The camera of a view at the current size.
+    pub fn camera(&self, view: usize) -> &Camera {
+        &self.views[view].camera
+    }
+
     /// The given pose of a view.
     pub fn pose(&self, view: usize) -> &DAffine3 {
         &self.views[view].photograph.cam_from_world
@@ -142,7 +147,8 @@ impl Views {
         }
         let divisor = self.divisor;
         let of = &mut self.views[view];
-        let photo = match of.photograph.is_kept() {
+        // A photograph may be kept from its first decoding on, which may be under way.
+        let photo = match of.photograph.is_kept() && !self.ahead.has_begun(view, divisor) {
             true => at_size(of.photograph.pixels()?, divisor),
             false => self.ahead.take(view, &of.photograph, divisor)?,
         };

@@ -27,17 +27,21 @@ pub(crate) struct DeviceStep {
 impl DeviceStep {
     fn arg(&self) -> MovingLaunch {
         let Self { state, grad, factors, band } = self;
-        let factors = StepFactorsLaunch::new(
-            factors.beta1 as f32,
-            factors.beta2 as f32,
-            factors.rate.others as f32,
-            factors.rate.first as f32,
-            factors.floor as f32,
-            factors.largest as f32,
-        );
+        let factors = factors_arg(factors);
         let (param, m, v) = (state.param.arg(), state.m.arg(), state.v.arg());
         MovingLaunch::new(param, m, v, grad.arg(), factors, grad.len as u32, *band)
     }
+}
+
+pub(super) fn factors_arg(factors: &Factors) -> StepFactorsLaunch {
+    StepFactorsLaunch::new(
+        factors.beta1 as f32,
+        factors.beta2 as f32,
+        factors.rate.others as f32,
+        factors.rate.first as f32,
+        factors.floor as f32,
+        factors.largest as f32,
+    )
 }
 
 /// Performs the steps of one to three parameters in place. Nothing changes where `verdict`, `[2]`, names a step. Sets `mark`, `[1]`, if

@@ -18,6 +18,8 @@
 //! A **mark** is one number, `[1]`, zero as long as every colour coefficient that a step of a scene has written is usable (see
 //! [`crate::activate`]). The next activation then need not read the coefficients, most of a scene's data, to find that out.
 //!
+//! [`packed`] is the same step with moments of fewer bits.
+//!
 //! Shapes: parameter, gradient and moments share one shape, of any rank; f32.
 
 #[cfg(feature = "cube")]
@@ -26,6 +28,7 @@ mod forward;
 mod kernel_tests;
 #[cfg(feature = "cube")]
 pub(crate) mod launch;
+pub mod packed;
 pub(crate) mod rule;
 
 #[cfg(feature = "cube")]

@@ -12,6 +12,8 @@ use super::tensors::OptionalIntTensorMetadata;
 use super::tensors::{OptionalIntTensor, OptionalTensor};
 use crate::activate::rule::Raw;
 use crate::adam::launch::{DeviceState, DeviceStep, launch_adam, launch_watch};
+use crate::adam::packed::PackedFactors;
+use crate::adam::packed::launch::{DevicePackedStep, launch_adam_packed};
 use crate::adam::rule::{Factors, VERDICT};
 use crate::gpu::{Buffer, Gpu};
 
@@ -39,6 +41,28 @@ pub struct AdamState<B: Backend> {
     pub m: FloatTensor<B>,
     /// Second moment, `Σ β₂ᵏ g²`.
     pub v: FloatTensor<B>,
+}
+
+/// A parameter, its gradient and its packed moments.
+#[derive(Clone, Debug, ExtensionType)]
+#[extension_type(fusion: cfg(feature = "fusion"))]
+pub struct PackedInputs<B: Backend> {
+    /// The parameter, `[N, …]`.
+    pub param: FloatTensor<B>,
+    /// Gradient of the parameter.
+    pub grad: FloatTensor<B>,
+    /// The moments, `[N, words]`.
+    pub words: IntTensor<B>,
+}
+
+/// A parameter and its packed moments after a step.
+#[derive(Clone, Debug, ExtensionType)]
+#[extension_type(fusion: cfg(feature = "fusion"))]
+pub struct PackedState<B: Backend> {
+    /// The parameter.
+    pub param: FloatTensor<B>,
+    /// The moments.
+    pub words: IntTensor<B>,
 }
 
 /// The parameters of a scene with their gradients and moments.
@@ -80,6 +104,14 @@ pub trait AdamBackend: Backend {
         factors: Raw<Factors>,
     ) -> SceneState<Self>;
 
+    /// Performs one step of a parameter with packed moments, unless the verdict, `[2]`, names a step.
+    #[fusion(meta = packed_meta)]
+    fn adam_packed(
+        #[extension_type] inputs: PackedInputs<Self>,
+        #[extension_type] verdict: OptionalIntTensor<Self>,
+        factors: PackedFactors,
+    ) -> PackedState<Self>;
+
     /// Returns the verdict, `[2]`, after a check of the loss and of the gradients.
     #[fusion(dtype = DType::I32, shape = Shape::from([VERDICT]))]
     fn watch(
@@ -110,7 +142,12 @@ fn scene_meta(
     SceneStateMetadata { states: inputs.each_ref().map(state_meta), mark: mark.clone() }
 }
 
-/// Returns a tensor of integers in the type that the kernels use: none of theirs is negative.
+#[cfg(feature = "fusion")]
+fn packed_meta(inputs: &PackedInputsMetadata, _: &OptionalIntTensorMetadata, _: &PackedFactors) -> PackedStateMetadata {
+    PackedStateMetadata { param: inputs.param.clone(), words: inputs.words.clone() }
+}
+
+/// Returns a tensor of integers in the type that the kernels use: none of theirs is negative, or they are bits.
 fn unsigned(tensor: &CubeTensor, len: usize) -> Buffer<u32> {
     debug_assert!(tensor.dtype == DType::I32 && tensor.shape().num_elements() == len);
     Buffer::from_handle(tensor.handle.clone(), len)
@@ -149,6 +186,28 @@ impl AdamBackend for CubeBackend {
         launch_adam(&gpu, &[means, rotations, log_scales], verdict.as_ref(), None);
         launch_adam(&gpu, &[logit_opacities, sh], verdict.as_ref(), Some(&unsigned(&mark, 1)));
         SceneState { states: all.map(|(_, state)| state), mark }
+    }
+
+    fn adam_packed(
+        inputs: PackedInputs<Self>,
+        verdict: OptionalIntTensor<Self>,
+        factors: PackedFactors,
+    ) -> PackedState<Self> {
+        let gpu = Gpu::new(&inputs.param.client);
+        let verdict = verdict.into_option().map(|verdict| unsigned(&verdict, VERDICT));
+        let (param, words) = (owned(inputs.param), owned(inputs.words));
+        let shape = param.shape();
+        let dims = shape.as_slice();
+        let step = DevicePackedStep {
+            param: buffer(param.clone()),
+            grad: buffer(inputs.grad),
+            words: unsigned(&words, words.shape().num_elements()),
+            factors,
+            band: factors.factors.rate.band(dims),
+            width: dims[1..].iter().product(),
+        };
+        launch_adam_packed(&gpu, &step, verdict.as_ref());
+        PackedState { param, words }
     }
 
     fn watch(

@@ -2,14 +2,17 @@
 
 use std::collections::BTreeSet;
 use std::path::Path;
-use std::{fs, io};
+use std::{env, fs, io};
 
-const SOURCE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../splat-op/src");
+/// The source of `splat-op` from the folder of this package.
+const SOURCE: &str = "../../splat-op/src";
 
 /// Returns the names of all kernels' functions, except those inside tests.
 pub fn kernels() -> io::Result<BTreeSet<String>> {
     let mut found = BTreeSet::new();
-    visit(Path::new(SOURCE), &mut found)?;
+    // Cargo's variable at run time: a build of another clone would name that clone.
+    let package = env::var("CARGO_MANIFEST_DIR").unwrap_or_else(|_| env!("CARGO_MANIFEST_DIR").to_owned());
+    visit(&Path::new(&package).join(SOURCE), &mut found)?;
     Ok(found)
 }
 

@@ -33,7 +33,7 @@ use crate::view::server::Server;
 const BETWEEN: Duration = Duration::from_secs(1);
 
 /// The largest share of the training time that the numbers take, and that the scene and the scores take.
-const SHARE: f64 = 0.01;
+const SHARE: f64 = 0.005;
 
 /// The longest time that a finished run waits for a browser to load its results.
 const FAREWELL: Duration = Duration::from_secs(10);

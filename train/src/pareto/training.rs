@@ -8,6 +8,7 @@ use splat_model::accuracy::{Preset, Spread};
 use splat_model::capture::{Photo, PointCloud};
 use splat_model::effects::background::Background;
 use splat_model::evaluate::evaluate;
+use splat_model::optim::MomentBits;
 use splat_model::trainer::{Resolution, TrainConfig, Trainer};
 
 use crate::progress;
@@ -52,6 +53,16 @@ pub const WAYS: &[Way] = &[
         name: "harmonics by quarters",
         flags: "--sh-every {N/4}",
         change: |config| config.sh_every = (config.steps / 4).max(1),
+    },
+    Way {
+        name: "moments of 16 bits",
+        flags: "--moment-bits 16",
+        change: |config| config.moment_bits = MomentBits::Sixteen,
+    },
+    Way {
+        name: "moments of 8 bits",
+        flags: "--moment-bits 8",
+        change: |config| config.moment_bits = MomentBits::Eight,
     },
     Way { name: "no harmonics", flags: "--sh-degree 0", change: |config| config.sh_degree = 0 },
     Way { name: "fast renders", flags: "--accuracy fast", change: |config| preset(config, Preset::Fast) },
@@ -158,6 +169,7 @@ mod tests {
         };
         assert!(turned(|a, b| a.steps != b.steps).contains(&"half the steps"));
         assert!(turned(|a, b| a.resolution != b.resolution).contains(&"quarters first"));
+        assert!(turned(|a, b| a.moment_bits != b.moment_bits) == ["moments of 16 bits", "moments of 8 bits"]);
         assert!(turned(|a, b| a.sh_every != b.sh_every).contains(&"harmonics by quarters"));
         assert!(turned(|a, b| a == b) == ["standard"] && WAYS[0].of(&base) == base);
     }

@@ -52,7 +52,7 @@ pub fn run(
         runner.matches(workspace, photographs.len(), is_video)?;
         workspace.finish(Stage::Matches)?;
     }
-    runner.models(workspace, photographs.len())
+    runner.models(workspace, photographs)
 }
 
 struct Runner<'a> {
@@ -145,9 +145,12 @@ impl Runner<'_> {
         let options = self.colmap.options(name)?;
         let mut command = with_paths(Colmap::command(name), workspace, false);
         let on_gpu = options.first(&["FeatureMatching.use_gpu", "SiftMatching.use_gpu"]).map(|name| [name, "0"]);
+        // A second pass along the epipolar lines: a third more points, from which the scene grows.
+        let guided = options.first(&["FeatureMatching.guided_matching", "SiftMatching.guided_matching"]);
         let block = photographs.div_ceil(4).clamp(2, BLOCK).to_string();
         let block = options.first(&["ExhaustiveMatching.block_size"]).map(|name| [name, block.as_str()]);
-        for [name, value] in arguments.iter().copied().chain(on_gpu).chain(block) {
+        for [name, value] in arguments.iter().copied().chain(on_gpu).chain(guided.map(|name| [name, "1"])).chain(block)
+        {
             command.arg(format!("--{name}")).arg(value);
         }
         let mut counted = Counted::new("matching", None);
@@ -161,7 +164,9 @@ impl Runner<'_> {
     }
 
     /// Makes models in `sparse/`.
-    fn models(&self, workspace: &Workspace, photographs: usize) -> Result<()> {
+    fn models(&self, workspace: &Workspace, photographs: &[Unposed]) -> Result<()> {
+        let error = largest_error(photographs).to_string();
+        let photographs = photographs.len();
         let global = self.colmap.has("global_mapper");
         let mut most = 0;
         for mapper in if global { &["global_mapper", "mapper"][..] } else { &["mapper"] } {
@@ -178,6 +183,10 @@ impl Runner<'_> {
             fs::create_dir_all(&partial).with_context(|| format!("cannot make {}", partial.display()))?;
             let mut command = with_paths(Colmap::command(mapper), workspace, true);
             command.arg("--output_path").arg(&partial);
+            let options = self.colmap.options(mapper)?;
+            for name in ERRORS.iter().filter_map(|name| options.first(&[name])) {
+                command.arg(format!("--{name}")).arg(&error);
+            }
             let mut counted = Counted::new("placing", Some(photographs));
             let during = "while COLMAP was placing photographs";
             let ended = stage::run(command, (self.stop, during), &mut workspace.log()?, |line| {
@@ -204,6 +213,16 @@ impl Runner<'_> {
             _ => Ok(()),
         }
     }
+}
+
+/// The options of `mapper` for the largest error of a point, px.
+const ERRORS: [&str; 3] =
+    ["Mapper.filter_max_reproj_error", "Mapper.tri_complete_max_reproj_error", "Mapper.tri_merge_max_reproj_error"];
+
+/// The largest error of a point, px: COLMAP's 4 px for photographs of 1,600 px, and less for smaller ones. With 4 px of 480, poses are worse.
+fn largest_error(photographs: &[Unposed]) -> f64 {
+    let side = photographs.iter().flat_map(|photograph| photograph.size).max().unwrap_or(0);
+    (4.0 * side as f64 / 1_600.0).clamp(1.0, 4.0)
 }
 
 /// The number of photographs in the largest of the models in a folder.

@@ -7,9 +7,11 @@ use sysinfo::{MemoryRefreshKind, RefreshKind, System};
 /// Floats of a Gaussian besides its spherical harmonics: centre, rotation, scales, opacity.
 const PLAIN: usize = 11;
 
-/// Copies of a parameter at the peak: values, gradient and both moments, old and new while rows are edited, and one on
-/// the host.
-const COPIES: usize = 9;
+/// Copies of a parameter at the peak: values and gradient, old and new while rows are edited, and one on the host.
+const COPIES: usize = 5;
+
+/// Copies of both moments at the peak: old and new while rows are edited.
+const MOMENT_COPIES: usize = 2;
 
 /// Bytes of a Gaussian in a render and its backward pass: its activated and projected values, and its intersections
 /// with tiles.
@@ -44,11 +46,13 @@ impl MemoryEstimate {
         let kept = train.iter().chain(test).filter(|photo| photo.is_kept());
         let all_prepared: usize = train.iter().map(|photo| PREPARED * pixels(photo)).sum();
         let largest = train.iter().chain(test).map(pixels).max().unwrap_or(0);
-        let floats = PLAIN + 3 * (config.sh_degree + 1) * (config.sh_degree + 1);
+        let of_sh = 3 * (config.sh_degree + 1) * (config.sh_degree + 1);
+        let moments = [3, 4, 3, 1, of_sh].map(|width| config.moment_bits.bytes(width)).iter().sum::<usize>();
+        let values = (PLAIN + of_sh) * size_of::<f32>();
         Self {
             photographs: kept.map(Photograph::bytes).sum(),
             prepared: all_prepared.min(config.cache_mib << 20),
-            scene: splats * (COPIES * floats * size_of::<f32>() + RENDERED),
+            scene: splats * (COPIES * values + MOMENT_COPIES * moments + RENDERED),
             other: PROGRAM + PIXEL * largest,
         }
     }
@@ -72,7 +76,7 @@ impl MemoryEstimate {
                 false => "--cache-mb",
             };
             text += &format!(
-                ". That is more than the {} that this machine has left: lower `{option}` first, then `--max-side` or `--sh-degree`",
+                ". That is more than the {} that this machine has left: lower `{option}` first, then `--moment-bits`, `--max-side` or `--sh-degree`",
                 gb(available)
             );
         }
@@ -98,6 +102,7 @@ pub fn cache(asked_mb: Option<usize>, available: Option<usize>) -> usize {
 mod tests {
     use glam::DAffine3;
     use splat_model::capture::Photo;
+    use splat_model::optim::MomentBits;
     use splat_op::Intrinsics;
 
     use super::*;
@@ -116,9 +121,16 @@ mod tests {
         let budget = MemoryEstimate::of(&[kept.clone(), let_go], &[kept], &config, 10);
         assert_eq!(budget.photographs, 2 * 15_000);
         assert_eq!(budget.prepared, 0);
-        assert_eq!(budget.scene, 10 * (COPIES * 14 * 4 + RENDERED));
+        assert_eq!(budget.scene, 10 * ((COPIES + 2 * MOMENT_COPIES) * 14 * 4 + RENDERED));
+        let packed = TrainConfig { moment_bits: MomentBits::Eight, ..config.clone() };
+        // Two bytes a number, in whole words.
+        assert_eq!(
+            MemoryEstimate::of(&[], &[], &packed, 10).scene,
+            10 * (COPIES * 14 * 4 + MOMENT_COPIES * 36 + RENDERED)
+        );
         let config = TrainConfig { sh_degree: 1, ..config };
-        assert_eq!(MemoryEstimate::of(&[], &[], &config, 10).scene - budget.scene, 10 * COPIES * 9 * 4);
+        let more = MemoryEstimate::of(&[], &[], &config, 10).scene - budget.scene;
+        assert_eq!(more, 10 * (COPIES + 2 * MOMENT_COPIES) * 9 * 4);
         assert_eq!(MemoryEstimate::of(&[], &[], &config, 0).total(), PROGRAM);
     }
 

@@ -225,7 +225,11 @@ pub fn newest(out: &Path) -> Result<SavedRun> {
     })
 }
 
-fn read(path: &Path) -> Result<SavedRun> {
+/// Reads a checkpoint.
+///
+/// # Errors
+/// If it cannot be read, is damaged, or was written by another version.
+pub fn read(path: &Path) -> Result<SavedRun> {
     let mut state = State::read(path)?;
     let (version, own): (String, _) = (state.told("version")?, env!("CARGO_PKG_VERSION"));
     ensure!(version == own, "it was written by splat {version}, and this is splat {own}: resume with that version");

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
+use std::rc::Rc;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -10,11 +11,12 @@ use anyhow::{Context, Result, ensure};
 use serde::Serialize;
 use splat_model::accuracy::Workload;
 use splat_model::capture::demo::DemoOptions;
-use splat_model::capture::{Capture, Photograph, Split};
+use splat_model::capture::{Capture, Photograph};
 use splat_model::density::Focus;
 use splat_model::effects::EffectKind;
 use splat_model::gaussians::Gaussians;
 use splat_model::ply;
+use splat_model::trainer::ranks::{Alone, Ranks};
 use splat_model::trainer::{TrainConfig, Trainer};
 
 use super::budget::{self, MemoryEstimate};
@@ -31,6 +33,7 @@ use crate::options::PhotoArgs;
 use crate::output::{self, OutputFolder};
 use crate::pareto::{MeasuredView, UnmeasuredScene};
 use crate::progress;
+use crate::ranks::{self, Setup};
 use crate::report::log::LogLine;
 use crate::report::metrics::{Metrics, Seconds, peak_rss_mib, seconds_since};
 use crate::report::page::{self, ReportPage};
@@ -68,29 +71,36 @@ pub fn run(args: &TrainArgs) -> Result<Metrics> {
 /// Runs as [`run`] does, with the trainer changed before its first step. For tests, which make the run fail.
 #[doc(hidden)]
 pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Result<Metrics> {
-    to_the_end(args.clone(), None, change)
+    to_the_end(args.clone(), None, Rc::new(Alone), change)
 }
 
-/// Runs as [`run`] does. With `--resume`, an unfinished run of the output folder is resumed instead, and a finished one is left
-/// alone.
+/// Runs as [`run`] does, on all ranks that were started together. With `--resume`, an unfinished run of the output folder is resumed
+/// instead, and a finished one is left alone.
 ///
 /// # Errors
-/// Those of [`run`] and [`resume`].
+/// Those of [`run`] and [`resume`], and if the ranks differ in version or options.
 pub fn run_or_resume(args: &TrainArgs) -> Result<()> {
+    let ranks = ranks::join()?;
+    ranks::agree_on_start(&*ranks, args)?;
+    if ranks.rank() > 0 {
+        return ranks::follow(&ranks);
+    }
     if let Some(out) = args.out.as_ref().filter(|_| args.resume) {
         match checkpoints::state_of(out) {
             RunState::Finished => {
                 progress::note(&format!("the run in {} is finished", out.display()));
+                ranks::tell::<Option<Setup>>(&*ranks, Some(None))?;
                 return Ok(());
             }
             RunState::Stopped { .. } => {
-                return resume(&ResumeArgs { out: out.clone(), voice: args.voice, live: args.live }).map(drop);
+                return resume_on(&ResumeArgs { out: out.clone(), voice: args.voice, live: args.live }, ranks)
+                    .map(drop);
             }
             // A run that is under way is refused by its lock.
             RunState::New | RunState::Running { .. } => {}
         }
     }
-    run(args).map(drop)
+    to_the_end(args.clone(), None, ranks, |trainer| trainer).map(drop)
 }
 
 /// Resumes a run from its newest checkpoint, with its original options.
@@ -98,12 +108,34 @@ pub fn run_or_resume(args: &TrainArgs) -> Result<()> {
 /// # Errors
 /// If no checkpoint can be resumed from, and as for [`run`].
 pub fn resume(args: &ResumeArgs) -> Result<Metrics> {
-    let kept = checkpoints::newest(&args.out)?;
-    let of_the_run = TrainArgs { out: Some(args.out.clone()), voice: args.voice, live: args.live, ..kept.args.clone() };
-    to_the_end(of_the_run, Some(kept), |trainer| trainer)
+    resume_on(args, Rc::new(Alone))
 }
 
-fn to_the_end(mut args: TrainArgs, kept: Option<SavedRun>, change: impl FnOnce(Trainer) -> Trainer) -> Result<Metrics> {
+/// Resumes as [`resume`] does, on all ranks that were started together.
+///
+/// # Errors
+/// Those of [`resume`], and if the ranks differ in version or options.
+pub fn resume_together(args: &ResumeArgs) -> Result<()> {
+    let ranks = ranks::join()?;
+    ranks::agree_on_start(&*ranks, args)?;
+    if ranks.rank() > 0 {
+        return ranks::follow(&ranks);
+    }
+    resume_on(args, ranks).map(drop)
+}
+
+fn resume_on(args: &ResumeArgs, ranks: Rc<dyn Ranks>) -> Result<Metrics> {
+    let kept = checkpoints::newest(&args.out)?;
+    let of_the_run = TrainArgs { out: Some(args.out.clone()), voice: args.voice, live: args.live, ..kept.args.clone() };
+    to_the_end(of_the_run, Some(kept), ranks, |trainer| trainer)
+}
+
+fn to_the_end(
+    mut args: TrainArgs,
+    kept: Option<SavedRun>,
+    ranks: Rc<dyn Ranks>,
+    change: impl FnOnce(Trainer) -> Trainer,
+) -> Result<Metrics> {
     let mut config = args.config()?;
     // An unavailable port is found before the capture is read.
     let server = args.live.listen()?;
@@ -132,8 +164,19 @@ fn to_the_end(mut args: TrainArgs, kept: Option<SavedRun>, change: impl FnOnce(T
         config.density = config.density.without_points();
     }
     let available = budget::available();
-    let cache = budget::cache(args.cache_mb, available);
-    let (train, test) = photographs(&capture, &split, &photo_args, (&effects, cache))?;
+    let cache = budget::cache(args.cache_mb, available) / ranks.count();
+    if ranks.count() > 1 {
+        let checkpoint = kept.as_ref().map(|kept| std::path::absolute(&kept.path)).transpose()?;
+        let mut args = args.clone();
+        args.capture = Some(std::path::absolute(&capture.folder)?);
+        let effects = effects.on.iter().map(|effect| effect.name().to_owned()).collect();
+        let setup = Setup { args, config: config.clone(), effects, checkpoint };
+        ranks::tell(&*ranks, Some(Some(setup)))?;
+        ranks::agree_on_files(&*ranks, &capture, seen)?;
+    }
+    // `--eval-every 0` asks for no test; any other number that holds out no photograph is a mistake.
+    let test = if photo_args.eval_every == Some(0) { &[] } else { split.require_test()? };
+    let (train, test) = photographs(&capture, (seen, test), &photo_args, (&effects, cache), &*ranks)?;
     ensure!(
         args.eval_during.is_none() || !test.is_empty(),
         "`--eval-during` scores test views, and `--eval-every 0` holds out none: leave out one of them"
@@ -164,7 +207,8 @@ fn to_the_end(mut args: TrainArgs, kept: Option<SavedRun>, change: impl FnOnce(T
     progress::note(&MemoryEstimate::of(&train, &test, &config, most).said(most, available));
     let trainer = Trainer::of(train, &capture.points, config.clone(), &device)?;
     let trainer = effects.supply(trainer, &capture, &train_views)?;
-    let mut trainer = change(if args.check { trainer.with_checks() } else { trainer });
+    let trainer = change(if args.check { trainer.with_checks() } else { trainer });
+    let mut trainer = trainer.with_ranks(Rc::clone(&ranks));
     let load = seconds_since(start);
 
     // All errors in the capture have been found by now: a run that does not begin leaves no files.
@@ -203,6 +247,7 @@ fn to_the_end(mut args: TrainArgs, kept: Option<SavedRun>, change: impl FnOnce(T
         snapshots: snapshots.as_ref(),
         checkpoints,
         live,
+        ranks,
     };
     let Done { seconds: train, history, checkpoints, live, stopped_at } = steps.run(&mut trainer, so_far, choice)?;
     // Dials and schedules may have changed since the start.
@@ -337,7 +382,7 @@ fn own_folder(capture: Option<&Path>) -> PathBuf {
 }
 
 /// Returns the indices of the views of photographs, some of which may have been left out.
-fn views_of(capture: &Capture, photos: &[Photograph]) -> Vec<usize> {
+pub(crate) fn views_of(capture: &Capture, photos: &[Photograph]) -> Vec<usize> {
     let by_name: BTreeMap<&str, usize> =
         capture.views.iter().enumerate().map(|(i, view)| (view.name.as_str(), i)).collect();
     photos.iter().map(|photo| by_name[photo.name.as_str()]).collect()
@@ -345,16 +390,22 @@ fn views_of(capture: &Capture, photos: &[Photograph]) -> Vec<usize> {
 
 /// Returns the photographs to train on and those to test on, with at most this many bytes of pixels in memory; those to
 /// train on come first.
-fn photographs(
+pub(crate) fn photographs(
     capture: &Arc<Capture>,
-    split: &Split,
+    (train, test): (&[usize], &[usize]),
     args: &PhotoArgs,
     (effects, mut room): (&Chosen, usize),
+    ranks: &dyn Ranks,
 ) -> Result<(Vec<Photograph>, Vec<Photograph>)> {
-    let train = split.require_train()?;
-    // `--eval-every 0` asks for no test; any other number that holds out no photograph is a mistake.
-    let test = if args.eval_every == Some(0) { &[] } else { split.require_test()? };
     let (masked, opaque) = (effects.has(EffectKind::Masks), !effects.has(EffectKind::Alpha));
     let wanted = PhotoSelection { capture, max_side: args.max_side, masked, opaque };
-    Ok((wanted.within(train, &mut room)?, wanted.within(test, &mut room)?))
+    let train = match ranks.count() {
+        1 => wanted.within(train, &mut room)?,
+        _ => {
+            let train = wanted.shared(train, room, ranks)?;
+            room = room.saturating_sub(train.iter().map(Photograph::bytes).sum());
+            train
+        }
+    };
+    Ok((train, wanted.within(test, &mut room)?))
 }

@@ -1,12 +1,15 @@
 //! The steps of a run, and the work between them: choosing dials, taking scores, writing checkpoints, and stopping on
 //! request.
 
+use std::rc::Rc;
+
 use anyhow::{Context, Result};
 use burn::tensor::Device;
 use splat_model::accuracy::Workload;
 use splat_model::capture::{Capture, Photograph};
 use splat_model::metrics::lpips::Lpips;
-use splat_model::trainer::Trainer;
+use splat_model::trainer::ranks::Ranks;
+use splat_model::trainer::{TrainConfig, Trainer};
 
 use super::TrainArgs;
 use super::checkpoints::{Checkpoints, SoFar};
@@ -18,6 +21,7 @@ use crate::live::Live;
 use crate::output::OutputFolder;
 use crate::pareto::{MeasuredView, UnmeasuredScene};
 use crate::progress;
+use crate::ranks::{self, Order};
 use crate::report::history::History;
 use crate::report::log::RunLog;
 use crate::snapshots::Snapshots;
@@ -42,6 +46,7 @@ pub struct Steps<'a> {
     pub checkpoints: Checkpoints,
     /// View in the browser, if asked for.
     pub live: Option<Live<'a>>,
+    pub ranks: Rc<dyn Ranks>,
 }
 
 /// Result of the steps, when all are done.
@@ -71,6 +76,7 @@ impl<'a> Steps<'a> {
         }
         let mut log = RunLog::new(trainer, so_far.history, so_far.seconds);
         let mut stopped_at = None;
+        let mut told = trainer.config().clone();
         while !trainer.is_done() {
             if let Some(signal) = stop.asked() {
                 let seconds = log.recorder.seconds();
@@ -89,6 +95,7 @@ impl<'a> Steps<'a> {
                 trainer.turn(&dials);
                 dials_chosen = true;
             }
+            self.order_step(trainer, &mut told)?;
             let mut evaluated = Ok(());
             let step = trainer.step_and_look(|trainer| {
                 if self.args.eval_during.is_some_and(|every| trainer.steps_done().is_multiple_of(every)) {
@@ -124,11 +131,31 @@ impl<'a> Steps<'a> {
                 self.checkpoints.try_write(trainer, self.args, &so_far);
             }
         }
+        self.order(Order::End)?;
         let (seconds, history) = (log.recorder.seconds(), log.finish());
         if let Some(Err(error)) = self.snapshots.map(|snapshots| snapshots.keep_history(&history)) {
             progress::note(&format!("the last curves of the snapshots were not saved: {error:#}"));
         }
         Ok(Done { seconds, history, checkpoints: self.checkpoints, live: self.live, stopped_at })
+    }
+
+    /// Orders a step of the other ranks, with the configuration if it is no longer the one that they were `told`.
+    fn order_step(&self, trainer: &Trainer, told: &mut TrainConfig) -> Result<()> {
+        if self.ranks.count() == 1 {
+            return Ok(());
+        }
+        let changed = trainer.config() != told;
+        if changed {
+            told.clone_from(trainer.config());
+        }
+        self.order(Order::Step(changed.then(|| Box::new(told.clone()))))
+    }
+
+    fn order(&self, order: Order) -> Result<()> {
+        if self.ranks.count() > 1 {
+            ranks::tell(&*self.ranks, Some(order))?;
+        }
+        Ok(())
     }
 
     /// Returns the progress of the run besides its trainer.
@@ -141,6 +168,9 @@ impl<'a> Steps<'a> {
         let step = trainer.steps_done();
         match self.checkpoints.write(trainer, self.args, so_far) {
             Ok(path) => {
+                if let Err(error) = self.order(Order::End) {
+                    return error;
+                }
                 let out = self.out.path().display();
                 let path = path.display();
                 let message = format!("stopped after step {step}; `splat resume {out}` continues from {path}");

@@ -3,7 +3,7 @@
 
 use std::env;
 use std::fs;
-use std::io::{Read, Write};
+use std::io::{ErrorKind, Read, Write};
 use std::net::{TcpListener, TcpStream};
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
@@ -118,20 +118,31 @@ fn serve(gate: &TcpListener, harness: &str, page: &BrowserPage, stopped: &mpsc::
     const EMPTY: &[u8] = b"HTTP/1.1 204 No Content\r\nConnection: close\r\n\r\n";
     gate.set_nonblocking(true).unwrap();
     let (start, mut held, mut open): (_, Vec<TcpStream>, _) = (Instant::now(), Vec::new(), false);
+    // Browsers open connections before they have a request, and a busy machine sends it late.
+    let mut silent: Vec<TcpStream> = Vec::new();
     while stopped.try_recv() != Err(mpsc::TryRecvError::Disconnected) {
         if open || start.elapsed() > PATIENCE {
             // The clients may have gone.
             held.drain(..).for_each(|mut stream| _ = stream.write_all(EMPTY));
         }
-        let Ok((mut stream, _)) = gate.accept() else {
+        while let Ok((stream, _)) = gate.accept() {
+            stream.set_nonblocking(true).unwrap();
+            silent.push(stream);
+        }
+        let mut request = [0; 4096];
+        let spoken = |stream: &mut TcpStream| stream.read(&mut request).map_err(|error| error.kind());
+        let asks = silent.iter_mut().map(spoken).position(|read| read != Err(ErrorKind::WouldBlock));
+        let Some(at) = asks else {
             thread::sleep(Duration::from_millis(20));
             continue;
         };
+        let mut stream = silent.swap_remove(at);
         stream.set_nonblocking(false).unwrap();
-        stream.set_read_timeout(Some(Duration::from_millis(300))).unwrap();
-        let mut request = [0; 4096];
-        let count = stream.read(&mut request).unwrap_or(0);
-        let request = String::from_utf8_lossy(&request[..count]);
+        let end = request.iter().position(|byte| *byte == 0).unwrap_or(request.len());
+        if end == 0 {
+            continue;
+        }
+        let request = String::from_utf8_lossy(&request[..end]);
         let mut words = request.split(' ');
         let method = words.next().unwrap_or_default();
         let answer = match (words.next(), page) {

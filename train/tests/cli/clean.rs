@@ -38,7 +38,7 @@ fn spoilt(folder: &TempDir) -> (PathBuf, SceneFile, usize) {
     };
     for i in 0..FLOATERS {
         let (sin, cos) = (i as f32 * std::f32::consts::TAU / FLOATERS as f32).sin_cos();
-        let (radius, height) = (2.2 + 0.05 * i as f32, 2.0 + 0.05 * i as f32);
+        let (radius, height) = (2.2 + 0.05 * i as f32, 2.15 + 0.05 * i as f32);
         add([centre[0] + radius * cos, centre[1] + radius * sin, height], -1.8, -0.85);
     }
     (0..UNSEEN).for_each(|i| add([centre[0], centre[1], 0.3 + 0.01 * i as f32], -3.0, -12.0));

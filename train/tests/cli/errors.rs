@@ -230,3 +230,17 @@ fn a_command_line_that_cannot_be_understood_ends_with_2() {
         assert!(ended.stderr.contains("error: "), "{}", ended.stderr);
     }
 }
+
+#[test]
+#[cfg(not(feature = "mpi"))]
+fn processes_that_were_started_together_need_mpi() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("out");
+    for (variable, count) in [("OMPI_COMM_WORLD_SIZE", "4"), ("PMI_SIZE", "2")] {
+        let mut command = splat(&TRAIN);
+        command.env(variable, count);
+        let processes = format!("{count} processes");
+        refuse(command.arg(DEMO.as_path()).arg("--out").arg(&out), &[&processes, "--features mpi", "docs/SCALE.md"]);
+    }
+    assert!(!out.exists());
+}

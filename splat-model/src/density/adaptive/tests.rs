@@ -408,6 +408,33 @@ fn growth_takes_a_share_and_meets_the_cap_at_the_last_refinement() {
     assert_eq!(threshold, 180.0);
 }
 
+/// Of 200 rows, 200 are wanted: a tenth is taken, or all but those that may wait, within the pace that meets the cap.
+#[test]
+fn growth_takes_more_than_its_share_where_too_many_would_wait() {
+    let count = 200;
+    let rows = round(&vec![(SMALL, 0.5); count]);
+    let lengths: Vec<f32> = (0..count).map(|i| 1.0 + i as f32).collect();
+    for (waiting, max_splats, step, added) in [
+        (1.0, 1_000_000, 500, 20),
+        (0.95, 1_000_000, 500, 20),
+        (0.875, 1_000_000, 500, 25),
+        (0.0, 1_000_000, 500, 40),
+        (0.0, 230, 14_900, 30),
+        (0.0, 230, 14_800, 15),
+        (0.0, 200, 500, 0),
+    ] {
+        let config = AdaptiveConfig {
+            division: Division::LongAxis,
+            growth: Some(0.1),
+            waiting,
+            max_splats,
+            ..AdaptiveConfig::default()
+        };
+        let (report, after) = refine(config, &rows, &lengths, step);
+        assert_eq!((report.unwrap().split, after.len()), (added, count + added), "{waiting}, {max_splats}, {step}");
+    }
+}
+
 #[test]
 fn only_gradual_growth_has_a_threshold_without_points() {
     let without = AdaptiveConfig::gradual().without_points();

@@ -7,6 +7,7 @@ use splat_op::{Camera, Extras, Intrinsics, RenderOptions, render_view};
 use super::*;
 use crate::gaussians::testing::random_rows;
 use crate::gaussians::values_of;
+use crate::optim::Moments;
 
 const STEPS: usize = 1200;
 const EXTENT: f64 = 2.0;
@@ -80,7 +81,8 @@ fn the_dead_are_moved_to_the_living() {
 fn those_who_are_not_drawn_stay_as_they_are_with_their_history() {
     let rows = of_opacities(&[0.9, 0.006, 0.001, 0.006, 0.006]);
     let (mut policy, mut scene) = (Mcmc::new(McmcConfig { growth: 1.0, ..still() }, EXTENT, STEPS), trained(&rows));
-    scene.moments.means.m = Tensor::from_data(TensorData::new(vec![1.0_f32; 15], [5, 3]), &Device::flex());
+    let ones = Tensor::from_data(TensorData::new(vec![1.0_f32; 15], [5, 3]), &Device::flex());
+    scene.moments.means = Moments::full(ones.clone(), ones.zeros_like());
     policy.act(&mut scene, &at(500), &mut rng()).unwrap();
     let after = scene.gaussians.to_rows();
     // The most opaque Gaussian is drawn (50 to 1) and shares with the one that was dead.
@@ -88,7 +90,7 @@ fn those_who_are_not_drawn_stay_as_they_are_with_their_history() {
         assert_eq!(row(&after, now), row(&rows, was));
     }
     assert_eq!([row(&after, 3), row(&after, 4)], [shared(&rows, 0, 2), shared(&rows, 0, 2)]);
-    let history = values_of(scene.moments.means.m.clone());
+    let [history, _] = scene.moments.means.numbers();
     assert_eq!(history, [[1.0; 9].as_slice(), &[0.0; 6]].concat());
 }
 

@@ -34,6 +34,14 @@ impl Gradients {
         }
     }
 
+    /// Which gradients there are, in the order of the fields.
+    pub(crate) fn present(&self) -> Vec<bool> {
+        let Self { means, rotations, log_scales, logit_opacities, sh, sh_more } = self;
+        let fields =
+            [means.is_some(), rotations.is_some(), log_scales.is_some(), logit_opacities.is_some(), sh.is_some()];
+        fields.into_iter().chain(sh_more.iter().map(Option::is_some)).collect()
+    }
+
     /// The sum of both. `None` counts as zero.
     pub fn plus(self, other: Self) -> Self {
         fn sum<const D: usize>(a: Option<Tensor<D>>, b: Option<Tensor<D>>) -> Option<Tensor<D>> {

@@ -7,7 +7,8 @@ use burn::tensor::{Device, Int, Tensor};
 
 use super::{GaussianMoments, Trained, edit_rows, indices, on, put_parameter, replace, take_parameter, untracked};
 use crate::gaussians::{Gaussians, joined, parameter, sh_blocks};
-use crate::optim::Moments;
+use crate::optim::MomentBits;
+use crate::optim::moments::{Moments, grown};
 use crate::state::{State, StateError};
 
 impl Trained {
@@ -34,8 +35,7 @@ impl Trained {
         }
         let count = self.gaussians.len();
         if self.gaussians.sh_more.is_empty() && sh_blocks(count, wanted, &values.device()).len() == 1 {
-            self.moments.sh.m.inplace(|m| grown(m, wanted));
-            self.moments.sh.v.inplace(|v| grown(v, wanted));
+            self.moments.sh.grow(wanted, values.dims()[2]);
             replace(&mut self.gaussians.sh, grown(values, wanted));
         } else {
             self.rebuild_sh(&(0..count as u32).collect::<Vec<_>>(), &[], wanted);
@@ -48,16 +48,17 @@ impl Trained {
         let (g, m) = (&mut self.gaussians, &mut self.moments);
         let device = g.sh.val().device();
         let blocks = sh_blocks(rows.len(), coefficients, &device);
-        let zeros: Vec<_> = added.iter().map(Tensor::zeros_like).collect();
-        let rebuilt = |old: Vec<Tensor<3>>, added: &[Tensor<3>]| {
-            let all = [&old[..], added].concat();
-            blocks.iter().map(|block| grown(selected(&all, &rows[block.clone()]), coefficients)).collect::<Vec<_>>()
-        };
-        let values = rebuilt(g.sh_params().map(|block| block.val().inner()).collect(), added);
-        let of_m = rebuilt(m.sh_blocks().map(|block| block.m.clone()).collect(), &zeros);
-        let of_v = rebuilt(m.sh_blocks().map(|block| block.v.clone()).collect(), &zeros);
-        let moments = of_m.into_iter().zip(of_v).map(|(m, v)| Moments { m, v });
-        let values = values.into_iter().map(|values| parameter(on(&device, values)));
+        let mut all: Vec<_> = g.sh_params().map(|block| block.val().inner()).collect();
+        all.extend_from_slice(added);
+        let mut all_moments: Vec<_> = m.sh_blocks().cloned().collect();
+        all_moments.extend(added.iter().map(|block| m.sh.anew(block)));
+        let parts: Vec<_> = blocks.into_iter().map(|block| Selected::of(&all, &rows[block])).collect();
+        let moments = parts.iter().map(|part| {
+            let mut moments = part.moments(&all_moments);
+            moments.grow(coefficients, 3);
+            moments
+        });
+        let values = parts.iter().map(|part| parameter(on(&device, grown(part.values(&all), coefficients))));
         (g.sh, g.sh_more) = first_and_more(values.collect());
         (m.sh, m.sh_more) = first_and_more(moments.collect());
     }
@@ -68,35 +69,48 @@ pub(super) fn first_and_more<T>(mut blocks: Vec<T>) -> (T, Vec<T>) {
     (blocks.remove(0), blocks)
 }
 
-/// The rows `rows` of the rows of several blocks, which are counted through all blocks.
-fn selected(blocks: &[Tensor<3>], rows: &[u32]) -> Tensor<3> {
-    let (mut found, mut place_of_row, mut first) = (Vec::new(), vec![0; rows.len()], 0);
-    let mut count = 0;
-    for block in blocks {
-        let end = first + block.dims()[0] as u32;
-        let mut own = Vec::new();
-        for (row, place) in rows.iter().zip(&mut place_of_row).filter(|(row, _)| (first..end).contains(*row)) {
-            *place = count;
-            count += 1;
-            own.push(row - first);
-        }
-        if !own.is_empty() || found.is_empty() {
-            found.push(block.clone().select(0, indices(&own, &block.device())));
-        }
-        first = end;
-    }
-    let places = indices(&place_of_row, &found[0].device());
-    joined(found).select(0, places)
+/// Some of the rows of several blocks, which are counted through all blocks.
+struct Selected {
+    /// The blocks that have such rows, and the rows within each.
+    own: Vec<(usize, Tensor<1, Int>)>,
+    /// The place of each row among those of `own`.
+    places: Tensor<1, Int>,
 }
 
-/// Coefficients with zeros up to a number per Gaussian.
-fn grown(values: Tensor<3>, coefficients: usize) -> Tensor<3> {
-    let [count, have, channels] = values.dims();
-    if have == coefficients {
-        return values;
+impl Selected {
+    fn of(blocks: &[Tensor<3>], rows: &[u32]) -> Self {
+        let (mut found, mut place_of_row, mut first, mut count) = (Vec::new(), vec![0; rows.len()], 0, 0);
+        for (i, block) in blocks.iter().enumerate() {
+            let end = first + block.dims()[0] as u32;
+            let mut own = Vec::new();
+            for (row, place) in rows.iter().zip(&mut place_of_row).filter(|(row, _)| (first..end).contains(*row)) {
+                *place = count;
+                count += 1;
+                own.push(row - first);
+            }
+            if !own.is_empty() || found.is_empty() {
+                found.push((i, indices(&own, &block.device())));
+            }
+            first = end;
+        }
+        Self { own: found, places: indices(&place_of_row, &blocks[0].device()) }
     }
-    let zeros = Tensor::zeros([count, coefficients - have, channels], (&values.device(), values.dtype()));
-    Tensor::cat(vec![values, zeros], 1)
+
+    fn values(&self, blocks: &[Tensor<3>]) -> Tensor<3> {
+        let own = self.own.iter().map(|(block, rows)| blocks[*block].clone().select(0, rows.clone()));
+        joined(own.collect()).select(0, self.places.clone())
+    }
+
+    fn moments(&self, blocks: &[Moments<3>]) -> Moments<3> {
+        let own = self.own.iter().map(|(block, rows)| {
+            let mut moments = blocks[*block].clone();
+            moments.edit(rows, 0);
+            moments
+        });
+        let mut all = Moments::join(own.collect());
+        all.edit(&self.places, 0);
+        all
+    }
 }
 
 /// Saves coefficients and moments as one array each, which a host can hold.
@@ -104,12 +118,10 @@ pub(super) fn put_harmonics(state: &mut State, g: &Gaussians, m: &GaussianMoment
     if g.sh_more.is_empty() {
         return put_parameter(state, "sh", &g.sh, &m.sh);
     }
-    let on_host =
-        |blocks: Vec<Tensor<3>>| joined(blocks.into_iter().map(|block| block.to_device(&Device::flex())).collect());
-    let values = on_host(g.sh_params().map(|block| untracked(block.val())).collect());
-    let of_m = on_host(m.sh_blocks().map(|block| block.m.clone()).collect());
-    let of_v = on_host(m.sh_blocks().map(|block| block.v.clone()).collect());
-    put_parameter(state, "sh", &parameter(values), &Moments { m: of_m, v: of_v });
+    let host = Device::flex();
+    let values = g.sh_params().map(|block| untracked(block.val()).to_device(&host)).collect();
+    let moments = m.sh_blocks().zip(g.sh_params()).map(|(block, of)| block.rows(0, of.val().dims()[0], &host));
+    put_parameter(state, "sh", &parameter(joined(values)), &Moments::join(moments.collect()));
 }
 
 /// Blocks of coefficients, and their moments.
@@ -118,19 +130,17 @@ type Blocks = (Vec<Param<Tensor<3>>>, Vec<Moments<3>>);
 /// Loads coefficients and moments in blocks for a device. Returns an error if `fits` rejects their shape.
 pub(super) fn take_harmonics(
     from: &mut State,
-    device: &Device,
+    (bits, device): (MomentBits, &Device),
     fits: impl Fn(&[usize; 3]) -> bool,
 ) -> Result<Blocks, StateError> {
     // One array may be too large for the device.
-    let (sh, moments) = take_parameter::<3>(from, "sh", &Device::flex(), fits)?;
+    let (sh, moments) = take_parameter::<3>(from, "sh", (bits, &Device::flex()), fits)?;
     let sh = sh.into_value();
     let [count, coefficients, _] = sh.dims();
     let block = |rows: Range<usize>| {
-        let of = |all: &Tensor<3>| {
-            let part = if rows.len() == count { all.clone() } else { all.clone().narrow(0, rows.start, rows.len()) };
-            part.to_device(&device.clone().inner())
-        };
-        (parameter(on(device, of(&sh))), Moments { m: of(&moments.m), v: of(&moments.v) })
+        let plain = device.clone().inner();
+        let part = if rows.len() == count { sh.clone() } else { sh.clone().narrow(0, rows.start, rows.len()) };
+        (parameter(on(device, part.to_device(&plain))), moments.rows(rows.start, rows.len(), &plain))
     };
     Ok(sh_blocks(count, coefficients, device).into_iter().map(block).unzip())
 }

@@ -19,6 +19,13 @@ fn scene(rows: &GaussianRows, device: &Device) -> Trained {
     Trained::new(Gaussians::from_rows(rows, &device.clone().autodiff()).unwrap())
 }
 
+/// The same with packed moments.
+fn packed(rows: &GaussianRows, bits: MomentBits, device: &Device) -> Trained {
+    Trained::with_bits(Gaussians::from_rows(rows, &device.clone().autodiff()).unwrap(), bits)
+}
+
+const PACKED: [MomentBits; 2] = [MomentBits::Sixteen, MomentBits::Eight];
+
 /// Random numbers like `param`, without autodiff.
 fn noise<const D: usize>(param: &Param<Tensor<D>>) -> Option<Tensor<D>> {
     Some(param.val().inner().random_like(Distribution::Uniform(-1.0, 1.0)))
@@ -53,7 +60,8 @@ fn walked(rows: &GaussianRows, device: &Device) -> Trained {
 type Numbers = [Vec<f32>; 3];
 
 fn numbers<const D: usize>(param: &Param<Tensor<D>>, moments: &Moments<D>) -> Numbers {
-    [values_of(param.val()), values_of(moments.m.clone()), values_of(moments.v.clone())]
+    let [m, v] = moments.numbers();
+    [values_of(param.val()), m, v]
 }
 
 /// All values and moments of a scene, by parameter.
@@ -98,6 +106,72 @@ fn an_edit_keeps_rows_with_their_moments() {
             let gradients = random_gradients(&scene.gaussians);
             step(&mut scene, gradients, 4);
             assert_eq!(scene.gaussians.len(), 8);
+        }
+    }
+}
+
+/// Codes move with their rows, come back from a file bit for bit, and follow harmonics that are added.
+#[test]
+fn packed_moments_move_grow_and_resume() {
+    for (device, bits) in devices().into_iter().flat_map(|device| PACKED.map(|bits| (device.clone(), bits))) {
+        let mut scene = packed(&random_rows(9, 1, 1), bits, &device);
+        for i in 1..=3 {
+            let gradients = random_gradients(&scene.gaussians);
+            step(&mut scene, gradients, i);
+        }
+        let before = all(&scene);
+        scene.edit(&RowEdit { keep: vec![7, 2, 8], add: random_rows(2, 1, 2) }).unwrap();
+        for ((name, new), (_, old)) in all(&scene).iter().zip(&before) {
+            for (new, old) in new[1..].iter().zip(&old[1..]) {
+                let width = old.len() / 9;
+                let kept: Vec<f32> = [7, 2, 8].iter().flat_map(|row| &old[row * width..][..width]).copied().collect();
+                assert_eq!(new[..3 * width], kept, "{name}, {bits}");
+                assert!(new[3 * width..].iter().all(|code| *code == 0.0), "{name}, {bits}");
+            }
+            assert!(old[1].iter().any(|code| *code != 0.0), "{name}, {bits}");
+        }
+        scene.grow_sh(2);
+        let mut state = scene.save();
+        let mut resumed = Trained::load(&mut state, bits, &device.clone().autodiff()).unwrap();
+        state.finish().unwrap();
+        let gradients = random_gradients(&scene.gaussians);
+        step(&mut resumed, copied(&gradients), 4);
+        step(&mut scene, gradients, 4);
+        assert_eq!(all(&resumed), all(&scene), "{bits}");
+        let error = Trained::load(&mut scene.save(), MomentBits::ThirtyTwo, &device).unwrap_err().to_string();
+        assert!(error.contains("`means/m`"), "{error}");
+    }
+}
+
+fn copied(of: &Gradients) -> Gradients {
+    Gradients {
+        means: of.means.clone(),
+        rotations: of.rotations.clone(),
+        log_scales: of.log_scales.clone(),
+        logit_opacities: of.logit_opacities.clone(),
+        sh: of.sh.clone(),
+        sh_more: of.sh_more.clone(),
+    }
+}
+
+/// The dial's bound: the way of a run with packed moments is that of one in f32, but for a share.
+#[test]
+fn packed_moments_take_nearly_the_same_steps() {
+    for (device, bits) in devices().into_iter().flat_map(|device| PACKED.map(|bits| (device.clone(), bits))) {
+        let rows = random_rows(40, 2, 1);
+        let (mut exact, mut other) = (scene(&rows, &device), packed(&rows, bits, &device));
+        let start = all(&exact);
+        for i in 1..=20 {
+            let gradients = random_gradients(&exact.gaussians);
+            step(&mut exact, copied(&gradients), i);
+            step(&mut other, gradients, i);
+        }
+        let most = if bits == MomentBits::Eight { 0.15 } else { 0.01 };
+        for (((name, a), (_, b)), (_, start)) in all(&exact).iter().zip(all(&other)).zip(&start) {
+            let distance =
+                |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| f64::from(a - b).powi(2)).sum::<f64>().sqrt();
+            let (apart, way) = (distance(&a[0], &b[0]), distance(&a[0], &start[0]));
+            assert!(apart > 0.0 && apart <= most * way, "{name}, {bits}: {}", apart / way);
         }
     }
 }

@@ -25,7 +25,7 @@ mod write;
 use ply_rs_bw::ply::Header;
 
 pub(super) use groups::fill_chunks;
-pub(super) use read::read;
+pub(super) use read::CompressedRows;
 pub(super) use write::write;
 
 use crate::ply::VERTEX;

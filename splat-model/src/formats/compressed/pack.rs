@@ -127,15 +127,14 @@ pub(super) fn pack_rest(rest: &[f32]) -> impl Iterator<Item = u8> {
     channels.map(|&value| ((f64::from(value) / 8.0 + 0.5) * STEPS).floor() as u8)
 }
 
-/// The inverse of [`pack_rest`], from levels 0 to 255. A level stands for the middle of its step, the first and the last level
-/// for the ends of the range.
-pub(super) fn unpack_rest(levels: &[f64]) -> impl Iterator<Item = f32> {
+/// The inverse of [`pack_rest`]. A level stands for the middle of its step, the first and the last level for the ends of the range.
+pub(super) fn unpack_rest(levels: &[u8]) -> impl Iterator<Item = f32> {
     let coefficients = (0..levels.len() / 3).flat_map(|i| levels.iter().skip(i).step_by(levels.len() / 3));
     coefficients.map(|&level| {
         let share = match level {
-            0.0 => 0.0,
-            255.0 => 1.0,
-            _ => (level + 0.5) / STEPS,
+            0 => 0.0,
+            255 => 1.0,
+            _ => (f64::from(level) + 0.5) / STEPS,
         };
         (8.0 * (share - 0.5)) as f32
     })

@@ -49,7 +49,7 @@ impl Layout {
 }
 
 /// The largest magnitude of a coordinate.
-pub(super) fn farthest<'a>(means: impl IntoIterator<Item = &'a [f32; 3]>) -> f64 {
+pub(in crate::formats) fn farthest<'a>(means: impl IntoIterator<Item = &'a [f32; 3]>) -> f64 {
     means.into_iter().flatten().fold(0.0, |far, x| far.max(f64::from(x.abs())))
 }
 
@@ -99,8 +99,8 @@ fn pack_rotation(&[w, x, y, z]: &[f32; 4]) -> u32 {
     })
 }
 
-/// Unpacks Gaussians from sections of the lengths that the layout states.
-pub(super) fn unpack(layout: &Layout, sections: &[Vec<u8>; SECTIONS]) -> GaussianRows {
+/// Unpacks Gaussians from parts of the sections with the bytes of the same rows.
+pub(super) fn unpack(layout: &Layout, sections: [&[u8]; SECTIONS]) -> GaussianRows {
     let [positions, opacities, colours, scales, rotations, harmonics] = sections;
     let three = |values: Vec<f32>| values.as_chunks::<3>().0.to_vec();
     let coordinates: Vec<f32> = match layout.version {

@@ -67,16 +67,18 @@ fn host_memory_and_tensors_agree() {
     let mut random = || -> Vec<f64> { (0..count).map(|_| rng.random_range(-1.0..1.0)).collect() };
     for rate in [Rates::from(0.03), Rates { first: 0.3, others: 0.01 }] {
         let start = tensor(&random(), &device, DType::F32);
-        let mut moments = [Moments::new(&start), Moments::new(&start)];
-        let mut params = [start.clone(), start];
+        let none = || (start.zeros_like(), start.zeros_like());
+        let mut moments = [none(), none()];
+        let mut params = [start.clone(), start.clone()];
         let factors = Factors { beta1: 0.9, beta2: 0.999, rate, floor: 1e-8, largest: LARGEST_GRADIENT };
         for _ in 0..3 {
             let grad = tensor(&random(), &device, DType::F32);
             let [host, tensors] = params;
-            params = [
-                step_in_host_memory(&factors, host, grad.clone(), &mut moments[0]),
-                step_in_tensors(&factors, tensors, grad, &mut moments[1]),
-            ];
+            let [of_host, of_tensors] = moments;
+            let host = step_in_host_memory(&factors, host, grad.clone(), of_host);
+            let tensors = step_in_tensors(&factors, tensors, grad, of_tensors);
+            moments = [(host.1, host.2), (tensors.1, tensors.2)];
+            params = [host.0, tensors.0];
         }
         let [host_memory, tensors] = params.map(host);
         for (a, b) in host_memory.iter().zip(&tensors) {

@@ -7,6 +7,7 @@ use crate::effects::exposure::ExposureConfig;
 use crate::effects::grid::GridConfig;
 use crate::effects::optics::OpticsConfig;
 use crate::effects::pose::PoseConfig;
+use crate::optim::MomentBits;
 use crate::trainer::testing::{photos, points};
 
 /// A short run in which Gaussians are added and removed, and opacities are reset.
@@ -68,6 +69,18 @@ fn an_interrupted_run_ends_as_the_other() {
     let expected = end(trainer(&config));
     for after in [0, 1, 4, 5, 7, 13, 14, 18, 23, 24] {
         assert!(interrupted(&config, after) == expected, "after {after} steps");
+    }
+}
+
+/// Rounding depends on a number's place and on the step alone, whose rows move and whose harmonics grow meanwhile.
+#[test]
+fn so_does_one_with_packed_moments() {
+    for moment_bits in [MomentBits::Sixteen, MomentBits::Eight] {
+        let config = TrainConfig { moment_bits, ..eventful() };
+        let expected = end(trainer(&config));
+        for after in [0, 5, 13, 14, 20] {
+            assert!(interrupted(&config, after) == expected, "{moment_bits} bits, after {after} steps");
+        }
     }
 }
 

@@ -34,6 +34,11 @@ impl Ahead {
         });
     }
 
+    /// Whether a photograph is being decoded, or waits to be taken.
+    pub fn has_begun(&self, view: usize, divisor: usize) -> bool {
+        self.0.contains_key(&(view, divisor))
+    }
+
     /// Returns the photograph: waits for it if it is being decoded, and decodes it here otherwise.
     ///
     /// # Errors

@@ -1,0 +1,179 @@
+//! The CPU twin of the step with packed moments, parallel over rows.
+
+use fearless_simd::{Level, dispatch};
+use rayon::prelude::*;
+
+use super::{Form, PackedFactors, Packing};
+use crate::adam::{Band, Rates};
+
+/// Numbers whose codes are unpacked at a time: their codes fit into the first-level cache.
+const BLOCK: usize = 1024;
+
+/// Blocks of a task.
+const BLOCKS: usize = 16;
+
+/// A parameter, its gradient and its packed moments in host memory.
+pub struct HostState<'a> {
+    /// The parameter, row-major.
+    pub param: &'a mut [f32],
+    /// Its gradient.
+    pub grad: &'a [f32],
+    /// Its moments, see [`super`].
+    pub words: &'a mut [i32],
+}
+
+/// The scalars in f32.
+#[derive(Clone, Copy)]
+struct Scalars {
+    beta1: f32,
+    beta2: f32,
+    floor: f32,
+    largest: f32,
+    reach: f32,
+    phase: u32,
+}
+
+/// Performs one step of Adam in place on a parameter with rows of `width` numbers. `band` has the first of the two rates.
+///
+/// # Panics
+/// If the lengths do not fit together.
+pub fn step_on_host(state: HostState, width: usize, band: Option<Band>, step: &PackedFactors) {
+    let HostState { param, grad, words } = state;
+    let row_words = step.packing.words_per_row(width);
+    assert_eq!(param.len(), grad.len(), "a gradient has the shape of its parameter");
+    assert_eq!(param.len() * row_words, words.len() * width, "each row has its words");
+    if param.is_empty() {
+        return;
+    }
+    let factors = step.factors;
+    let scalars = Scalars {
+        beta1: factors.beta1 as f32,
+        beta2: factors.beta2 as f32,
+        floor: factors.floor as f32,
+        largest: factors.largest as f32,
+        reach: step.reach() as f32,
+        phase: step.phase(),
+    };
+    let rows = (BLOCK / width).max(1);
+    let rates = rates(factors.rate, band, width, rows);
+    let (numbers, of_words) = (rows * width, rows * row_words);
+    let tasks = param.par_chunks_mut(BLOCKS * numbers).zip(grad.par_chunks(BLOCKS * numbers));
+    tasks.zip(words.par_chunks_mut(BLOCKS * of_words)).enumerate().for_each(|(task, ((param, grad), words))| {
+        let blocks = param.chunks_mut(numbers).zip(grad.chunks(numbers)).zip(words.chunks_mut(of_words));
+        let mut codes = vec![0; numbers];
+        for (block, ((param, grad), words)) in blocks.enumerate() {
+            let codes = &mut codes[..param.len()];
+            let first = ((task * BLOCKS + block) * numbers) as u32;
+            match step.packing {
+                Packing::Sixteen => step_block::<false>(scalars, (param, grad, words, codes), (width, &rates, first)),
+                Packing::Eight => step_block::<true>(scalars, (param, grad, words, codes), (width, &rates, first)),
+            }
+        }
+    });
+}
+
+/// The rate of each number of a block.
+fn rates(rate: Rates, band: Option<Band>, width: usize, rows: usize) -> Vec<f32> {
+    let of = |at: usize| match band {
+        Some(Band { period, width }) if at % period < width => rate.first,
+        _ => rate.others,
+    };
+    (0..rows * width).map(|at| of(at) as f32).collect()
+}
+
+fn step_block<const EIGHT: bool>(
+    scalars: Scalars,
+    (param, grad, words, codes): (&mut [f32], &[f32], &mut [i32], &mut [u32]),
+    (width, rates, first): (usize, &[f32], u32),
+) {
+    let form = const { if EIGHT { Packing::Eight.form() } else { Packing::Sixteen.form() } };
+    unpack(form, words, codes, width);
+    dispatch!(Level::new(), simd => {
+        let _ = simd;
+        step_codes::<EIGHT>(scalars, param, grad, codes, rates, first);
+    });
+    pack(form, codes, words, width);
+}
+
+/// The codes of whole rows.
+fn unpack(form: Form, words: &[i32], codes: &mut [u32], width: usize) {
+    let per_word = form.codes_per_word() as usize;
+    let mask = u32::MAX >> (32 - form.code);
+    for (codes, words) in codes.chunks_mut(width).zip(words.chunks(width.div_ceil(per_word))) {
+        for (codes, word) in codes.chunks_mut(per_word).zip(words) {
+            codes.iter_mut().enumerate().for_each(|(i, code)| *code = *word as u32 >> (form.code * i as u32) & mask);
+        }
+    }
+}
+
+/// The inverse of [`unpack`].
+fn pack(form: Form, codes: &[u32], words: &mut [i32], width: usize) {
+    let per_word = form.codes_per_word() as usize;
+    for (codes, words) in codes.chunks(width).zip(words.chunks_mut(width.div_ceil(per_word))) {
+        for (codes, word) in codes.chunks(per_word).zip(words) {
+            *word = codes.iter().rev().fold(0, |word, code| word << (form.code % 32) | code) as i32;
+        }
+    }
+}
+
+/// Performs the steps of a block of numbers, of which `first` is the index of the first.
+#[inline(always)]
+fn step_codes<const EIGHT: bool>(
+    scalars: Scalars,
+    param: &mut [f32],
+    grad: &[f32],
+    codes: &mut [u32],
+    rates: &[f32],
+    first: u32,
+) {
+    let form = const { if EIGHT { Packing::Eight.form() } else { Packing::Sixteen.form() } };
+    let Scalars { beta1, beta2, floor, largest, reach, phase } = scalars;
+    let count = param.len();
+    let (grad, codes, rates) = (&grad[..count], &mut codes[..count], &rates[..count]);
+    for i in 0..count {
+        let grad = if grad[i].abs() > largest { largest.copysign(grad[i]) } else { grad[i] };
+        let (m, v) = decode(form, codes[i], reach);
+        let m = m * beta1 + grad;
+        let v = v * beta2 + grad * grad;
+        param[i] -= m / (v.sqrt() + floor) * rates[i];
+        codes[i] = encode(form, m, v, reach, threshold(first.wrapping_add(i as u32), phase));
+    }
+}
+
+/// The threshold of rounding of the number `index`, in units of 2⁻³². The upper bits serve `v`, the lower ones `m`.
+#[inline(always)]
+fn threshold(index: u32, phase: u32) -> u32 {
+    let mixed = index.wrapping_mul(0x9e37_79b1);
+    let mixed = (mixed ^ (mixed >> 15)).wrapping_mul(0x85eb_ca77);
+    (mixed ^ (mixed >> 13)).wrapping_add(phase)
+}
+
+/// The stored `v`.
+#[inline(always)]
+fn second_of(form: Form, code: u32) -> f32 {
+    let bits = (code + form.base) << form.dropped();
+    f32::from_bits(if code == 0 { 0 } else { bits })
+}
+
+#[inline(always)]
+pub(super) fn decode(form: Form, code: u32, reach: f32) -> (f32, f32) {
+    let v = second_of(form, code & ((1 << form.second) - 1));
+    let level = (code >> form.second & form.largest_level()) as i32 as f32 * (1.0 / form.largest_level() as f32);
+    let m = level * level * reach * v.sqrt();
+    (if code >> (form.code - 1) == 0 { m } else { -m }, v)
+}
+
+#[inline(always)]
+pub(super) fn encode(form: Form, m: f32, v: f32, reach: f32, threshold: u32) -> u32 {
+    let bits = (v.to_bits() + (threshold >> (32 - form.dropped()))) >> form.dropped();
+    let second = bits.saturating_sub(form.base).min(form.largest_second());
+    let share = (threshold & 0xfff) as i32 as f32 * (1.0 / 4096.0);
+    let most = form.largest_level() as f32;
+    let unit = reach * second_of(form, second).sqrt();
+    let squared = if second == 0 { 0.0 } else { (m.abs() / unit * (most * most)).min(most * most) };
+    let low = squared.sqrt().floor();
+    let up = squared - low * low > share * (2.0 * low + 1.0);
+    let level = (low + if up { 1.0 } else { 0.0 }).min(most) as i32 as u32;
+    let sign = if level == 0 { 0 } else { m.to_bits() >> 31 };
+    second | level << form.second | sign << (form.code - 1)
+}

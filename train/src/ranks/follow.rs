@@ -1,0 +1,75 @@
+//! The part of every rank but the first: it prepares the same run, takes the steps that rank 0 orders, and writes nothing.
+
+use std::rc::Rc;
+use std::sync::Arc;
+
+use anyhow::{Context, Result, anyhow};
+use splat_model::trainer::ranks::Ranks;
+use splat_model::trainer::{TrainError, Trainer};
+
+use super::{Order, Setup, tell};
+use crate::effects::Chosen;
+use crate::input;
+use crate::progress::VoiceArgs;
+use crate::train::{Stop, budget, checkpoints, photographs, views_of};
+
+/// Takes part in the run of rank 0, to its end.
+///
+/// # Errors
+/// If the run cannot be prepared here as on rank 0, or a step fails.
+pub(crate) fn follow(ranks: &Rc<dyn Ranks>) -> Result<()> {
+    VoiceArgs { quiet: true, json: false }.apply();
+    match steps(ranks) {
+        // All ranks have this error. Rank 0 prints it, saves what can be saved, and then ends all.
+        Err(error)
+            if error.downcast_ref::<TrainError>().is_some_and(|error| !matches!(error, TrainError::Ranks(_))) =>
+        {
+            ranks.gather(&[])?;
+            Err(error)
+        }
+        ended => ended,
+    }
+}
+
+fn steps(ranks: &Rc<dyn Ranks>) -> Result<()> {
+    let Some(setup) = tell::<Option<Setup>>(&**ranks, None)?.flatten() else { return Ok(()) };
+    let mut trainer = prepare(ranks, setup)?;
+    // Rank 0 decides when to stop: `mpirun` and `srun` signal all ranks.
+    let _stop = Stop::listen().context("cannot listen for Ctrl-C")?;
+    loop {
+        match tell::<Order>(&**ranks, None)? {
+            None | Some(Order::End) => return Ok(()),
+            Some(Order::Step(config)) => {
+                if let Some(config) = config {
+                    trainer.reschedule(&config)?;
+                    trainer.turn(&config.dials);
+                }
+                trainer.step()?;
+            }
+        }
+    }
+}
+
+fn prepare(ranks: &Rc<dyn Ranks>, setup: Setup) -> Result<Trainer> {
+    let Setup { args, config, effects, checkpoint } = setup;
+    let (device, _) = args.device.resolve()?;
+    let folder = args.capture.as_ref().ok_or_else(|| anyhow!("rank 0 named no capture"))?;
+    let mut capture = input::capture(folder)?;
+    args.cameras.scale(&mut capture)?;
+    let capture = Arc::new(capture);
+    let (split, photo_args) = args.photos.split(&capture);
+    let seen = split.require_train()?;
+    super::agree_on_files(&**ranks, &capture, seen)?;
+    let effects = Chosen::named(&effects)?;
+    let cache = budget::cache(args.cache_mb, budget::available()) / ranks.count();
+    let (train, _) = photographs(&capture, (seen, &[]), &photo_args, (&effects, cache), &**ranks)?;
+    let views = views_of(&capture, &train);
+    let trainer = Trainer::of(train, &capture.points, config, &device)?;
+    let trainer = effects.supply(trainer, &capture, &views)?;
+    let mut trainer = if args.check { trainer.with_checks() } else { trainer }.with_ranks(Rc::clone(ranks));
+    if let Some(path) = checkpoint {
+        let saved = checkpoints::read(&path).with_context(|| format!("cannot resume from {}", path.display()))?;
+        trainer.resume(saved.trainer)?;
+    }
+    Ok(trainer)
+}
