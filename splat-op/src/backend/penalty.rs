@@ -1,5 +1,5 @@
-//! Scalar penalties on Burn's backends. Their derivatives are computed with them, so no backward node is needed: the public functions
-//! attach the derivatives.
+//! Scalar penalties on Burn's CPU backends. Their derivatives are computed with them, so no backward node is needed: the public functions
+//! attach the derivatives. On GPUs they are tensor code.
 
 #![allow(deprecated, reason = "burn-ndarray is deprecated in favour of burn-flex; this project supports both")]
 
@@ -7,8 +7,6 @@ use burn::backend::tensor::FloatTensor;
 use burn::backend::{Backend, ExtensionType, Flex, NdArray, TensorMetadata, backend_extension};
 
 use super::cpu::host;
-#[cfg(feature = "fusion")]
-use super::fusion::float;
 use super::host::{HostBackend, by_type};
 use super::tensors::SightedTensors;
 use crate::bilateral::roughness::{GridSize, roughness_cpu};
@@ -17,7 +15,6 @@ use crate::simd::real::Real;
 
 /// A penalty and its derivative.
 #[derive(Clone, Debug, ExtensionType)]
-#[extension_type(fusion: cfg(feature = "fusion"))]
 pub struct Penalty<B: Backend> {
     /// `[1]`: the penalty.
     pub value: FloatTensor<B>,
@@ -25,15 +22,13 @@ pub struct Penalty<B: Backend> {
     pub gradient: FloatTensor<B>,
 }
 
-/// Scalar penalties, on backends without autodiff.
-#[backend_extension(Cube: cfg(feature = "cube"), Flex, NdArray, Fusion: cfg(feature = "fusion"))]
+/// Scalar penalties, on CPU backends without autodiff.
+#[backend_extension(Flex, NdArray)]
 pub trait PenaltyBackend: Backend {
     /// Returns the roughness of a grid, `[12, L, R, C]`; see `bilateral/roughness.rs`.
-    #[fusion(meta = |grid| PenaltyMetadata { value: float([1], grid), gradient: grid.clone() })]
     fn roughness(grid: FloatTensor<Self>) -> Penalty<Self>;
 
     /// Returns the miss of a pose, with the derivative with respect to it; see `pose/`. `scale` is the `r` of its formula.
-    #[fusion(meta = |inputs, _| PenaltyMetadata { value: float([1], &inputs.pose.0), gradient: inputs.pose.0.clone() })]
     fn pose_miss(#[extension_type] inputs: SightedTensors<Self>, scale: f64) -> Penalty<Self>;
 }
 
@@ -66,35 +61,3 @@ macro_rules! cpu_backend {
 
 cpu_backend!(Flex);
 cpu_backend!(NdArray);
-
-#[cfg(feature = "cube")]
-mod gpu {
-    use burn::tensor::DType;
-    use burn_cubecl::CubeBackend;
-    use burn_cubecl::tensor::CubeTensor;
-
-    use super::*;
-    use crate::backend::cube::{buffer, on_device, tensor};
-    use crate::bilateral::launch::launch_roughness;
-    use crate::gpu::{Buffer, Gpu};
-    use crate::pose::launch::launch_miss;
-
-    fn penalty_of((value, gradient): (Buffer<f32>, Buffer<f32>), variable: &CubeTensor) -> Penalty<CubeBackend> {
-        Penalty {
-            value: tensor(value, [1], DType::F32, variable),
-            gradient: tensor(gradient, variable.shape(), DType::F32, variable),
-        }
-    }
-
-    impl PenaltyBackend for CubeBackend {
-        fn roughness(grid: FloatTensor<Self>) -> Penalty<Self> {
-            let (gpu, size) = (Gpu::new(&grid.client), GridSize::new(&grid.shape()));
-            penalty_of(launch_roughness(&gpu, &buffer(grid.clone()), size), &grid)
-        }
-
-        fn pose_miss(inputs: SightedTensors<Self>, scale: f64) -> Penalty<Self> {
-            let pose = &inputs.pose.0;
-            penalty_of(launch_miss(&Gpu::new(&pose.client), &inputs.each_ref().map(on_device), scale), pose)
-        }
-    }
-}

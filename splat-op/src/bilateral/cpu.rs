@@ -5,6 +5,8 @@
 //! band it goes down vector by vector; the sums of a vector's maps stay in the processor's cache and are added over the lanes at the
 //! end of the band.
 
+use std::ops::RangeInclusive;
+
 use fearless_simd::prelude::*;
 use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
@@ -28,6 +30,13 @@ fn below<F: Real>(at: F, count: usize) -> usize {
 #[inline(always)]
 fn hat<S: Simd, F: Real>(away: F::Block<S>, zero: F::Block<S>, one: F::Block<S>) -> F::Block<S> {
     (one - away.abs()).max(zero)
+}
+
+/// The share of pixels at the places `x` in a column or level.
+#[inline(always)]
+fn share_of<S: Simd, F: Real>(x: F::Block<S>, at: usize) -> F::Block<S> {
+    let simd = x.token();
+    hat::<S, F>(x - splat::<S, F>(simd, F::of(at as f64)), splat::<S, F>(simd, F::ZERO), splat::<S, F>(simd, F::ONE))
 }
 
 /// Copies a grid, `[12, L, R, C]`, by row, then column, then level, with the entries of a map side by side.
@@ -62,6 +71,12 @@ fn mix<F: Real>(upper: &[F], lower: &[F], share: F, to: &mut [F]) {
     }
 }
 
+/// Loads the pixels from `from` on of a row's planes.
+#[inline(always)]
+fn load_rgb<S: Simd, F: Real>(simd: S, [r, g, b]: [&[F]; 3], from: usize) -> [F::Block<S>; 3] {
+    [load(simd, &r[from..]), load(simd, &g[from..]), load(simd, &b[from..])]
+}
+
 /// A vector of pixels of one row, and the maps around it.
 struct Pixels<S: Simd, F: Real> {
     colour: [F::Block<S>; 3],
@@ -74,10 +89,11 @@ struct Pixels<S: Simd, F: Real> {
 }
 
 impl<S: Simd, F: Real> Pixels<S, F> {
+    /// Reads the pixels from `from` on of a row's planes.
     #[inline(always)]
-    fn new(simd: S, [r, g, b]: [&[F]; 3], levels: usize) -> Self {
-        let colour = [load(simd, r), load(simd, g), load(simd, b)];
-        let [zero, one] = [F::ZERO, F::ONE].map(|value| splat::<S, F>(simd, value));
+    fn new(simd: S, planes: [&[F]; 3], from: usize, levels: usize) -> Self {
+        let colour = load_rgb(simd, planes, from);
+        let (zero, one) = (splat::<S, F>(simd, F::ZERO), splat::<S, F>(simd, F::ONE));
         let mut luma = colour[0] * splat::<S, F>(simd, F::of(LUMA[0]));
         luma = colour[1].mul_add(splat::<S, F>(simd, F::of(LUMA[1])), luma);
         luma = colour[2].mul_add(splat::<S, F>(simd, F::of(LUMA[2])), luma);
@@ -149,17 +165,16 @@ fn row_forward<S: Simd, F: Real>(
     (image, columns): ([&[F]; 3], &Columns<F>),
     out: [&mut [F]; 3],
 ) {
-    let [zero, one] = [F::ZERO, F::ONE].map(|value| splat::<S, F>(simd, value));
-    let width = image[0].len();
+    let (zero, width) = (splat::<S, F>(simd, F::ZERO), image[0].len());
     for from in (0..width).step_by(block_len::<S, F>()) {
         let to = width.min(from + block_len::<S, F>());
-        let (x, pixels) = (load(simd, &columns.x[from..]), Pixels::new(simd, image.map(|row| &row[from..]), levels));
+        let (x, pixels) = (load(simd, &columns.x[from..]), Pixels::new(simd, image, from, levels));
         let (first, last) = columns.around(from, to);
         let mut map = [zero; MAP];
         for column in first..=last {
-            let across = hat::<S, F>(x - splat::<S, F>(simd, F::of(column as f64)), zero, one);
+            let across = share_of::<S, F>(x, column);
             for level in pixels.low..=pixels.high {
-                let weight = across * hat::<S, F>(pixels.z - splat::<S, F>(simd, F::of(level as f64)), zero, one);
+                let weight = across * share_of::<S, F>(pixels.z, level);
                 let entries = &maps[(column * levels + level) * MAP..][..MAP];
                 for (sum, &entry) in map.iter_mut().zip(entries) {
                     *sum = weight.mul_add(splat::<S, F>(simd, entry), *sum);
@@ -227,26 +242,21 @@ impl<F: Real> Band<'_, F> {
     #[inline(always)]
     fn backward<S: Simd>(&self, simd: S, rows: &mut [Row<F>], sum: bool, sums: &mut [F]) {
         let (width, levels, lanes) = (self.size.width, self.size.levels, block_len::<S, F>());
-        let (upper, lower) = self.maps.split_at(self.maps.len() / 2);
-        let (mut maps, mut wide) = (Vec::new(), Vec::new());
+        // Number of entries of a column, and of a row of the grid.
+        let (entries, row_len) = (levels * MAP, self.maps.len() / 2);
+        let (mut maps, mut wide) = (vec![F::ZERO; 2 * entries * lanes], vec![F::ZERO; 2 * entries * lanes]);
         for from in (0..width).step_by(lanes) {
             let to = width.min(from + lanes);
             let (first, last) = self.columns.around(from, to);
-            let near = first * levels * MAP..(last + 1) * levels * MAP;
-            maps.resize(near.len(), F::ZERO);
-            wide.clear();
-            wide.resize(2 * near.len() * lanes, F::ZERO);
             let x = load(simd, &self.columns.x[from..]);
+            self.mix_columns(simd, (x, first..=last), &mut maps);
+            wide.fill(F::ZERO);
             let (mut low, mut high) = (levels - 1, 0);
             for (y, down, out) in rows.iter_mut() {
-                mix(&upper[near.clone()], &lower[near.clone()], *down, &mut maps);
-                let pixels =
-                    Pixels::new(simd, planes(self.inputs.image, self.size, *y).map(|row| &row[from..]), levels);
-                let [red, green, blue] = planes(self.grad, self.size, *y);
-                let grad = [load(simd, &red[from..]), load(simd, &green[from..]), load(simd, &blue[from..])];
+                let pixels = Pixels::new(simd, planes(self.inputs.image, self.size, *y), from, levels);
+                let grad = load_rgb(simd, planes(self.grad, self.size, *y), from);
                 (low, high) = (low.min(pixels.low), high.max(pixels.high));
-                let share = sum.then_some(*down);
-                let of_colour = pixels.backward((x, first..=last), (&maps, levels), grad, (share, &mut wide));
+                let of_colour = pixels.backward((&maps, levels, *down), grad, sum.then_some(&mut wide[..]));
                 if let Some(out) = out {
                     for (channel, of_channel) in of_colour.into_iter().enumerate() {
                         store::<S, F>(of_channel, &mut out[channel][from..to]);
@@ -256,14 +266,35 @@ impl<F: Real> Band<'_, F> {
             if !sum || low > high {
                 continue;
             }
-            let (of_upper, of_lower) = sums.split_at_mut(self.maps.len() / 2);
-            let (wide_upper, wide_lower) = wide.split_at(near.len() * lanes);
-            for (sums, wide) in [(of_upper, wide_upper), (of_lower, wide_lower)] {
-                let of_columns = sums[near.clone()].chunks_exact_mut(levels * MAP);
-                for (sums, wide) in of_columns.zip(wide.chunks_exact(levels * MAP * lanes)) {
+            for column in first..=last {
+                let across = share_of::<S, F>(x, column);
+                for (row, wide) in wide.chunks_exact(entries * lanes).enumerate() {
+                    let sums = &mut sums[row * row_len + column * entries..][..entries];
                     for i in low * MAP..(high + 1) * MAP {
-                        sums[i] += load::<S, F>(simd, &wide[i * lanes..][..lanes]).reduce_sum();
+                        sums[i] += (across * load::<S, F>(simd, &wide[i * lanes..][..lanes])).reduce_sum();
                     }
+                }
+            }
+        }
+    }
+
+    /// Writes the maps of a vector of pixels in the upper row of the grid, by level and entry, a vector each, and then what the lower row
+    /// adds to them. They are the same for every row of pixels.
+    #[inline(always)]
+    fn mix_columns<S: Simd>(&self, simd: S, (x, columns): (F::Block<S>, RangeInclusive<usize>), to: &mut [F]) {
+        let (entries, lanes) = (self.size.levels * MAP, block_len::<S, F>());
+        let (upper, lower) = self.maps.split_at(self.maps.len() / 2);
+        let (of_upper, of_lower) = to.split_at_mut(entries * lanes);
+        of_upper.fill(F::ZERO);
+        of_lower.fill(F::ZERO);
+        for column in columns {
+            let across = share_of::<S, F>(x, column);
+            let (upper, lower) = (&upper[column * entries..][..entries], &lower[column * entries..][..entries]);
+            for (i, (&upper, &lower)) in upper.iter().zip(lower).enumerate() {
+                for (to, value) in [(&mut *of_upper, upper), (&mut *of_lower, lower - upper)] {
+                    let at = &mut to[i * lanes..][..lanes];
+                    let sum = across.mul_add(splat::<S, F>(simd, value), F::Block::<S>::from_slice(simd, at));
+                    sum.store_slice(at);
                 }
             }
         }
@@ -271,58 +302,56 @@ impl<F: Real> Band<'_, F> {
 }
 
 impl<S: Simd, F: Real> Pixels<S, F> {
-    /// Returns the gradient of the colours from `grad`, that of the mapped colours. With the share of the lower row of the grid it adds
-    /// the gradients of the maps to `sums`, lane by lane: those of the upper row, then those of the lower. `x` are the pixels' places
-    /// along the columns `columns`, whose `maps` are given by column, then level.
+    /// Returns the gradient of the colours from `grad`, that of the mapped colours. `maps` are those of [`Band::mix_columns`], `down` the
+    /// share of the lower row of the grid. Adds the gradients of the maps to `sums`, if it is given, in the same order.
     #[inline(always)]
     fn backward(
         &self,
-        (x, columns): (F::Block<S>, std::ops::RangeInclusive<usize>),
-        (maps, levels): (&[F], usize),
+        (maps, levels, down): (&[F], usize, F),
         grad: [F::Block<S>; 3],
-        (down, sums): (Option<F>, &mut [F]),
+        mut sums: Option<&mut [F]>,
     ) -> [F::Block<S>; 3] {
-        let simd = x.token();
+        let simd = self.z.token();
         let lanes = block_len::<S, F>();
-        let [zero, one] = [F::ZERO, F::ONE].map(|value| splat::<S, F>(simd, value));
+        let (zero, one) = (splat::<S, F>(simd, F::ZERO), splat::<S, F>(simd, F::ONE));
+        let down = splat::<S, F>(simd, down);
         let [r, g, b] = self.colour;
-        let (of_upper, of_lower) = sums.split_at_mut(sums.len() / 2);
+        let (upper, lower) = maps.split_at(maps.len() / 2);
         let (mut direct, mut along) = ([zero; 3], zero);
-        let first = *columns.start();
-        for column in columns {
-            let across = hat::<S, F>(x - splat::<S, F>(simd, F::of(column as f64)), zero, one);
-            for level in self.low..=self.high {
-                let away = self.z - splat::<S, F>(simd, F::of(level as f64));
-                let weight = across * hat::<S, F>(away, zero, one);
-                // The slope of the hat towards larger lumas.
-                let falls = away.simd_ge(zero) & away.simd_lt(one);
-                let rises = away.simd_lt(zero) & away.simd_ge(-one);
-                let slope = falls.select(-across, rises.select(across, zero));
-                let place = ((column - first) * levels + level) * MAP;
-                let entries = &maps[place..][..MAP];
-                // Mᵀ g and the gradient of the offset's weight.
-                let mut back = [zero; 4];
-                for (row, grad) in entries.chunks_exact(4).zip(grad) {
-                    for (back, &entry) in back.iter_mut().zip(row) {
-                        *back = grad.mul_add(splat::<S, F>(simd, entry), *back);
-                    }
+        for level in self.low..=self.high {
+            let away = self.z - splat::<S, F>(simd, F::of(level as f64));
+            let weight = hat::<S, F>(away, zero, one);
+            // The slope of the hat towards larger lumas.
+            let falls = away.simd_ge(zero) & away.simd_lt(one);
+            let rises = away.simd_lt(zero) & away.simd_ge(-one);
+            let slope = falls.select(-one, rises.select(one, zero));
+            let place = level * MAP * lanes;
+            let (upper, lower) = (&upper[place..][..MAP * lanes], &lower[place..][..MAP * lanes]);
+            // Mᵀ g and the gradient of the offset's weight.
+            let mut back = [zero; 4];
+            for (row, grad) in grad.into_iter().enumerate() {
+                for (entry, back) in back.iter_mut().enumerate() {
+                    let at = (4 * row + entry) * lanes;
+                    let upper = F::Block::<S>::from_slice(simd, &upper[at..][..lanes]);
+                    let lower = F::Block::<S>::from_slice(simd, &lower[at..][..lanes]);
+                    *back = grad.mul_add(lower.mul_add(down, upper), *back);
                 }
-                for (direct, back) in direct.iter_mut().zip(back) {
-                    *direct = weight.mul_add(back, *direct);
-                }
-                let of_weight = r.mul_add(back[0], g.mul_add(back[1], b.mul_add(back[2], back[3])));
-                along = slope.mul_add(of_weight, along);
-                let Some(down) = down else { continue };
-                let of_lower = &mut of_lower[place * lanes..][..MAP * lanes];
-                let of_upper = &mut of_upper[place * lanes..][..MAP * lanes];
-                let lower = weight * splat::<S, F>(simd, down);
-                for (sums, weight) in [(of_upper, weight - lower), (of_lower, lower)] {
-                    for (row, grad) in grad.into_iter().enumerate() {
-                        let grad = weight * grad;
-                        for (entry, value) in [r, g, b, one].into_iter().enumerate() {
-                            let at = &mut sums[(4 * row + entry) * lanes..][..lanes];
-                            value.mul_add(grad, F::Block::<S>::from_slice(simd, at)).store_slice(at);
-                        }
+            }
+            for (direct, back) in direct.iter_mut().zip(back) {
+                *direct = weight.mul_add(back, *direct);
+            }
+            let of_weight = r.mul_add(back[0], g.mul_add(back[1], b.mul_add(back[2], back[3])));
+            along = slope.mul_add(of_weight, along);
+            let Some(sums) = &mut sums else { continue };
+            let (of_upper, of_lower) = sums.split_at_mut(levels * MAP * lanes);
+            let lower = weight * down;
+            for (sums, weight) in [(of_upper, weight - lower), (of_lower, lower)] {
+                let sums = &mut sums[place..][..MAP * lanes];
+                for (row, grad) in grad.into_iter().enumerate() {
+                    let grad = weight * grad;
+                    for (entry, value) in [r, g, b, one].into_iter().enumerate() {
+                        let at = &mut sums[(4 * row + entry) * lanes..][..lanes];
+                        value.mul_add(grad, F::Block::<S>::from_slice(simd, at)).store_slice(at);
                     }
                 }
             }

@@ -1,8 +1,7 @@
 //! Compares the kernels with their twins in f64.
 
 use super::cpu::{slice_backward_cpu, slice_cpu};
-use super::launch::{launch_roughness, launch_slice, launch_slice_backward};
-use super::roughness::{GridSize, roughness_cpu};
+use super::launch::{launch_slice, launch_slice_backward};
 use super::tests::{SIZES, picture_and_grid};
 use super::{SliceSize, Sliced};
 use crate::gpu::Buffer;
@@ -35,24 +34,6 @@ fn pictures_and_gradients_agree_with_the_twin() {
                 let out = out.read(&gpu);
                 reference.check(&format!("{size:?}, {form}: {what}"), i, &out, &vec![Some(0); out.len()]);
             }
-        }
-    }
-}
-
-#[test]
-fn roughness_agrees_with_the_twin() {
-    for size in SIZES.into_iter().chain([LARGE]) {
-        let grid = rounded(&picture_and_grid(size)[1]);
-        let size = GridSize { levels: size.levels, rows: size.rows, columns: size.columns };
-        let reference = PerturbedReference::new(std::slice::from_ref(&grid), |inputs: &[Vec<f64>]| {
-            let (value, gradient) = roughness_cpu(&inputs[0], size);
-            vec![vec![value], gradient]
-        });
-        for (form, gpu) in gpus() {
-            let (value, gradient) = launch_roughness(&gpu, &Buffer::from_slice(&gpu, &to_f32(&grid)), size);
-            reference.check(&format!("{size:?}, {form}: value"), 0, &value.read(&gpu), &[Some(0)]);
-            let gradient = gradient.read(&gpu);
-            reference.check(&format!("{size:?}, {form}: derivative"), 1, &gradient, &vec![Some(0); gradient.len()]);
         }
     }
 }

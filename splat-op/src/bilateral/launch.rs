@@ -2,12 +2,8 @@
 
 use cubecl::prelude::CubeDim;
 
-use super::kernels::{
-    AxisLaunch, SizesLaunch, grid_backward_kernel, image_backward_kernel, roughness_kernel, slice_kernel,
-};
-use super::roughness::GridSize;
+use super::kernels::{SizesLaunch, grid_backward_kernel, image_backward_kernel, slice_kernel};
 use super::{SliceSize, Sliced};
-use crate::gpu::reduce::launch_column_sums;
 use crate::gpu::{Buffer, Gpu, UNITS, cubes, elementwise};
 
 fn sizes(size: SliceSize) -> SizesLaunch {
@@ -53,29 +49,4 @@ pub(crate) fn launch_slice_backward(
         unsafe { grid_backward_kernel::launch_unchecked(client, places, dim, image, grad, out.arg(), sizes(size)) };
     }
     found
-}
-
-/// Returns the roughness of a grid, `[1]`, and its derivative.
-pub(crate) fn launch_roughness(gpu: &Gpu, grid: &Buffer<f32>, size: GridSize) -> (Buffer<f32>, Buffer<f32>) {
-    let count = grid.len.div_ceil(UNITS);
-    let (gradient, sums) = (Buffer::new(gpu, grid.len), Buffer::new(gpu, count));
-    let axis = |(count, stride, share): (usize, usize, f64)| AxisLaunch::new(count as u32, stride as u32, share as f32);
-    let [levels, rows, columns] = size.axes().map(axis);
-    // SAFETY: units beyond the last value do nothing, and a value at the end of an axis reads no further.
-    unsafe {
-        roughness_kernel::launch_unchecked(
-            &gpu.client,
-            cubes(count),
-            CubeDim::new_1d(UNITS as u32),
-            grid.arg(),
-            gradient.arg(),
-            sums.arg(),
-            levels,
-            rows,
-            columns,
-            grid.len as u32,
-            count as u32,
-        );
-    }
-    (launch_column_sums(gpu, &sums, 1), gradient)
 }

@@ -7,6 +7,7 @@ use burn::backend::Dispatch;
 use burn::tensor::Tensor;
 
 use super::MAP;
+use crate::abilities::is_gpu;
 use crate::backend::custom_grad::with_gradient;
 use crate::backend::penalty::PenaltyBackend;
 use crate::check::Reference;
@@ -74,9 +75,22 @@ pub(crate) fn roughness_cpu<F: Real>(grid: &[F], size: GridSize) -> (F, Vec<F>) 
 /// If the shape is not as documented, or the float type has no kernel.
 pub fn roughness(grid: &Tensor<4>) -> Result<Tensor<1>, SplatError> {
     Reference::new(grid)?.check("grid", grid, [Some(MAP), None, None, None], "[12, L, R, C]")?;
+    if is_gpu(&grid.device()) {
+        return Ok(in_tensors(grid));
+    }
     let tracked = grid.is_autodiff();
     let values = if tracked { grid.clone().inner() } else { grid.clone() };
     let found = <Dispatch as PenaltyBackend>::roughness(values.into_dispatch());
     let value = Tensor::from_dispatch(found.value);
     Ok(if tracked { with_gradient(grid.clone(), value, Tensor::from_dispatch(found.gradient)) } else { value })
+}
+
+/// The roughness in tensor code, for GPUs, where its few launches are no large part of a step.
+pub(super) fn in_tensors(grid: &Tensor<4>) -> Tensor<1> {
+    let zero = Tensor::zeros([1], &grid.device());
+    (1..4).filter(|&axis| grid.dims()[axis] > 1).fold(zero, |sum, axis| {
+        let differences = grid.dims()[axis] - 1;
+        let difference = grid.clone().narrow(axis, 1, differences) - grid.clone().narrow(axis, 0, differences);
+        sum + difference.square().mean()
+    })
 }

@@ -118,12 +118,14 @@ fn roughness_is_differentiable_where_it_is_tracked() {
     let expected = 16.0 + 4.0 + 1.0;
     assert_eq!(super::roughness(&grid).unwrap().into_scalar::<f32>(), expected);
     let tracked = Tensor::from_inner(grid).require_grad();
-    let value = super::roughness(&tracked).unwrap() * 2.0;
-    let gradient = tracked.grad(&value.backward()).unwrap();
-    assert_eq!(value.into_scalar::<f32>(), 2.0 * expected);
-    // Each of 48 differences along the levels is 4, and 2 · 2 · 4/48 for the upper neighbour.
-    let first = gradient.into_data().try_to_vec::<f32>().unwrap()[0];
-    assert!((first + 4.0 * (4.0 + 2.0 + 1.0) / 48.0).abs() < 1e-6, "{first}");
+    for (path, value) in [("twin", super::roughness(&tracked).unwrap()), ("tensors", roughness::in_tensors(&tracked))] {
+        let value = value * 2.0;
+        let gradient = tracked.grad(&value.backward()).unwrap();
+        assert_eq!(value.into_scalar::<f32>(), 2.0 * expected, "{path}");
+        // Each of 48 differences along the levels is 4, and 2 · 2 · 4/48 for the upper neighbour.
+        let first = gradient.into_data().try_to_vec::<f32>().unwrap()[0];
+        assert!((first + 4.0 * (4.0 + 2.0 + 1.0) / 48.0).abs() < 1e-6, "{path}: {first}");
+    }
     assert!(super::roughness(&Tensor::zeros([9, 2, 2, 2], &device)).is_err());
 }
 

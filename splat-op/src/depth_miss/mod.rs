@@ -10,12 +10,6 @@
 //! over the samples of a pixel, with `sign(0) = 0`. Which pixels count is piecewise constant.
 
 pub(crate) mod cpu;
-#[cfg(all(test, feature = "cube"))]
-mod kernel_tests;
-#[cfg(feature = "cube")]
-mod kernels;
-#[cfg(feature = "cube")]
-pub(crate) mod launch;
 #[cfg(test)]
 mod tests;
 
@@ -23,6 +17,7 @@ use burn::backend::Dispatch;
 use burn::tensor::{DType, Int, Tensor};
 
 use crate::abilities::is_gpu;
+use crate::backend::custom_grad::like;
 use crate::backend::depth_miss::DepthMissBackend;
 use crate::check::Reference;
 use crate::error::SplatError;
@@ -69,8 +64,29 @@ pub fn depth_miss(
         return Err(SplatError::DType { name: "pixels", found, expected: "I32, or I64 on a CPU".into() });
     }
     reference.check_device("pixels", &pixels.device())?;
+    if is_gpu(&depth.device()) {
+        return Ok(in_tensors(depth, alpha, known, pixels));
+    }
     // Pictures come from `rasterize` as planes, so that this moves nothing.
     let planes = |picture: &Tensor<3>| picture.clone().permute([2, 0, 1]).into();
     let inputs = Depths { depth: planes(depth), alpha: planes(alpha), known: known.clone().into() };
     Ok(Tensor::from_dispatch(<Dispatch as DepthMissBackend>::depth_miss(inputs, pixels.clone().into_dispatch())))
+}
+
+/// The miss in tensor code, for GPUs, where its few launches are no large part of a step.
+fn in_tensors(depth: &Tensor<3>, alpha: &Tensor<3>, known: &Tensor<1>, pixels: &Tensor<1, Int>) -> Tensor<1> {
+    let (plane, tracked) = (depth.dims()[0] * depth.dims()[1], depth.is_autodiff());
+    if plane == 0 || known.dims() == [0] {
+        return Tensor::zeros([1], &depth.device());
+    }
+    let constant = |values: Tensor<1>| like(&values, tracked);
+    let at = |picture: Tensor<3>, pixels: Tensor<1, Int>| picture.reshape([plane]).select(0, pixels);
+    let inside = pixels.clone().clamp(0, plane as i64 - 1);
+    let values = if tracked { alpha.clone().inner() } else { alpha.clone() };
+    let exists = inside.clone().equal(pixels.clone());
+    let counts = at(values, inside.clone()).greater_equal_elem(COVERED).bool_and(exists).float();
+    let share = counts.clone() / counts.sum().clamp_min(1.0);
+    let inside = if tracked { Tensor::from_inner(inside) } else { inside };
+    let divisor = at(alpha.clone(), inside.clone()).clamp_min(COVERED) * constant(known.clone());
+    ((at(depth.clone(), inside) / divisor - 1.0).abs() * constant(share)).sum()
 }

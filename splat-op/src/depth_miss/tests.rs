@@ -56,15 +56,20 @@ fn tensors_get_their_gradients_and_other_shapes_are_refused() {
     let (depth, alpha) = (tracked([2.0, 3.0]), tracked([0.5, 1.0]));
     let known = Tensor::<1>::from_floats([2.0, 4.0, 1.0], &device);
     let pixels = |values: [i32; 3]| Tensor::<1, Int>::from_data(TensorData::from(values), &device);
-    let miss = depth_miss(&depth, &alpha, &known, &pixels([0, 1, 1])).unwrap();
-    // 4 instead of 2, and 3 instead of 4 and 1: relative errors 1, 1/4 and 2.
-    assert!((miss.clone().into_scalar::<f32>() - 3.25 / 3.0).abs() < 1e-6);
-    let gradients = (miss * 3.0).backward();
+    let twin = |pixels: Tensor<1, Int>| depth_miss(&depth, &alpha, &known, &pixels).unwrap();
+    let tensors = |pixels: Tensor<1, Int>| in_tensors(&depth, &alpha, &known, &pixels);
     let values = |tensor: Option<Tensor<3>>| tensor.unwrap().into_data().try_to_vec::<f32>().unwrap();
-    assert_eq!(values(depth.grad(&gradients)), [1.0, -0.25 + 1.0]);
-    assert_eq!(values(alpha.grad(&gradients)), [-4.0, 0.75 - 3.0]);
-    let beyond = depth_miss(&depth, &alpha, &known, &pixels([-1, 2, i32::MAX])).unwrap();
-    assert_eq!(beyond.into_scalar::<f32>(), 0.0);
+    for (path, miss_of) in [("twin", &twin as &dyn Fn(_) -> Tensor<1>), ("tensors", &tensors)] {
+        let miss = miss_of(pixels([0, 1, 1]));
+        // 4 instead of 2, and 3 instead of 4 and 1: relative errors 1, 1/4 and 2.
+        assert!((miss.clone().into_scalar::<f32>() - 3.25 / 3.0).abs() < 1e-6, "{path}");
+        let gradients = (miss * 3.0).backward();
+        for (found, expected) in [(&depth, [1.0, -0.25 + 1.0]), (&alpha, [-4.0, 0.75 - 3.0])] {
+            let found = values(found.grad(&gradients));
+            assert!(found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-6), "{path}: {found:?}, {expected:?}");
+        }
+        assert_eq!(miss_of(pixels([-1, 2, i32::MAX])).into_scalar::<f32>(), 0.0, "{path}");
+    }
     let few = known.clone().narrow(0, 0, 2);
     assert!(matches!(depth_miss(&depth, &alpha, &few, &pixels([0; 3])), Err(SplatError::Shape { name: "pixels", .. })));
 }

@@ -1,9 +1,9 @@
-//! Compares the kernels with their twins in f64.
+//! Compares the kernels with their twin in f64.
 
-use super::cpu::{corrected_backward_cpu, corrected_cpu, miss_cpu};
-use super::launch::{launch_corrected, launch_corrected_backward, launch_miss};
-use super::tests::{ROBUST, correction, sighted};
-use super::{Corrected, POSE, Sighted};
+use super::cpu::{corrected_backward_cpu, corrected_cpu};
+use super::launch::{launch_corrected, launch_corrected_backward};
+use super::tests::correction;
+use super::{Corrected, POSE};
 use crate::gpu::Buffer;
 use crate::testing::ceiling::{PerturbedReference, rounded, to_f32};
 use crate::testing::gpu::gpus;
@@ -27,25 +27,6 @@ fn corrected_poses_agree_with_the_twin() {
             reference.check(&format!("{size}, {form}: pose"), 0, &pose, &[Some(0)]);
             let of_correction = launch_corrected_backward(&gpu, &device, &grad, 1.5).read(&gpu);
             reference.check(&format!("{size}, {form}: gradient"), 1, &of_correction, &[Some(0)]);
-        }
-    }
-}
-
-#[test]
-fn misses_agree_with_the_twin() {
-    for count in [1, 700] {
-        let inputs = sighted(count);
-        let evaluate = |values: &[Vec<f64>]| {
-            let slices = Sighted { pose: &values[0][..], points: &values[1][..], directions: &values[2][..] };
-            let (value, gradient) = miss_cpu(slices, ROBUST);
-            vec![vec![value], gradient]
-        };
-        let reference = PerturbedReference::new(&inputs.clone().into_array(), evaluate);
-        for (form, gpu) in gpus() {
-            let device = inputs.each_ref().map(|values| Buffer::from_slice(&gpu, &to_f32(values)));
-            let (value, gradient) = launch_miss(&gpu, &device, ROBUST);
-            reference.check(&format!("{count}, {form}: value"), 0, &value.read(&gpu), &[Some(0)]);
-            reference.check(&format!("{count}, {form}: derivative"), 1, &gradient.read(&gpu), &[Some(0)]);
         }
     }
 }

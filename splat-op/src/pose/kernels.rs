@@ -1,11 +1,8 @@
-//! Kernels: one unit for a correction; a unit per point for the miss, whose sums over a cube are added in a fixed order.
+//! Kernels of the correction: one unit works.
 
 use cubecl::prelude::*;
 
-use super::{LEAST, POSE};
-use crate::gpu::UNITS;
 use crate::gpu::math::{Mat3, Pose, Vec3};
-use crate::gpu::reduce::cube_sum;
 
 /// `v`, rotated by the Cayley map of `h`.
 #[cube]
@@ -67,59 +64,5 @@ pub(super) fn corrected_backward_kernel(
         let slope = axial.plus(turned.plus(b.apply_transposed(h)).minus(h.times(2.0 * trace)));
         slope.times(f).minus(h.times(f * f * along)).times(0.5).store(out, 0);
         grad.translation.times(unit).store(out, 3);
-    }
-}
-
-/// Writes the sums of each cube's points: shares of the miss to `misses`, `[cubes]`, and of its derivative to `sums`, `[cubes, 12]`.
-#[cube(launch_unchecked)]
-pub(super) fn miss_kernel(
-    pose: &[f32],
-    points: &[f32],
-    directions: &[f32],
-    misses: &mut [f32],
-    sums: &mut [f32],
-    robust: f32,
-    share: f32,
-    count: u32,
-    cubes: u32,
-) {
-    let mut shared = Shared::<[f32]>::new_slice(comptime!(UNITS));
-    if CUBE_POS < cubes as usize {
-        let i = CUBE_POS * comptime!(UNITS) + UNIT_POS as usize;
-        // Units beyond the last point repeat it with a weight of zero.
-        let at = 3 * min(i, count as usize - 1);
-        let share = select(i < count as usize, share, 0.0f32);
-        let point = Vec3::load(points, at);
-        let p = Pose::load(pose).apply(point);
-        let inverse = 1.0 / max(p.dot(p), comptime!(LEAST as f32)).sqrt();
-        let d = p.times(inverse);
-        let away = d.minus(Vec3::load(directions, at));
-        let rho = (away.dot(away) + robust * robust).sqrt();
-        let s = away.times(1.0 / rho);
-        let of_p = s.minus(d.times(d.dot(s))).times(inverse * share);
-        let miss = cube_sum((rho - robust) * share, &mut shared);
-        if UNIT_POS == 0 {
-            misses[CUBE_POS] = miss;
-        }
-        #[unroll]
-        for entry in 0..comptime!(POSE) {
-            let mut value = of_p.z;
-            if comptime!(entry / 4 == 0) {
-                value = of_p.x;
-            } else if comptime!(entry / 4 == 1) {
-                value = of_p.y;
-            }
-            if comptime!(entry % 4 == 0) {
-                value *= point.x;
-            } else if comptime!(entry % 4 == 1) {
-                value *= point.y;
-            } else if comptime!(entry % 4 == 2) {
-                value *= point.z;
-            }
-            let total = cube_sum(value, &mut shared);
-            if UNIT_POS == 0 {
-                sums[CUBE_POS * comptime!(POSE) + entry] = total;
-            }
-        }
     }
 }

@@ -101,18 +101,24 @@ fn tensors_get_their_gradients_and_other_shapes_are_refused() {
     let (given, pose) = (tensor(&correction, [2, 3]).require_grad(), tensor(&cam_from_world, [3, 4]));
     let inputs = sighted(20);
     let (points, directions) = (tensor(&inputs.points, [20, 3]).inner(), tensor(&inputs.directions, [20, 3]).inner());
-    let total = |correction: &Tensor<2>| {
-        let moved = corrected(correction, &pose, 2.0).unwrap();
-        miss(&moved, &points, &directions, ROBUST).unwrap() * 3.0
+    // A graph is differentiated once.
+    let moved = || corrected(&given, &pose, 2.0).unwrap();
+    let twin = miss(&moved(), &points, &directions, ROBUST).unwrap();
+    let tensors = miss_in_tensors(&moved(), &points, &directions, ROBUST);
+    let gradient = |value: Tensor<1>| {
+        let found = given.grad(&(value * 3.0).backward()).unwrap().into_data().try_to_vec::<f32>().unwrap();
+        found.into_iter().map(f64::from).collect::<Vec<f64>>()
     };
-    let found = given.grad(&total(&given).backward()).unwrap().into_data().try_to_vec::<f32>().unwrap();
-    let found: Vec<f64> = found.into_iter().map(f64::from).collect();
+    let apart = twin.clone().into_scalar::<f32>() - tensors.clone().into_scalar::<f32>();
+    assert!(apart.abs() < 1e-6, "{apart}");
     let slices = Corrected { correction: &correction[..], cam_from_world: &cam_from_world[..] };
     let sighted = |pose| Sighted { pose, points: &inputs.points[..], directions: &inputs.directions[..] };
     let (_, of_pose) = miss_cpu(sighted(&corrected_cpu(slices, 2.0)[..]), ROBUST);
     let expected = corrected_backward_cpu(slices, &of_pose, 2.0);
-    for (found, expected) in found.iter().zip(expected) {
-        assert!((found - 3.0 * expected).abs() < 1e-5, "{found} instead of {}", 3.0 * expected);
+    for (path, found) in [("twin", gradient(twin)), ("tensors", gradient(tensors))] {
+        for (found, expected) in found.iter().zip(&expected) {
+            assert!((found - 3.0 * expected).abs() < 1e-5, "{path}: {found} instead of {}", 3.0 * expected);
+        }
     }
     let wrong = tensor(&cam_from_world, [4, 3]);
     assert!(matches!(corrected(&given, &wrong, 1.0), Err(SplatError::Shape { name: "cam_from_world", .. })));
