@@ -146,7 +146,7 @@ pub fn backward<const D: usize>(grad: Tensor<D>, run: impl Fn() -> Tensor<D> + '
 }
 
 /// Returns the values without their history, as a leaf that Burn tracks.
-pub(crate) fn leaf<const D: usize>(values: &Tensor<D>) -> Tensor<D> {
+pub fn leaf<const D: usize>(values: &Tensor<D>) -> Tensor<D> {
     let values = if values.device().is_autodiff() { values.clone().inner() } else { values.clone() };
     Tensor::from_inner(values).require_grad()
 }

@@ -130,10 +130,14 @@ pub mod depth_slope;
 
 pub mod rasterize_rays;
 
-// What effects do to a render before the loss.
+// What effects do to a camera, to ellipses, and to a render before the loss.
+pub mod pose;
+
 pub mod bilateral;
 
 pub mod colour_map;
+
+pub mod depth_miss;
 
 pub mod environment;
 

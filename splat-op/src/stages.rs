@@ -242,7 +242,7 @@ pub fn rasterize(
         Some(depth_slope) => {
             let depth_slope = depth_slope.clone().into();
             let inputs = RayLayers { projected: packed, depth_slope, features, background, mean2d_abs };
-            <Dispatch as SplatBackend>::rasterize_rays(inputs, counts, spec, intersections, parts.clone())
+            <Dispatch as SplatBackend>::rasterize_rays(inputs, counts, spec, intersections, None, parts.clone())
         }
     };
     Ok(picture(&Tensor::from_dispatch(planes), channels, options.depth, &parts))

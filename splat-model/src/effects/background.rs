@@ -51,7 +51,7 @@ pub enum Backdrop {
 /// Learning rates of colours and coefficients, as for exposures.
 const RATE: Falling = Falling { from: 0.01, to: 0.001 };
 
-/// Memory for the values of the harmonics in each camera's pixels. Beyond it they are computed at each step.
+/// Memory for the viewing directions of each camera's pixels. Beyond it they are computed at each step.
 pub(super) const CACHE_BYTES: usize = 256 << 20;
 
 /// A background in a file or on the command line.
@@ -147,37 +147,33 @@ impl Background {
         cam_from_world: &DAffine3,
     ) -> Tensor<3> {
         let Self::Environment(coefficients) = self else { return image };
-        let (device, count) = (image.device(), coefficients.len());
-        let degree = sh_degree(count).unwrap_or(0);
-        let coefficients = TensorData::new(coefficients.as_flattened().to_vec(), [count, 3]);
-        let harmonics = harmonics_of(camera, cam_from_world, degree, &device);
-        over(&image, &alpha, &harmonics, &Tensor::from_data(coefficients, &device))
+        let device = image.device();
+        let coefficients = TensorData::new(coefficients.as_flattened().to_vec(), [coefficients.len(), 3]);
+        let directions = directions_of(camera, cam_from_world, &device);
+        over(&image, &alpha, &directions, &Tensor::from_data(coefficients, &device))
     }
 }
 
-/// `[(degree+1)², H, W]`: the values of the harmonics in the viewing directions of a camera's pixels.
-fn harmonics_of(camera: &Intrinsics, cam_from_world: &DAffine3, degree: usize, device: &Device) -> Tensor<3> {
-    let (width, height, count) = (camera.width, camera.height, (degree + 1) * (degree + 1));
+/// `[3, H, W]`: the unit viewing directions of a camera's pixels, in the world frame.
+fn directions_of(camera: &Intrinsics, cam_from_world: &DAffine3, device: &Device) -> Tensor<3> {
+    let (width, height) = (camera.width, camera.height);
     let (projector, world_from_cam) = (camera.projector(), cam_from_world.matrix3.transpose());
-    let mut values = vec![0.0_f32; count * height * width];
-    // For each row of pixels its part of every plane.
-    let mut rows: Vec<Vec<&mut [f32]>> = (0..height).map(|_| Vec::with_capacity(count)).collect();
-    for plane in values.chunks_exact_mut(height * width) {
-        rows.iter_mut().zip(plane.chunks_exact_mut(width)).for_each(|(row, of_plane)| row.push(of_plane));
-    }
-    rows.into_par_iter().enumerate().for_each(|(y, mut planes)| {
-        for x in 0..width {
-            let direction = projector.cam_from_px(DVec2::new(x as f64 + 0.5, y as f64 + 0.5)).normalize();
-            let all = harmonics((world_from_cam * direction).to_array(), degree);
-            planes.iter_mut().zip(all).for_each(|(plane, value)| plane[x] = value as f32);
+    let mut values = vec![0.0_f32; 3 * height * width];
+    let (x_plane, rest) = values.split_at_mut(height * width);
+    let (y_plane, z_plane) = rest.split_at_mut(height * width);
+    let rows = x_plane.par_chunks_mut(width).zip(y_plane.par_chunks_mut(width)).zip(z_plane.par_chunks_mut(width));
+    rows.enumerate().for_each(|(row, ((xs, ys), zs))| {
+        for column in 0..width {
+            let direction = projector.cam_from_px(DVec2::new(column as f64 + 0.5, row as f64 + 0.5)).normalize();
+            [xs[column], ys[column], zs[column]] = (world_from_cam * direction).as_vec3().to_array();
         }
     });
-    Tensor::from_data(TensorData::new(values, [count, height, width]), device)
+    Tensor::from_data(TensorData::new(values, [3, height, width]), device)
 }
 
 /// See [`environment::over`].
-fn over(image: &Tensor<3>, alpha: &Tensor<3>, harmonics: &Tensor<3>, coefficients: &Tensor<2>) -> Tensor<3> {
-    environment::over(image, alpha, harmonics, coefficients).expect("a render of this camera, on one device")
+fn over(image: &Tensor<3>, alpha: &Tensor<3>, directions: &Tensor<3>, coefficients: &Tensor<2>) -> Tensor<3> {
+    environment::over(image, alpha, directions, coefficients).expect("a render of this camera, on one device")
 }
 
 /// A background with a random colour for each step.
@@ -239,15 +235,14 @@ impl Effect for LearnedBackground {
 
 /// A learned environment in spherical harmonics.
 ///
-/// Photographs of one camera share the values of the harmonics in the directions of the camera's frame. The coefficients are
-/// rotated into the frame of each photograph instead.
+/// Photographs of one camera share the viewing directions in the camera's frame. The coefficients are rotated into the frame of each
+/// photograph instead.
 pub struct Environment {
     /// `[(degree+1)², 3]`, world frame.
     coefficients: Learned<2>,
-    degree: usize,
     /// `[(degree+1)², (degree+1)²]` by photograph: coefficients in its camera's frame from those in the world frame.
     rotations: Vec<Tensor<2>>,
-    /// `[(degree+1)², H, W]` by camera, in its frame.
+    /// `[3, H, W]` by camera, in its frame.
     cache: Vec<(Intrinsics, Tensor<3>)>,
     cached_bytes: usize,
 }
@@ -258,28 +253,28 @@ impl Environment {
         let coefficients = Learned::new(Tensor::zeros([(degree + 1) * (degree + 1), 3], device));
         let rotation = |pose: &DAffine3| rotation_of_harmonics(&pose.matrix3, degree, device);
         let rotations = poses.iter().map(rotation).collect();
-        Self { coefficients, degree, rotations, cache: Vec::new(), cached_bytes: 0 }
+        Self { coefficients, rotations, cache: Vec::new(), cached_bytes: 0 }
     }
 
     /// The render over black of a photograph's camera, composited over the environment.
     fn behind(&mut self, image: Tensor<3>, alpha: Tensor<3>, view: usize, camera: &Intrinsics) -> Tensor<3> {
-        let harmonics = Tensor::from_inner(self.harmonics_of(camera));
+        let directions = Tensor::from_inner(self.directions_of(camera));
         let rotation = Tensor::from_inner(self.rotations[view].clone());
-        over(&image, &alpha, &harmonics, &rotation.matmul(self.coefficients.tracked()))
+        over(&image, &alpha, &directions, &rotation.matmul(self.coefficients.tracked()))
     }
 
-    fn harmonics_of(&mut self, camera: &Intrinsics) -> Tensor<3> {
-        if let Some((_, harmonics)) = self.cache.iter().find(|(of, _)| of == camera) {
-            return harmonics.clone();
+    fn directions_of(&mut self, camera: &Intrinsics) -> Tensor<3> {
+        if let Some((_, directions)) = self.cache.iter().find(|(of, _)| of == camera) {
+            return directions.clone();
         }
         let device = self.coefficients.value().device();
-        let harmonics = harmonics_of(camera, &DAffine3::IDENTITY, self.degree, &device);
-        let bytes = harmonics.shape().num_elements() * size_of::<f32>();
+        let directions = directions_of(camera, &DAffine3::IDENTITY, &device);
+        let bytes = directions.shape().num_elements() * size_of::<f32>();
         if self.cached_bytes + bytes <= CACHE_BYTES {
             self.cached_bytes += bytes;
-            self.cache.push((*camera, harmonics.clone()));
+            self.cache.push((*camera, directions.clone()));
         }
-        harmonics
+        directions
     }
 }
 
@@ -357,7 +352,7 @@ impl Effect for Environment {
         self.coefficients.load(from)
     }
 
-    /// Includes the cached harmonics.
+    /// Includes the cached directions.
     fn bytes(&self) -> usize {
         saved_bytes(self) + self.cached_bytes
     }

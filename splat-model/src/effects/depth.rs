@@ -13,11 +13,12 @@
 use std::io;
 use std::path::Path;
 
-use burn::tensor::{Device, Int, Tensor, TensorData};
+use burn::tensor::{DType, Device, Int, Tensor, TensorData};
 use glam::Vec2;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use splat_op::Rendered;
+use splat_op::depth_miss::depth_miss;
 
 use super::learned::{EffectContext, Falling};
 use super::masks::by_name;
@@ -120,7 +121,7 @@ const MOST_SAMPLES: usize = 16_384;
 /// A photograph's samples on the device, for one size of picture.
 struct DeviceDepths {
     size: [usize; 2],
-    /// `[M]`: pixel indices, row-major.
+    /// `[M]`: pixel indices, row-major, ascending.
     pixels: Tensor<1, Int>,
     /// `[M]`
     depths: Tensor<1>,
@@ -161,15 +162,8 @@ impl Depths {
             *kept = Some(DeviceDepths::new(samples, size, &self.device));
         }
         let DeviceDepths { pixels, depths, .. } = kept.as_ref()?;
-        let constant = |values: &Tensor<1>| Tensor::<1>::from_inner(values.clone());
-        let flat = |plane: Tensor<3>| plane.reshape([width * height]);
-        let covered = flat(alpha.clone().inner()).select(0, pixels.clone()).greater_equal_elem(0.5).float();
-        let count = covered.clone().sum().clamp_min(1.0);
-        let indices = Tensor::<1, Int>::from_inner(pixels.clone());
-        let divisor = flat(alpha).select(0, indices.clone()).clamp_min(0.5) * constant(depths);
-        let relative = flat(depth).select(0, indices) / divisor - 1.0;
-        let sum = (relative.abs() * constant(&covered)).sum() / constant(&count);
-        Some(sum * self.config.weight.at(step, steps))
+        let miss = depth_miss(&depth, &alpha, depths, pixels).expect("depth and alpha of one render, on one device");
+        Some(miss * self.config.weight.at(step, steps))
     }
 }
 
@@ -199,12 +193,13 @@ impl DeviceDepths {
             let along = |share: f32, side: usize| ((share * side as f32) as usize).min(side - 1);
             (along(sample.at[1], height) * width + along(sample.at[0], width)) as i32
         };
-        let pixels: Vec<i32> = samples.iter().map(pixel).collect();
-        let depths: Vec<f32> = samples.iter().map(|sample| sample.depth).collect();
+        let mut known: Vec<(i32, f32)> = samples.iter().map(|sample| (pixel(sample), sample.depth)).collect();
+        known.sort_by_key(|&(pixel, _)| pixel);
+        let (pixels, depths): (Vec<i32>, Vec<f32>) = known.into_iter().unzip();
         let count = samples.len();
         Self {
             size: [width, height],
-            pixels: Tensor::from_data(TensorData::new(pixels, [count]), device),
+            pixels: Tensor::from_data(TensorData::new(pixels, [count]), (device, DType::I32)),
             depths: Tensor::from_data(TensorData::new(depths, [count]), device),
         }
     }

@@ -61,7 +61,8 @@ impl Grids {
 
     /// The smoothness penalty for a step on `view`, `[1]`.
     fn pull(&mut self, view: usize) -> Tensor<1> {
-        roughness(self.grids.tracked(view)) * self.config.smoothness
+        let grid = self.grids.tracked(view);
+        bilateral::roughness(&grid).expect("a grid of this effect") * self.config.smoothness
     }
 }
 
@@ -93,15 +94,6 @@ impl Effect for Grids {
     fn load(&mut self, from: &mut State, _: &Device) -> Result<(), StateError> {
         self.grids.load(from)
     }
-}
-
-/// The mean squared difference between neighbours in a grid, over levels, rows and columns, `[1]`.
-fn roughness(grid: Tensor<4>) -> Tensor<1> {
-    let along = |dim: usize, count: usize| {
-        let difference = grid.clone().narrow(dim, 1, count - 1) - grid.clone().narrow(dim, 0, count - 1);
-        difference.square().mean()
-    };
-    along(1, LEVELS) + along(2, SIDE) + along(3, SIDE)
 }
 
 /// Maps every pixel of `image`, `[H, W, 3]`, by `grid`, `[12, 8, 16, 16]`. Differentiable in both.

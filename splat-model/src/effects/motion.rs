@@ -55,7 +55,7 @@ fn series(squared: Tensor<1>) -> [Tensor<2>; 3] {
 }
 
 /// `[3, 3]`: the matrix of the cross product with `v`, `[3]`.
-pub(super) fn cross_matrix(v: &Tensor<1>) -> Tensor<2> {
+fn cross_matrix(v: &Tensor<1>) -> Tensor<2> {
     // The signs with which each component of `v` enters the matrix, row-major.
     const PLACES: [[f64; 9]; 3] = [
         [0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0],

@@ -157,11 +157,8 @@ const MOTION_MS: (f64, f64) = (0.6, 2.5);
 const SHUTTER_MS: (f64, f64) = (0.75, 0.0);
 const DEFOCUS_MS: (f64, f64) = (14.0, 187.0);
 
-/// The part per megapixel of an environment's harmonics where they are computed anew in each step.
-const HARMONICS_MS: f64 = 14.0;
-
-/// Number of an environment's harmonics, of degree 3.
-const HARMONICS: usize = 16;
+/// The part per megapixel of an environment's viewing directions where they are computed anew in each step.
+const DIRECTIONS_MS: f64 = 14.0;
 
 const MIB: f64 = (1 << 20) as f64;
 
@@ -291,12 +288,12 @@ fn environment(survey: &Survey, at: Conditions) -> Decision {
         );
         (*far_share > FAR_SHARE && survey.files.with_alpha == 0, evidence)
     });
-    // The harmonics of as many cameras as fit are kept.
-    let all_mib = at.megapixels * 1e6 * survey.lens.cameras as f64 * (HARMONICS * size_of::<f32>()) as f64 / MIB;
+    // The directions of as many cameras as fit are kept.
+    let all_mib = at.megapixels * 1e6 * survey.lens.cameras as f64 * (3 * size_of::<f32>()) as f64 / MIB;
     let mib = all_mib.min(CACHE_BYTES as f64 / MIB);
     let computed = if all_mib > mib { 1.0 - mib / all_mib } else { 0.0 };
     let (fixed, each) = ENVIRONMENT_MS;
-    let cost = Cost { ms_per_step: at.ms((fixed, each + HARMONICS_MS * computed)), mib };
+    let cost = Cost { ms_per_step: at.ms((fixed, each + DIRECTIONS_MS * computed)), mib };
     decide(EffectKind::Environment, on, evidence, rule, Some(cost))
 }
 

@@ -2,13 +2,9 @@
 //!
 //! A correction rotates a camera by `R(ω)` and moves it by `e τ` in its own frame: `cam_from_world` becomes
 //! `[R(ω) R₀ | R(ω) t₀ + e τ]`. `e` is the scene extent, so that `ω` and `τ` are of similar size. `R(ω)` is the Cayley map
-//! of `h = ω/2`,
-//!
-//! `R = I + 2 (K + K²) / (1 + |h|²)`, `K v = h × v`,
-//!
-//! which is a rotation up to rounding for every `h`. It rotates about `ω` by `2 atan(|ω|/2)`, which differs from `|ω|` in
-//! third order. It has no division by an angle and no square root: the map and its derivative are rational and exact at
-//! zero, where the series of the exponential map needs a special case. Learning poses along with the scene from the colour
+//! of `ω/2`, a rotation up to rounding for every `ω` ([`splat_op::pose`] has the formulas). It rotates about `ω` by
+//! `2 atan(|ω|/2)`, which differs from `|ω|` in third order. It has no division by an angle and no square root: the map and
+//! its derivative are rational and exact at zero, where the series of the exponential map needs a special case. Learning poses along with the scene from the colour
 //! gradient follows BARF (Lin et al. 2021), and for Gaussians gsplat's `pose_opt`.
 //!
 //! Scene and cameras could move together without a change in any render, and they do: on the demo with poses wrong by 1°
@@ -22,11 +18,10 @@ pub mod anchors;
 use burn::tensor::{Device, Gradients, Tensor};
 use glam::{DAffine3, DQuat, DVec3};
 use serde::{Deserialize, Serialize};
-use splat_op::Rendered;
+use splat_op::{Rendered, pose};
 
 use self::anchors::{Anchors, DeviceAnchors, rotation};
 use super::learned::{EffectContext, Learned};
-use super::motion::cross_matrix;
 use super::{Effect, EffectKind, Leaf, RenderInput, saved_bytes};
 use crate::gaussians::{Gaussians, values_of};
 use crate::state::{State, StateError};
@@ -60,8 +55,6 @@ pub struct Poses {
     corrections: Vec<Learned<2>>,
     /// The tracks that hold each camera. `None` without tracks.
     anchors: Vec<Option<DeviceAnchors>>,
-    /// `[3, 3]`
-    identity: Tensor<2>,
 }
 
 impl Poses {
@@ -73,7 +66,7 @@ impl Poses {
         let correction = |_| Learned::reaching(Tensor::zeros([2, 3], device), reach.clone());
         let corrections = (0..views).map(correction).collect();
         let anchors = (0..views).map(|_| None).collect();
-        Self { config, extent, corrections, anchors, identity: Tensor::eye(3, device) }
+        Self { config, extent, corrections, anchors }
     }
 
     /// Moves the cameras from their `given` poses to the poses that the tracks imply, and holds them there. Both lists are
@@ -95,16 +88,8 @@ impl Poses {
 
     /// The corrected pose of photograph `view`, `[3, 4]`, tracked. `cam_from_world`, `[3, 4]`, is not tracked.
     pub fn apply(&mut self, cam_from_world: Tensor<2>, view: usize) -> Tensor<2> {
-        let correction = self.corrections[view].tracked();
-        let half = correction.clone().narrow(0, 0, 1) * 0.5;
-        let cross = cross_matrix(&half.clone().reshape([3]));
-        let factor = (half.square().sum_dim(1) + 1.0).recip() * 2.0;
-        let rotation =
-            (cross.clone() + cross.clone().matmul(cross)) * factor + Tensor::from_inner(self.identity.clone());
-        let moved = correction.narrow(0, 1, 1).reshape([3, 1]) * self.extent;
-        let turned = rotation.matmul(Tensor::from_inner(cam_from_world));
-        let translation = turned.clone().narrow(1, 3, 1) + moved;
-        Tensor::cat(vec![turned.narrow(1, 0, 3), translation], 1)
+        let given = Tensor::from_inner(cam_from_world);
+        pose::corrected(&self.corrections[view].tracked(), &given, self.extent).expect("poses of one device")
     }
 
     /// The corrected pose of a view, on the host.
@@ -125,8 +110,8 @@ impl Effect for Poses {
     }
 
     fn penalty(&mut self, input: &RenderInput, _: &Rendered<3>, at: EffectContext) -> Option<Tensor<1>> {
-        let pose = input.camera.cam_from_world.clone();
-        Some(self.anchors[at.view].as_ref()?.penalty(pose) * self.config.anchor_weight)
+        let anchors = self.anchors[at.view].as_ref()?;
+        Some(anchors.penalty(&input.camera.cam_from_world) * self.config.anchor_weight)
     }
 
     fn leaves(&mut self, at: EffectContext) -> Vec<Leaf> {

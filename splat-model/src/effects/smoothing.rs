@@ -54,8 +54,8 @@ impl Sampler {
 /// The smoothing filter of a run.
 pub struct Smoothing {
     cameras: Vec<Sampler>,
-    /// `[N, 1]`: `ln g` of the current Gaussians.
-    ln_widths: Option<Tensor<2>>,
+    /// `[N, 1]`: `ln g` of the current Gaussians, and `g`.
+    widths: Option<[Tensor<2>; 2]>,
     /// The step at which the widths were computed.
     found_at: usize,
 }
@@ -69,7 +69,7 @@ impl Smoothing {
             size: [intrinsics.width as f64, intrinsics.height as f64],
             focal_px: (intrinsics.fx * intrinsics.fy).sqrt(),
         };
-        Self { cameras: cameras.into_iter().map(sampler).collect(), ln_widths: None, found_at: 0 }
+        Self { cameras: cameras.into_iter().map(sampler).collect(), widths: None, found_at: 0 }
     }
 
     /// Logarithms of the filter's standard deviations at these centres, scene units. A centre that no camera sees gets the
@@ -88,21 +88,25 @@ impl Smoothing {
 
     /// Computes the widths again if they were discarded or a hundred steps have passed.
     fn follow(&mut self, gaussians: &Gaussians, step: usize) {
-        if self.ln_widths.is_some() && step < self.found_at + EVERY {
+        if self.widths.is_some() && step < self.found_at + EVERY {
             return;
         }
         let means = gaussians.means.val().inner();
         let device = means.device();
         let rows = values_of(means);
         let widths = self.ln_widths(rows.as_chunks::<3>().0);
-        self.ln_widths = Some(Tensor::<1>::from_floats(widths.as_slice(), &device).unsqueeze_dim(1));
+        self.set(Tensor::<1>::from_floats(widths.as_slice(), &device).unsqueeze_dim(1));
         self.found_at = step;
+    }
+
+    fn set(&mut self, ln_widths: Tensor<2>) {
+        let widths = ln_widths.clone().exp();
+        self.widths = Some([ln_widths, widths]);
     }
 
     /// The convolved Gaussians. Differentiable.
     fn apply(&self, splats: Splats) -> Splats {
-        let Some(ln_widths) = &self.ln_widths else { return splats };
-        let widths = ln_widths.clone().exp();
+        let Some([_, widths]) = self.widths.clone() else { return splats };
         let widths = if splats.scales.is_autodiff() { Tensor::from_inner(widths) } else { widths };
         let (scales, opacities) =
             smoothed(&splats.scales, &splats.opacities, &widths).expect("a width for each Gaussian");
@@ -121,19 +125,22 @@ impl Effect for Smoothing {
     }
 
     fn forget_rows(&mut self) {
-        self.ln_widths = None;
+        self.widths = None;
     }
 
     /// The widths are saved because they were computed some steps ago.
     fn save(&self, to: &mut State) -> Result<(), StateError> {
-        if let Some(widths) = &self.ln_widths {
-            to.put("ln_widths", widths.clone());
+        if let Some([ln_widths, _]) = &self.widths {
+            to.put("ln_widths", ln_widths.clone());
         }
         to.tell("found_at", &self.found_at)
     }
 
     fn load(&mut self, from: &mut State, device: &Device) -> Result<(), StateError> {
-        self.ln_widths = if from.has("ln_widths") { Some(from.take("ln_widths", device)?) } else { None };
+        self.widths = None;
+        if from.has("ln_widths") {
+            self.set(from.take("ln_widths", device)?);
+        }
         self.found_at = from.told("found_at")?;
         Ok(())
     }

@@ -2,7 +2,6 @@
 
 use std::fmt::{self, Debug, Formatter};
 use std::marker::PhantomData;
-use std::ops::Range;
 use std::sync::PoisonError;
 
 use burn::backend::autodiff::checkpoint::base::Checkpointer;
@@ -11,16 +10,16 @@ use burn::backend::autodiff::grads::Gradients;
 use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
 use burn::backend::tensor::{FloatTensor, IntTensor};
 use burn::backend::{Autodiff, Backend, TensorMetadata};
-use burn::tensor::Shape;
+use burn::tensor::Slice;
 
 use super::stages::SplatBackend;
 use super::tensors::{
-    GeometryGrads, GeometryTensors, InputTensor, LayerGrads, LayerTensors, OptionalTensor, RayLayerGrads,
+    GeometryGrads, GeometryTensors, InputTensor, LayerGrads, LayerTensors, OptionalTensor, PlaneGrads, RayLayerGrads,
     RayLayerTensors, ShadingGrads, ShadingTensors,
 };
 use crate::intersect::IntersectionCell;
 use crate::project::{Geometry, ProjectSpec};
-use crate::rasterize::{Layers, PartsCell, RasterizeSpec, TraceCell};
+use crate::rasterize::{Layers, PartsCell, PlaneParts, RasterizeSpec, TraceCell};
 use crate::rasterize_rays::RayLayers;
 use crate::sh::Shading;
 
@@ -65,18 +64,8 @@ pub(super) fn tracked<B: Backend, C: CheckpointStrategy, F, const N: usize>(
 where
     F: FnOnce(FloatTensor<B>, [bool; N]) -> [OptionalTensor<B>; N] + Clone + Send + 'static,
 {
-    tracked_by::<B, C, _, _>(Node::<F>(PhantomData), inputs, BackwardPass(pass), output)
-}
-
-/// Returns the output of an operation, with `kind` as its backward node if any input is tracked.
-fn tracked_by<B: Backend, C: CheckpointStrategy, K: Backward<B, N>, const N: usize>(
-    kind: K,
-    inputs: [&FloatTensor<Autodiff<B, C>>; N],
-    state: K::State,
-    output: FloatTensor<B>,
-) -> FloatTensor<Autodiff<B, C>> {
-    match kind.prepare::<C>(inputs.map(|input| input.node())).compute_bound().stateful() {
-        OpsKind::Tracked(prep) => prep.finish(state, output),
+    match Node::<F>(PhantomData).prepare::<C>(inputs.map(|input| input.node())).compute_bound().stateful() {
+        OpsKind::Tracked(prep) => prep.finish(BackwardPass(pass), output),
         OpsKind::UnTracked(prep) => prep.finish(output),
     }
 }
@@ -95,39 +84,30 @@ fn differentiate<B: Backend, S, const N: usize>(
     }
 }
 
-/// Returns the gradient of the planes from the gradients of their parts. If only one part has a gradient and it covers the first
-/// `alone` planes, the result is that gradient; otherwise it has all planes, with zeros where no part has a gradient.
-fn planes_grad<B: SplatBackend>(parts: &PartsCell, planes: &FloatTensor<B>, alone: Option<usize>) -> FloatTensor<B> {
-    let mut found: Vec<(Range<usize>, FloatTensor<B>)> = Vec::new();
+/// Returns the gradients of the planes of a render of `features` features from those of the ranges that were taken of them.
+fn plane_grads<B: SplatBackend>(parts: &PartsCell, features: usize) -> PlaneGrads<B> {
+    let own = PlaneParts { colour: 0..features, alpha: features..features + 1, depth: features + 1..features + 2 };
+    let mut found = PlaneParts::<Option<FloatTensor<B>>>::default();
     for (range, grad) in parts.0.lock().unwrap_or_else(PoisonError::into_inner).drain(..) {
-        let grad = grad.downcast::<FloatTensor<B>>().expect("parts are of the planes' backend");
-        match found.iter_mut().find(|(other, _)| *other == range) {
-            Some((_, sum)) => *sum = B::float_add(sum.clone(), *grad),
-            None => found.push((range, *grad)),
+        let grad = *grad.downcast::<FloatTensor<B>>().expect("parts are of the planes' backend");
+        let [_, height, width] = grad.shape().dims();
+        for (sum, own) in found.each_mut().zip(own.clone()).into_array() {
+            // A range has the whole of a part or nothing of it.
+            if range.start > own.start || range.end < own.end {
+                continue;
+            }
+            let planes = own.start - range.start..own.end - range.start;
+            let share = match range == own {
+                true => grad.clone(),
+                false => B::float_slice(grad.clone(), &[planes, 0..height, 0..width].map(Slice::from)),
+            };
+            *sum = Some(match sum.take() {
+                Some(sum) => B::float_add(sum, share),
+                None => share,
+            });
         }
     }
-    assert!(!found.is_empty(), "the planes of `rasterize` have gradients only through `part`");
-    found.sort_by_key(|(range, _)| range.start);
-    if let [(range, grad)] = &found[..]
-        && alone.is_some_and(|alone| *range == (0..alone))
-    {
-        return grad.clone();
-    }
-    let [count, height, width] = planes.shape().dims();
-    let zeros = |len: usize| B::float_zeros(Shape::from([len, height, width]), &planes.device(), planes.dtype().into());
-    let mut pieces = Vec::new();
-    let mut at = 0;
-    for (range, grad) in found {
-        if range.start > at {
-            pieces.push(zeros(range.start - at));
-        }
-        at = range.end;
-        pieces.push(grad);
-    }
-    if at < count {
-        pieces.push(zeros(count - at));
-    }
-    if pieces.len() == 1 { pieces.remove(0) } else { B::float_cat(pieces, 0) }
+    found.map(OptionalTensor::from)
 }
 
 #[derive(Debug)]
@@ -138,10 +118,9 @@ impl<B: SplatBackend> Backward<B, 4> for RasterizeBackward {
 
     fn backward(self, ops: Ops<Self::State, 4>, grads: &mut Gradients, _: &mut Checkpointer) {
         differentiate::<B, _, _>(ops, grads, |(inputs, planes, spec, intersections, trace, parts), mask| {
-            let alone = (!spec.options.depth).then(|| inputs.background.0.shape().num_elements());
             // The planes are used only through their parts, whose nodes run before this one.
-            let grad = planes_grad::<B>(&parts, &planes, alone);
-            B::rasterize_backward(inputs, planes, grad, spec, Layers::from_array(mask), intersections, trace)
+            let grads = plane_grads::<B>(&parts, inputs.background.0.shape().num_elements());
+            B::rasterize_backward(inputs, planes, grads, spec, Layers::from_array(mask), intersections, trace)
                 .into_array()
         });
     }
@@ -151,13 +130,13 @@ impl<B: SplatBackend> Backward<B, 4> for RasterizeBackward {
 struct RasterizeRaysBackward;
 
 impl<B: SplatBackend> Backward<B, 5> for RasterizeRaysBackward {
-    type State = (RayLayerTensors<B>, FloatTensor<B>, RasterizeSpec, IntersectionCell, PartsCell);
+    type State = (RayLayerTensors<B>, FloatTensor<B>, RasterizeSpec, IntersectionCell, TraceCell, PartsCell);
 
     fn backward(self, ops: Ops<Self::State, 5>, grads: &mut Gradients, _: &mut Checkpointer) {
-        differentiate::<B, _, _>(ops, grads, |(inputs, planes, spec, intersections, parts), mask| {
+        differentiate::<B, _, _>(ops, grads, |(inputs, planes, spec, intersections, trace, parts), mask| {
             // The planes are used only through their parts, whose nodes run before this one.
-            let grad = planes_grad::<B>(&parts, &planes, None);
-            B::rasterize_rays_backward(inputs, planes, grad, spec, RayLayers::from_array(mask), intersections)
+            let grads = plane_grads::<B>(&parts, inputs.background.0.shape().num_elements());
+            B::rasterize_rays_backward(inputs, planes, grads, spec, RayLayers::from_array(mask), intersections, trace)
                 .into_array()
         });
     }
@@ -245,20 +224,24 @@ impl<B: SplatBackend, C: CheckpointStrategy> SplatBackend for Autodiff<B, C> {
 
     fn rasterize_rays(
         inputs: RayLayerTensors<Self>,
-        intersection_counts: IntTensor<Self>,
+        counts: IntTensor<Self>,
         spec: RasterizeSpec,
         intersections: IntersectionCell,
+        _: Option<TraceCell>,
         parts: PartsCell,
     ) -> FloatTensor<Self> {
         let inner = inputs.each_ref().map(InputTensor::inner);
-        let output = B::rasterize_rays(inner.clone(), intersection_counts, spec, intersections.clone(), parts.clone());
-        let state = (inner, output.clone(), spec, intersections, parts);
-        tracked_by::<B, C, _, _>(
-            RasterizeRaysBackward,
-            inputs.each_ref().map(|input| &input.0).into_array(),
-            state,
-            output,
-        )
+        let nodes = inputs.into_array().map(|input| input.0.node());
+        // As in `rasterize`.
+        match RasterizeRaysBackward.prepare::<C>(nodes).compute_bound().stateful() {
+            OpsKind::Tracked(prep) => {
+                let trace = TraceCell::default();
+                let kept = Some(trace.clone());
+                let output = B::rasterize_rays(inner.clone(), counts, spec, intersections.clone(), kept, parts.clone());
+                prep.finish((inner, output.clone(), spec, intersections, trace, parts), output)
+            }
+            OpsKind::UnTracked(prep) => prep.finish(B::rasterize_rays(inner, counts, spec, intersections, None, parts)),
+        }
     }
 
     // Backward passes are not themselves differentiable: on this backend they take constants.
@@ -287,15 +270,15 @@ impl<B: SplatBackend, C: CheckpointStrategy> SplatBackend for Autodiff<B, C> {
     fn rasterize_backward(
         inputs: LayerTensors<Self>,
         planes: FloatTensor<Self>,
-        grad: FloatTensor<Self>,
+        grads: PlaneGrads<Self>,
         spec: RasterizeSpec,
         mask: Layers<bool>,
         intersections: IntersectionCell,
         trace: TraceCell,
     ) -> LayerGrads<Self> {
         let inputs = inputs.each_ref().map(InputTensor::inner);
-        let (planes, grad) = (planes.into_primitive(), grad.into_primitive());
-        B::rasterize_backward(inputs, planes, grad, spec, mask, intersections, trace).map(OptionalTensor::constant)
+        let (planes, grads) = (planes.into_primitive(), grads.map(OptionalTensor::inner));
+        B::rasterize_backward(inputs, planes, grads, spec, mask, intersections, trace).map(OptionalTensor::constant)
     }
 
     fn depth_slope_backward(
@@ -311,13 +294,15 @@ impl<B: SplatBackend, C: CheckpointStrategy> SplatBackend for Autodiff<B, C> {
     fn rasterize_rays_backward(
         inputs: RayLayerTensors<Self>,
         planes: FloatTensor<Self>,
-        grad: FloatTensor<Self>,
+        grads: PlaneGrads<Self>,
         spec: RasterizeSpec,
         mask: RayLayers<bool>,
         intersections: IntersectionCell,
+        trace: TraceCell,
     ) -> RayLayerGrads<Self> {
         let inputs = inputs.each_ref().map(InputTensor::inner);
-        let (planes, grad) = (planes.into_primitive(), grad.into_primitive());
-        B::rasterize_rays_backward(inputs, planes, grad, spec, mask, intersections).map(OptionalTensor::constant)
+        let (planes, grads) = (planes.into_primitive(), grads.map(OptionalTensor::inner));
+        B::rasterize_rays_backward(inputs, planes, grads, spec, mask, intersections, trace)
+            .map(OptionalTensor::constant)
     }
 }

@@ -2,15 +2,17 @@
 
 #![allow(deprecated, reason = "burn-ndarray is deprecated in favour of burn-flex; this project supports both")]
 
+use std::any::Any;
+
 use burn::backend::ops::{FloatTensorOps, IntTensorOps};
 use burn::backend::tensor::{FloatTensor, IntTensor};
-use burn::backend::{Backend, Flex, NdArray, TensorMetadata};
-use burn::tensor::{Shape, Slice, TensorData};
+use burn::backend::{Flex, NdArray, TensorMetadata};
+use burn::tensor::{Slice, TensorData};
 
 use super::host::{Host, HostBackend, HostCoefficients, by_type};
 use super::stages::SplatBackend;
 use super::tensors::{
-    GeometryGrads, GeometryTensors, InputTensor, LayerGrads, LayerTensors, OptionalTensor, RayLayerGrads,
+    GeometryGrads, GeometryTensors, InputTensor, LayerGrads, LayerTensors, OptionalTensor, PlaneGrads, RayLayerGrads,
     RayLayerTensors, ShadingGrads, ShadingTensors,
 };
 use crate::depth_slope::cpu::{depth_slope_backward_cpu, depth_slope_cpu};
@@ -20,9 +22,9 @@ use crate::intersect::{Cut, IntersectionCell, IntersectionLists, StoredIntersect
 use crate::project::cpu::{project_backward_cpu, project_cpu};
 use crate::project::{COLUMNS, Geometry, ProjectSpec};
 use crate::rasterize::cpu::{Trace, rasterize_backward_cpu, rasterize_cpu};
-use crate::rasterize::{Layers, PartsCell, RasterizeSpec, TraceCell};
+use crate::rasterize::{Layers, PartsCell, PlaneParts, RasterizeSpec, TraceCell};
 use crate::rasterize_rays::RayLayers;
-use crate::rasterize_rays::cpu::{rasterize_rays_backward_cpu, rasterize_rays_cpu};
+use crate::rasterize_rays::cpu::{RayTrace, rasterize_rays_backward_cpu, rasterize_rays_cpu};
 use crate::sh::Shading;
 use crate::sh::cpu::{ShCpuInputs, Visible, sh_backward_cpu, sh_cpu};
 use crate::simd::real::Real;
@@ -103,17 +105,13 @@ fn planes_tensor<B: HostBackend, F: Real>(
     B::from_host(planes, &[count, spec.intrinsics.height, spec.intrinsics.width], &background.0)
 }
 
-/// Returns the gradient of all planes. `grad` may cover only the first `channels` planes; the others get zeros.
-fn all_planes<B: Backend>(grad: FloatTensor<B>, spec: &RasterizeSpec, channels: usize) -> FloatTensor<B> {
-    let [given, height, width] = grad.shape().dims();
-    match spec.planes(channels) - given {
-        0 => grad,
-        missing => {
-            let shape = Shape::from([missing, height, width]);
-            let zeros = B::float_zeros(shape, &grad.device(), grad.dtype().into());
-            B::float_cat(vec![grad, zeros], 0)
-        }
-    }
+/// Reads the gradients of planes; an absent one has no elements.
+fn host_grads<B: HostBackend, F: Real>(grads: PlaneGrads<B>) -> PlaneParts<Option<Host<F>>> {
+    grads.map(|grad| grad.into_option().map(B::host))
+}
+
+fn plane_slices<F: Real>(grads: &PlaneParts<Option<Host<F>>>) -> PlaneParts<&[F]> {
+    grads.each_ref().map(|grad| grad.as_ref().map_or(&[][..], |grad| &grad[..]))
 }
 
 /// Returns the lists of a render along rays, computing them if the cell is empty.
@@ -129,6 +127,14 @@ fn ray_lists<'a, F: Real>(
             false => rows(inputs.projected),
         }
     })
+}
+
+/// Keeps the trace of a forward pass.
+fn keep_trace<T: Any + Send + Sync>(cell: Option<TraceCell>, kept: Option<T>) {
+    if let (Some(cell), Some(kept)) = (cell, kept) {
+        // A cell that is already filled holds the same trace.
+        let _ = cell.0.set(Box::new(kept));
+    }
 }
 
 macro_rules! cpu_backend {
@@ -205,10 +211,7 @@ macro_rules! cpu_backend {
                     let slices = read.each_ref().map(|host| &host[..]);
                     let lists = intersection_lists(&intersections, slices.projected, &spec);
                     let (planes, kept) = rasterize_cpu(slices, &spec, lists, trace.is_some());
-                    if let (Some(cell), Some(kept)) = (trace, kept) {
-                        // A cell that is already filled holds the same trace.
-                        let _ = cell.0.set(Box::new(kept));
-                    }
+                    keep_trace(trace, kept);
                     planes_tensor(planes, &spec, &inputs.background)
                 })
             }
@@ -221,19 +224,19 @@ macro_rules! cpu_backend {
             fn rasterize_backward(
                 inputs: LayerTensors<Self>,
                 _: FloatTensor<Self>,
-                grad: FloatTensor<Self>,
+                grads: PlaneGrads<Self>,
                 spec: RasterizeSpec,
                 mask: Layers<bool>,
                 intersections: IntersectionCell,
                 trace: TraceCell,
             ) -> LayerGrads<Self> {
-                let grad = all_planes::<Self>(grad, &spec, inputs.background.0.shape()[0]);
                 by_type!(inputs.projected.0, F => {
                     let read = inputs.each_ref().map(host::<Self, F>);
                     let slices = read.each_ref().map(|host| &host[..]);
                     let lists = intersection_lists(&intersections, slices.projected, &spec);
+                    let grads = host_grads::<Self, F>(grads);
                     let kept = trace.0.get().and_then(|kept| kept.downcast_ref::<Trace<F>>());
-                    let found = rasterize_backward_cpu(slices, &Self::host(grad), &spec, (lists, kept), mask);
+                    let found = rasterize_backward_cpu(slices, plane_slices(&grads), &spec, (lists, kept), mask);
                     found.zip(mask).zip(inputs.each_ref()).map(gradient)
                 })
             }
@@ -276,12 +279,15 @@ macro_rules! cpu_backend {
                 _: IntTensor<Self>,
                 spec: RasterizeSpec,
                 intersections: IntersectionCell,
+                trace: Option<TraceCell>,
                 _: PartsCell,
             ) -> FloatTensor<Self> {
                 by_type!(inputs.projected.0, F => {
                     let read = inputs.each_ref().map(host::<Self, F>);
                     let slices = read.each_ref().map(|host| &host[..]);
-                    let planes = rasterize_rays_cpu(slices, &spec, ray_lists(&intersections, slices, &spec));
+                    let lists = ray_lists(&intersections, slices, &spec);
+                    let (planes, kept) = rasterize_rays_cpu(slices, &spec, lists, trace.is_some());
+                    keep_trace(trace, kept);
                     planes_tensor(planes, &spec, &inputs.background)
                 })
             }
@@ -289,16 +295,19 @@ macro_rules! cpu_backend {
             fn rasterize_rays_backward(
                 inputs: RayLayerTensors<Self>,
                 _: FloatTensor<Self>,
-                grad: FloatTensor<Self>,
+                grads: PlaneGrads<Self>,
                 spec: RasterizeSpec,
                 mask: RayLayers<bool>,
                 intersections: IntersectionCell,
+                trace: TraceCell,
             ) -> RayLayerGrads<Self> {
                 by_type!(inputs.projected.0, F => {
                     let read = inputs.each_ref().map(host::<Self, F>);
                     let slices = read.each_ref().map(|host| &host[..]);
                     let lists = ray_lists(&intersections, slices, &spec);
-                    let found = rasterize_rays_backward_cpu(slices, &Self::host(grad), &spec, lists, mask);
+                    let grads = host_grads::<Self, F>(grads);
+                    let kept = trace.0.get().and_then(|kept| kept.downcast_ref::<RayTrace<F>>());
+                    let found = rasterize_rays_backward_cpu(slices, plane_slices(&grads), &spec, (lists, kept), mask);
                     found.zip(mask).zip(inputs.each_ref()).map(gradient)
                 })
             }

@@ -10,7 +10,7 @@ use burn_cubecl::tensor::CubeTensor;
 
 use super::stages::SplatBackend;
 use super::tensors::{
-    GeometryGrads, GeometryTensors, InputTensor, LayerGrads, LayerTensors, OptionalTensor, RayLayerGrads,
+    GeometryGrads, GeometryTensors, InputTensor, LayerGrads, LayerTensors, OptionalTensor, PlaneGrads, RayLayerGrads,
     RayLayerTensors, ShadingGrads, ShadingTensors,
 };
 use crate::depth_slope::columns;
@@ -22,7 +22,7 @@ use crate::project::launch::{launch_project, launch_project_backward};
 use crate::project::{COLUMNS, Geometry, ProjectSpec};
 use crate::rasterize::launch::{launch_rasterize, launch_rasterize_backward};
 use crate::rasterize::trace::DeviceTrace;
-use crate::rasterize::{Layers, PartsCell, RasterizeSpec, TraceCell};
+use crate::rasterize::{Layers, PartsCell, PlaneParts, RasterizeSpec, TraceCell};
 use crate::rasterize_rays::RayLayers;
 use crate::rasterize_rays::launch::{TABLE, launch_rasterize_rays, launch_rasterize_rays_backward};
 use crate::sh::Shading;
@@ -109,6 +109,24 @@ fn lists_by(cell: &IntersectionCell, compute: impl FnOnce() -> DeviceIntersectio
             unreachable!("the public functions check that lists and ellipses are on one device")
         }
     }
+}
+
+/// Returns the gradient of all `planes` of a render of `features` features in one tensor, with zeros where a part has none. If `shortest`
+/// is set and only the features have one, the result has theirs alone.
+fn of_planes(grads: PlaneGrads<CubeBackend>, planes: &CubeTensor, features: usize, shortest: bool) -> CubeTensor {
+    let [count, height, width] = planes.shape().dims();
+    let PlaneParts { colour, alpha, depth } = grads.map(OptionalTensor::into_option);
+    let zeros = |len: usize| {
+        let shape = Shape::from([len, height, width]);
+        CubeBackend::float_zeros(shape, &planes.device, planes.dtype.into())
+    };
+    let alone = shortest && alpha.is_none();
+    let mut parts = vec![colour.unwrap_or_else(|| zeros(features))];
+    if !alone {
+        parts.push(alpha.unwrap_or_else(|| zeros(1)));
+        parts.extend((count > features + 1).then(|| depth.unwrap_or_else(|| zeros(1))));
+    }
+    if parts.len() == 1 { parts.remove(0) } else { CubeBackend::float_cat(parts, 0) }
 }
 
 /// Returns planes as a tensor.
@@ -226,21 +244,23 @@ impl SplatBackend for CubeBackend {
 
     fn rasterize_backward(
         inputs: LayerTensors<Self>,
-        _: FloatTensor<Self>,
-        grad: FloatTensor<Self>,
+        planes: FloatTensor<Self>,
+        grads: PlaneGrads<Self>,
         spec: RasterizeSpec,
         mask: Layers<bool>,
         intersections: IntersectionCell,
         trace: TraceCell,
     ) -> LayerGrads<Self> {
-        let gpu = Gpu::new(&grad.client);
+        let gpu = Gpu::new(&planes.client);
+        let features = inputs.background.0.shape()[0];
+        let grad = buffer(of_planes(grads, &planes, features, !spec.options.depth));
         let on_device = inputs.each_ref().map(on_device);
         let lists = lists(&gpu, &intersections, &on_device.projected, &spec);
         let kept = trace.0.get().and_then(|kept| kept.downcast_ref::<DeviceTrace>()).cloned();
         let kept = kept.unwrap_or_else(|| {
             launch_rasterize(&gpu, &on_device, lists, &spec, true).1.expect("a trace was asked for")
         });
-        let found = launch_rasterize_backward(&gpu, &on_device, &buffer(grad), lists, &kept, &spec, mask);
+        let found = launch_rasterize_backward(&gpu, &on_device, &grad, lists, &kept, &spec, mask);
         found.zip(inputs.each_ref()).map(gradient)
     }
 
@@ -272,6 +292,7 @@ impl SplatBackend for CubeBackend {
         _: IntTensor<Self>,
         spec: RasterizeSpec,
         intersections: IntersectionCell,
+        _: Option<TraceCell>,
         _: PartsCell,
     ) -> FloatTensor<Self> {
         let gpu = Gpu::new(&inputs.projected.0.client);
@@ -282,16 +303,19 @@ impl SplatBackend for CubeBackend {
 
     fn rasterize_rays_backward(
         inputs: RayLayerTensors<Self>,
-        _: FloatTensor<Self>,
-        grad: FloatTensor<Self>,
+        planes: FloatTensor<Self>,
+        grads: PlaneGrads<Self>,
         spec: RasterizeSpec,
         mask: RayLayers<bool>,
         intersections: IntersectionCell,
+        _: TraceCell,
     ) -> RayLayerGrads<Self> {
-        let gpu = Gpu::new(&grad.client);
+        let gpu = Gpu::new(&planes.client);
+        let features = inputs.background.0.shape()[0];
+        let grad = buffer(of_planes(grads, &planes, features, false));
         let on_device = inputs.each_ref().map(on_device);
         let lists = ray_lists(&gpu, &intersections, &on_device, &spec);
-        let found = launch_rasterize_rays_backward(&gpu, &on_device, &buffer(grad), (lists, TABLE), &spec, mask);
+        let found = launch_rasterize_rays_backward(&gpu, &on_device, &grad, (lists, TABLE), &spec, mask);
         found.zip(inputs.each_ref()).map(gradient)
     }
 }

@@ -79,3 +79,8 @@ pub fn with_gradient<const D: usize>(variable: Tensor<D>, value: Tensor<1>, grad
     let (value, gradient) = (value.into_dispatch(), gradient.into_dispatch());
     Tensor::from_dispatch(<Dispatch as CustomGradBackend>::with_gradient(variable.into_dispatch(), value, gradient))
 }
+
+/// Returns constants on a device with autodiff if `tracked` is set.
+pub(crate) fn like<const D: usize>(values: &Tensor<D>, tracked: bool) -> Tensor<D> {
+    if tracked && !values.is_autodiff() { Tensor::from_inner(values.clone()) } else { values.clone() }
+}

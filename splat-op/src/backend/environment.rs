@@ -20,7 +20,7 @@ use crate::environment::cpu::{environment_backward_cpu, environment_cpu};
 /// The composition over an environment; see `environment/`.
 #[backend_extension(Cube: cfg(feature = "cube"), Flex, NdArray, Autodiff, Fusion: cfg(feature = "fusion"))]
 pub trait EnvironmentBackend: Backend {
-    /// Returns the render over the environment, `[3, H, W]`. Differentiable in all inputs but the harmonics.
+    /// Returns the render over the environment, `[3, H, W]`. Differentiable in all inputs but the directions.
     #[fusion(meta = environment_meta)]
     fn environment(#[extension_type] inputs: SkyTensors<Self>) -> FloatTensor<Self>;
 
@@ -50,7 +50,7 @@ fn environment_backward_meta(
 
 /// The gradients that take an operation.
 fn computed(needs: Sky<bool>) -> Sky<bool> {
-    Sky { image: false, harmonics: false, ..needs }
+    Sky { image: false, directions: false, ..needs }
 }
 
 macro_rules! cpu_backend {

@@ -4,7 +4,7 @@
 
 use std::ops::Deref;
 
-use burn::backend::tensor::FloatTensor;
+use burn::backend::tensor::{FloatTensor, IntTensor};
 use burn::backend::{Backend, Flex, NdArray, TensorMetadata};
 use burn::tensor::{DType, Element, TensorData, f16};
 use burn_flex::FlexTensor;
@@ -21,6 +21,9 @@ pub(crate) trait HostBackend: Backend {
 
     /// Reads the elements of a half-precision tensor, row-major.
     fn host_halves(tensor: FloatTensor<Self>) -> Host<f16>;
+
+    /// Reads the elements of a tensor of i32 or i64, row-major. A number beyond i32 is −1.
+    fn host_ints(tensor: IntTensor<Self>) -> Host<i32>;
 
     /// Reads coefficients of half precision or of type `F`.
     fn host_coefficients<F: Real>(tensor: FloatTensor<Self>) -> HostCoefficients<F> {
@@ -78,6 +81,10 @@ fn flex<T>(tensor: FlexTensor) -> Host<T> {
     Host::Flex(if tensor.is_contiguous() { tensor } else { tensor.to_contiguous() })
 }
 
+fn narrowed<'a>(values: impl Iterator<Item = &'a i64>) -> Host<i32> {
+    Host::Copied(values.map(|&value| i32::try_from(value).unwrap_or(-1)).collect())
+}
+
 impl HostBackend for Flex {
     fn host<F: Real>(tensor: FloatTensor<Self>) -> Host<F> {
         check_type::<F>(tensor.dtype());
@@ -86,6 +93,13 @@ impl HostBackend for Flex {
 
     fn host_halves(tensor: FloatTensor<Self>) -> Host<f16> {
         flex(tensor)
+    }
+
+    fn host_ints(tensor: IntTensor<Self>) -> Host<i32> {
+        match tensor.dtype() {
+            DType::I64 => narrowed(flex::<i64>(tensor).iter()),
+            _ => flex(tensor),
+        }
     }
 }
 
@@ -104,6 +118,14 @@ impl HostBackend for NdArray {
 
     fn host_halves(tensor: FloatTensor<Self>) -> Host<f16> {
         unreachable!("this backend has no tensors of half precision, and this one is of {:?}", tensor.dtype())
+    }
+
+    fn host_ints(tensor: IntTensor<Self>) -> Host<i32> {
+        match tensor {
+            NdArrayTensor::I32(storage) => Host::Copied(storage.view().iter().copied().collect()),
+            NdArrayTensor::I64(storage) => narrowed(storage.view().iter()),
+            other => unreachable!("the type is checked where tensors enter: {:?}", other.dtype()),
+        }
     }
 }
 

@@ -17,12 +17,15 @@ mod cpu;
 #[cfg(feature = "cube")]
 mod cube;
 pub(crate) mod custom_grad;
+pub(crate) mod depth_miss;
 pub(crate) mod environment;
 #[cfg(feature = "fusion")]
 mod fusion;
 mod host;
 pub(crate) mod loss;
 pub(crate) mod optics;
+pub(crate) mod penalty;
+pub(crate) mod pose;
 pub(crate) mod smooth;
 pub(crate) mod stages;
 #[cfg(feature = "cube")]
@@ -35,29 +38,34 @@ pub use adam::{AdamBackend, AdamInputs, AdamState, SceneGradientTensors, SceneIn
 pub use bilateral::BilateralBackend;
 pub use colour_map::ColourMapBackend;
 pub use custom_grad::CustomGradBackend;
+pub use depth_miss::DepthMissBackend;
 pub use environment::EnvironmentBackend;
 pub use loss::{Photometric, PhotometricBackend};
 pub use optics::OpticsBackend;
+pub use penalty::{Penalty, PenaltyBackend};
+pub use pose::PoseBackend;
 pub use smooth::SmoothBackend;
 pub use stages::SplatBackend;
 #[cfg(feature = "cube")]
 pub use tally::{TalliedTensors, TallyBackend, TallyTensors};
 pub use tensors::{
-    ComparedTensors, ExposedGrads, ExposedTensors, GeometryGrads, GeometryTensors, InputTensor, LayerGrads,
-    LayerTensors, MappedGrads, MappedTensors, OptionalIntTensor, OptionalTensor, RawTensors, RayLayerGrads,
-    RayLayerTensors, ShadingGrads, ShadingTensors, SkyGrads, SkyTensors, SliceGrads, SliceTensors, SmoothGrads,
-    SmoothTensors,
+    ComparedTensors, CorrectedTensors, DepthsGrads, DepthsTensors, ExposedGrads, ExposedTensors, GeometryGrads,
+    GeometryTensors, InputTensor, LayerGrads, LayerTensors, MappedGrads, MappedTensors, OptionalIntTensor,
+    OptionalTensor, PlaneGrads, RawTensors, RayLayerGrads, RayLayerTensors, ShadingGrads, ShadingTensors,
+    SightedTensors, SkyGrads, SkyTensors, SliceGrads, SliceTensors, SmoothGrads, SmoothTensors,
 };
 
 pub use crate::activate::rule::Raw;
 pub use crate::bilateral::Sliced;
 pub use crate::colour_map::Mapped;
+pub use crate::depth_miss::Depths;
 pub use crate::environment::Sky;
 pub use crate::intersect::IntersectionCell;
 pub use crate::loss::taps::Compared;
 pub use crate::optics::{Exposed, OpticsSpec};
+pub use crate::pose::{Corrected, Sighted};
 pub use crate::project::{Geometry, ProjectSpec};
-pub use crate::rasterize::{Layers, PartsCell, RasterizeSpec, TraceCell};
+pub use crate::rasterize::{Layers, PartsCell, PlaneParts, RasterizeSpec, TraceCell};
 pub use crate::rasterize_rays::RayLayers;
 pub use crate::sh::Shading;
 pub use crate::smooth::Smooth;

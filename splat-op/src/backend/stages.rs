@@ -8,8 +8,8 @@ use burn::backend::{Backend, backend_extension};
 #[cfg(feature = "fusion")]
 use super::fusion;
 use super::tensors::{
-    GeometryGrads, GeometryTensors, LayerGrads, LayerTensors, OptionalTensor, RayLayerGrads, RayLayerTensors,
-    ShadingGrads, ShadingTensors,
+    GeometryGrads, GeometryTensors, LayerGrads, LayerTensors, OptionalTensor, PlaneGrads, RayLayerGrads,
+    RayLayerTensors, ShadingGrads, ShadingTensors,
 };
 #[cfg(feature = "fusion")]
 use crate::depth_slope;
@@ -83,14 +83,13 @@ pub trait SplatBackend: Backend {
     #[fusion(meta = |planes, from, to, _| fusion::float([to - from, planes.shape[1], planes.shape[2]], planes))]
     fn part(planes: FloatTensor<Self>, from: usize, to: usize, parts: PartsCell) -> FloatTensor<Self>;
 
-    /// Returns the gradients of `rasterize` that `mask` selects, from the gradient of its output or, where depth is not rendered
-    /// and alpha has no gradient, of its first `C` planes. `planes` is the output of `rasterize`; it makes this operation run
-    /// after that one and is not read.
+    /// Returns the gradients of `rasterize` that `mask` selects, from those of its planes; an absent one is zero. `planes` is the output
+    /// of `rasterize`; it makes this operation run after that one and is not read.
     #[fusion(meta = |inputs, _, _, _, mask, _, _| inputs.each_ref().zip(*mask).map(fusion::grad(&inputs.projected.0)))]
     fn rasterize_backward(
         #[extension_type] inputs: LayerTensors<Self>,
         planes: FloatTensor<Self>,
-        grad: FloatTensor<Self>,
+        #[extension_type] grads: PlaneGrads<Self>,
         spec: RasterizeSpec,
         mask: Layers<bool>,
         intersections: IntersectionCell,
@@ -117,26 +116,27 @@ pub trait SplatBackend: Backend {
     #[fusion(dtype = projected, shape = projected)]
     fn bounds(projected: FloatTensor<Self>, depth_slope: FloatTensor<Self>, spec: RasterizeSpec) -> FloatTensor<Self>;
 
-    /// Rasterizes along rays; see `rasterize_rays/`. Returns planes; they, `intersection_counts` and `parts` are as in
-    /// `rasterize`.
-    #[fusion(meta = |inputs, _, spec, _, _| fusion::planes(&inputs.background, spec))]
+    /// Rasterizes along rays; see `rasterize_rays/`. Returns planes; they and the other arguments are as in `rasterize`. On GPUs no
+    /// trace is kept.
+    #[fusion(meta = |inputs, _, spec, _, _, _| fusion::planes(&inputs.background, spec))]
     fn rasterize_rays(
         #[extension_type] inputs: RayLayerTensors<Self>,
         intersection_counts: IntTensor<Self>,
         spec: RasterizeSpec,
         intersections: IntersectionCell,
+        trace: Option<TraceCell>,
         parts: PartsCell,
     ) -> FloatTensor<Self>;
 
-    /// Returns the gradients of `rasterize_rays` that `mask` selects, from the gradient of all its planes. `planes` is the output
-    /// of `rasterize_rays`; it makes this operation run after that one and is not read.
-    #[fusion(meta = |inputs, _, _, _, mask, _| inputs.each_ref().zip(*mask).map(fusion::grad(&inputs.projected.0)))]
+    /// Returns the gradients of `rasterize_rays` that `mask` selects; `planes` and `grads` are as in [`Self::rasterize_backward`].
+    #[fusion(meta = |inputs, _, _, _, mask, _, _| inputs.each_ref().zip(*mask).map(fusion::grad(&inputs.projected.0)))]
     fn rasterize_rays_backward(
         #[extension_type] inputs: RayLayerTensors<Self>,
         planes: FloatTensor<Self>,
-        grad: FloatTensor<Self>,
+        #[extension_type] grads: PlaneGrads<Self>,
         spec: RasterizeSpec,
         mask: RayLayers<bool>,
         intersections: IntersectionCell,
+        trace: TraceCell,
     ) -> RayLayerGrads<Self>;
 }

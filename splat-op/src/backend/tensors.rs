@@ -11,11 +11,13 @@ use burn::tensor::{Int, Tensor};
 use crate::activate::rule::Raw;
 use crate::bilateral::Sliced;
 use crate::colour_map::Mapped;
+use crate::depth_miss::Depths;
 use crate::environment::Sky;
 use crate::loss::taps::Compared;
 use crate::optics::Exposed;
+use crate::pose::{Corrected, Sighted};
 use crate::project::Geometry;
-use crate::rasterize::Layers;
+use crate::rasterize::{Layers, PlaneParts};
 use crate::rasterize_rays::RayLayers;
 use crate::sh::Shading;
 use crate::smooth::Smooth;
@@ -115,6 +117,8 @@ pub type ShadingGrads<B> = Shading<OptionalTensor<B>>;
 pub type LayerTensors<B> = Layers<InputTensor<B>>;
 /// Gradients of the inputs of `rasterize`.
 pub type LayerGrads<B> = Layers<OptionalTensor<B>>;
+/// Gradients of the planes of `rasterize` and `rasterize_rays`.
+pub type PlaneGrads<B> = PlaneParts<OptionalTensor<B>>;
 /// Inputs of `rasterize_rays`.
 pub type RayLayerTensors<B> = RayLayers<InputTensor<B>>;
 /// Gradients of the inputs of `rasterize_rays`.
@@ -141,6 +145,14 @@ pub type ExposedGrads<B> = Exposed<OptionalTensor<B>>;
 pub type SmoothTensors<B> = Smooth<InputTensor<B>>;
 /// Gradients of the inputs of `smoothed_opacities`.
 pub type SmoothGrads<B> = Smooth<OptionalTensor<B>>;
+/// Inputs of `depth_miss`.
+pub type DepthsTensors<B> = Depths<InputTensor<B>>;
+/// Gradients of the inputs of `depth_miss`.
+pub type DepthsGrads<B> = Depths<OptionalTensor<B>>;
+/// Inputs of `corrected_pose`.
+pub type CorrectedTensors<B> = Corrected<InputTensor<B>>;
+/// Inputs of `pose_miss`.
+pub type SightedTensors<B> = Sighted<InputTensor<B>>;
 /// Inputs of `activated`.
 pub type RawTensors<B> = Raw<InputTensor<B>>;
 
@@ -180,7 +192,10 @@ macro_rules! crosses {
     )*};
 }
 
-crosses!(Geometry, Shading, Layers, RayLayers, Raw, Compared, Sliced, Sky, Exposed, Smooth, Mapped);
+crosses!(
+    Geometry, Shading, Layers, PlaneParts, RayLayers, Raw, Compared, Sliced, Sky, Exposed, Smooth, Mapped, Corrected,
+    Sighted, Depths
+);
 
 #[cfg(feature = "fusion")]
 mod fused {
@@ -263,5 +278,8 @@ mod fused {
         )*};
     }
 
-    crosses_later!(Geometry, Shading, Layers, RayLayers, Raw, Compared, Sliced, Sky, Exposed, Smooth, Mapped);
+    crosses_later!(
+        Geometry, Shading, Layers, PlaneParts, RayLayers, Raw, Compared, Sliced, Sky, Exposed, Smooth, Mapped,
+        Corrected, Sighted, Depths
+    );
 }

@@ -1,145 +1,123 @@
-//! CPU twin of the slice, parallel over rows of pixels; the gradient of the grid is summed over the pixels of a row, then over the
-//! rows between two rows of the grid, then over both sides of a row.
+//! CPU twin of the slice. A vector of pixels of one row adds up the maps of the grid around it, each by its weight, so that nothing is
+//! gathered: the vector lies between few columns, and its lumas between few levels.
+//!
+//! The forward pass is parallel over rows of pixels, the backward pass over the bands of pixels between two rows of the grid. Within a
+//! band it goes down vector by vector; the sums of a vector's maps stay in the processor's cache and are added over the lanes at the
+//! end of the band.
+
+use std::ops::RangeInclusive;
 
 use fearless_simd::prelude::*;
 use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 
 use super::{LUMA, MAP, SliceSize, Sliced};
+use crate::simd::blocks::{block_len, load, splat, store};
 use crate::simd::real::Real;
 
-/// Length of a map in memory, that of a vector of f32.
-const WIDE: usize = 16;
-
-/// An affine colour map, or its gradient; the last entries are zero.
-type Map<F> = [F; WIDE];
-
-/// A map in one vector of f32, or in two of f64.
-#[derive(Clone, Copy)]
-struct WideMap<S: Simd, F: Real>([F::Block<S>; 2]);
-
-impl<S: Simd, F: Real> WideMap<S, F> {
-    const LEN: usize = <F::Block<S> as SimdBase<S>>::LEN;
-
-    #[inline(always)]
-    fn load(simd: S, map: &Map<F>) -> Self {
-        let part = |i: usize| F::Block::<S>::from_slice(simd, &map[i * Self::LEN..(i + 1) * Self::LEN]);
-        let first = part(0);
-        Self([first, if Self::LEN < WIDE { part(1) } else { first }])
-    }
-
-    #[inline(always)]
-    fn store(self, map: &mut Map<F>) {
-        for (part, to) in self.0.into_iter().zip(map.chunks_exact_mut(Self::LEN)) {
-            part.store_slice(to);
-        }
-    }
-
-    /// `self + share (to − self)`
-    #[inline(always)]
-    fn mixed(self, to: Self, share: F::Block<S>) -> Self {
-        let part = |i: usize| (to.0[i] - self.0[i]).mul_add(share, self.0[i]);
-        let first = part(0);
-        Self([first, if Self::LEN < WIDE { part(1) } else { first }])
-    }
-
-    /// `to += weight self`
-    #[inline(always)]
-    fn add_to(self, to: &mut Map<F>, weight: F::Block<S>) {
-        let simd = weight.token();
-        for (part, to) in self.0.into_iter().zip(to.chunks_exact_mut(Self::LEN)) {
-            part.mul_add(weight, F::Block::<S>::from_slice(simd, to)).store_slice(to);
-        }
-    }
+/// Where the centres of `pixels` pixels lie along an axis of the grid, counted from the first of `count` places.
+fn places<F: Real>(pixels: usize, count: usize) -> Vec<F> {
+    (0..pixels).map(|pixel| F::of((pixel as f64 + 0.5) / pixels as f64 * (count - 1) as f64)).collect()
 }
 
+/// The lower neighbour of a place.
 #[inline(always)]
-fn splat<S: Simd, F: Real>(simd: S, value: F) -> F::Block<S> {
-    F::Block::<S>::splat(simd, value)
+fn below<F: Real>(at: F, count: usize) -> usize {
+    at.index().min(count - 2)
 }
 
-/// A place between two neighbours on an axis of the grid.
-#[derive(Clone, Copy)]
-struct Between<F> {
-    below: usize,
-    /// Weight of the upper neighbour.
-    share: F,
+/// The share of a place in what lies `away` from it.
+#[inline(always)]
+fn hat<S: Simd, F: Real>(away: F::Block<S>, zero: F::Block<S>, one: F::Block<S>) -> F::Block<S> {
+    (one - away.abs()).max(zero)
 }
 
-impl<F: Real> Between<F> {
-    /// `at` counts from the first of `count` places.
+/// The share of pixels at the places `x` in a column or level.
+#[inline(always)]
+fn share_of<S: Simd, F: Real>(x: F::Block<S>, at: usize) -> F::Block<S> {
+    let simd = x.token();
+    hat::<S, F>(x - splat::<S, F>(simd, F::of(at as f64)), splat::<S, F>(simd, F::ZERO), splat::<S, F>(simd, F::ONE))
+}
+
+/// Copies a grid, `[12, L, R, C]`, by row, then column, then level, with the entries of a map side by side.
+fn by_place<F: Real>(grid: &[F], size: SliceSize) -> Vec<F> {
+    let SliceSize { levels, rows, columns, .. } = size;
+    let mut maps = vec![F::ZERO; grid.len()];
+    for (plane, values) in grid.chunks_exact(columns).enumerate() {
+        let (entry, level, row) = (plane / (levels * rows), plane / rows % levels, plane % rows);
+        let first = (row * columns * levels + level) * MAP + entry;
+        maps[first..].iter_mut().step_by(levels * MAP).zip(values).for_each(|(to, &from)| *to = from);
+    }
+    maps
+}
+
+/// The inverse of [`by_place`].
+fn by_entry<F: Real>(maps: &[F], size: SliceSize) -> Vec<F> {
+    let SliceSize { levels, rows, columns, .. } = size;
+    let mut grid = vec![F::ZERO; maps.len()];
+    for (plane, values) in grid.chunks_exact_mut(columns).enumerate() {
+        let (entry, level, row) = (plane / (levels * rows), plane / rows % levels, plane % rows);
+        let first = (row * columns * levels + level) * MAP + entry;
+        values.iter_mut().zip(maps[first..].iter().step_by(levels * MAP)).for_each(|(to, &from)| *to = from);
+    }
+    grid
+}
+
+/// Writes the maps between two rows of the grid: `upper + share (lower − upper)`.
+#[inline(always)]
+fn mix<F: Real>(upper: &[F], lower: &[F], share: F, to: &mut [F]) {
+    for (to, (&upper, &lower)) in to.iter_mut().zip(upper.iter().zip(lower)) {
+        *to = (lower - upper) * share + upper;
+    }
+}
+
+/// Loads the pixels from `from` on of a row's planes.
+#[inline(always)]
+fn load_rgb<S: Simd, F: Real>(simd: S, [r, g, b]: [&[F]; 3], from: usize) -> [F::Block<S>; 3] {
+    [load(simd, &r[from..]), load(simd, &g[from..]), load(simd, &b[from..])]
+}
+
+/// A vector of pixels of one row, and the maps around it.
+struct Pixels<S: Simd, F: Real> {
+    colour: [F::Block<S>; 3],
+    luma: F::Block<S>,
+    /// Places of the lumas along the levels.
+    z: F::Block<S>,
+    /// The levels around them.
+    low: usize,
+    high: usize,
+}
+
+impl<S: Simd, F: Real> Pixels<S, F> {
+    /// Reads the pixels from `from` on of a row's planes.
     #[inline(always)]
-    fn new(at: F, count: usize) -> Self {
-        let below = at.index().min(count - 2);
-        Self { below, share: at - F::of(below as f64) }
-    }
-
-    /// The places of the centres of `pixels` pixels.
-    fn all(pixels: usize, count: usize) -> Vec<Self> {
-        let at = |pixel: usize| (pixel as f64 + 0.5) / pixels as f64 * (count - 1) as f64;
-        (0..pixels).map(|pixel| Self::new(F::of(at(pixel)), count)).collect()
-    }
-}
-
-/// A grid with the entries of a map side by side: by row, then column, then level.
-struct Maps<F> {
-    maps: Vec<Map<F>>,
-    size: SliceSize,
-}
-
-impl<F: Real> Maps<F> {
-    fn new(grid: &[F], size: SliceSize) -> Self {
-        let mut maps = vec![[F::ZERO; WIDE]; grid.len() / MAP];
-        for (entry, plane) in grid.chunks_exact(maps.len().max(1)).enumerate() {
-            for (index, value) in plane.iter().enumerate() {
-                let (level, place) = (index / (size.rows * size.columns), index % (size.rows * size.columns));
-                maps[place * size.levels + level][entry] = *value;
-            }
-        }
-        Self { maps, size }
-    }
-
-    /// Writes the maps at a place between two rows to `row`, by column, then level.
-    #[inline(always)]
-    fn row<S: Simd>(&self, simd: S, at: Between<F>, row: &mut [Map<F>]) {
-        let len = self.size.columns * self.size.levels;
-        let (upper, lower) = self.maps[at.below * len..][..2 * len].split_at(len);
-        let share = splat(simd, at.share);
-        for (to, (upper, lower)) in row.iter_mut().zip(upper.iter().zip(lower)) {
-            WideMap::load(simd, upper).mixed(WideMap::load(simd, lower), share).store(to);
-        }
+    fn new(simd: S, planes: [&[F]; 3], from: usize, levels: usize) -> Self {
+        let colour = load_rgb(simd, planes, from);
+        let (zero, one) = (splat::<S, F>(simd, F::ZERO), splat::<S, F>(simd, F::ONE));
+        let mut luma = colour[0] * splat::<S, F>(simd, F::of(LUMA[0]));
+        luma = colour[1].mul_add(splat::<S, F>(simd, F::of(LUMA[1])), luma);
+        luma = colour[2].mul_add(splat::<S, F>(simd, F::of(LUMA[2])), luma);
+        let z = luma.max(zero).min(one) * splat::<S, F>(simd, F::of((levels - 1) as f64));
+        let (low, high) = (below(z.reduce_min(), levels), below(z.reduce_max(), levels) + 1);
+        Self { colour, luma, z, low, high }
     }
 }
 
-/// The maps of a pixel on the levels below and above it, and the place that decides both.
-struct Pixel<S: Simd, F: Real> {
-    below: WideMap<S, F>,
-    above: WideMap<S, F>,
-    level: Between<F>,
-    /// Whether the luma is within its limits, so that the place depends on it.
-    free: bool,
+/// The columns of the grid around the vectors of a row of pixels.
+struct Columns<F> {
+    /// Places of the pixels along the columns.
+    x: Vec<F>,
+    count: usize,
 }
 
-impl<S: Simd, F: Real> Pixel<S, F> {
-    /// `row` holds the maps of the pixel's row of the picture, by column, then level.
-    #[inline(always)]
-    fn new(simd: S, row: &[Map<F>], levels: usize, column: Between<F>, colour: [F; 3]) -> Self {
-        let luma = F::of(LUMA[0]) * colour[0] + F::of(LUMA[1]) * colour[1] + F::of(LUMA[2]) * colour[2];
-        let level = Between::new(luma.within(F::ZERO, F::ONE) * F::of((levels - 1) as f64), levels);
-        let first = column.below * levels + level.below;
-        let share = splat(simd, column.share);
-        let at = |index: usize| WideMap::load(simd, &row[index]);
-        let below = at(first).mixed(at(first + levels), share);
-        let above = at(first + 1).mixed(at(first + levels + 1), share);
-        Self { below, above, level, free: luma > F::ZERO && luma < F::ONE }
+impl<F: Real> Columns<F> {
+    fn new(size: SliceSize) -> Self {
+        Self { x: places(size.width, size.columns), count: size.columns }
     }
 
-    /// The pixel's map.
-    #[inline(always)]
-    fn map(&self, simd: S) -> Map<F> {
-        let mut map = [F::ZERO; WIDE];
-        self.below.mixed(self.above, splat(simd, self.level.share)).store(&mut map);
-        map
+    /// First and last column around the pixels `from..to`, of which there is one at least.
+    fn around(&self, from: usize, to: usize) -> (usize, usize) {
+        (below(self.x[from], self.count), below(self.x[to - 1], self.count) + 1)
     }
 }
 
@@ -160,44 +138,62 @@ fn planes_mut<F>(values: &mut [F], size: SliceSize) -> Vec<[&mut [F]; 3]> {
 /// `[3, H, W]`: the mapped picture.
 pub(crate) fn slice_cpu<F: Real>(inputs: Sliced<&[F]>, size: SliceSize) -> Vec<F> {
     let mut out = vec![F::ZERO; inputs.image.len()];
-    let maps = Maps::new(inputs.grid, size);
-    let (across, down) = (Between::all(size.width, size.columns), Between::all(size.height, size.rows));
+    let (maps, columns) = (by_place(inputs.grid, size), Columns::new(size));
+    let len = size.columns * size.levels * MAP;
+    let down: Vec<F> = places(size.height, size.rows);
     planes_mut(&mut out, size).into_par_iter().zip(down).enumerate().for_each_init(
-        || vec![[F::ZERO; WIDE]; size.columns * size.levels],
+        || vec![F::ZERO; len],
         |row, (y, (out, down))| {
             let image = planes(inputs.image, size, y);
+            let upper = below(down, size.rows);
+            let share = down - F::of(upper as f64);
             dispatch!(Level::new(), simd => {
-                maps.row(simd, down, row);
-                row_forward(simd, row, size.levels, (image, &across), out);
+                mix(&maps[upper * len..][..len], &maps[(upper + 1) * len..][..len], share, row);
+                row_forward(simd, row, size.levels, (image, &columns), out);
             });
         },
     );
     out
 }
 
-/// Maps a row of pixels.
+/// Maps a row of pixels. `maps` are those of the row, by column, then level.
 #[inline(always)]
 fn row_forward<S: Simd, F: Real>(
     simd: S,
-    row: &[Map<F>],
+    maps: &[F],
     levels: usize,
-    ([r, g, b], across): ([&[F]; 3], &[Between<F>]),
+    (image, columns): ([&[F]; 3], &Columns<F>),
     out: [&mut [F]; 3],
 ) {
-    for (x, &column) in across.iter().enumerate() {
-        let colour = [r[x], g[x], b[x]];
-        let map = Pixel::new(simd, row, levels, column, colour).map(simd);
-        for (channel, row) in map.as_chunks::<4>().0[..3].iter().enumerate() {
-            out[channel][x] = row[3] + row[0] * colour[0] + row[1] * colour[1] + row[2] * colour[2];
+    let (zero, width) = (splat::<S, F>(simd, F::ZERO), image[0].len());
+    for from in (0..width).step_by(block_len::<S, F>()) {
+        let to = width.min(from + block_len::<S, F>());
+        let (x, pixels) = (load(simd, &columns.x[from..]), Pixels::new(simd, image, from, levels));
+        let (first, last) = columns.around(from, to);
+        let mut map = [zero; MAP];
+        for column in first..=last {
+            let across = share_of::<S, F>(x, column);
+            for level in pixels.low..=pixels.high {
+                let weight = across * share_of::<S, F>(pixels.z, level);
+                let entries = &maps[(column * levels + level) * MAP..][..MAP];
+                for (sum, &entry) in map.iter_mut().zip(entries) {
+                    *sum = weight.mul_add(splat::<S, F>(simd, entry), *sum);
+                }
+            }
+        }
+        let [r, g, b] = pixels.colour;
+        for channel in 0..3 {
+            let row = &map[4 * channel..][..4];
+            let shown = row[0].mul_add(r, row[1].mul_add(g, row[2].mul_add(b, row[3])));
+            store::<S, F>(shown, &mut out[channel][from..]);
         }
     }
 }
 
-/// A row of pixels: its number, its place in the grid, and room for the gradient of its planes if that is needed.
-type Row<'a, F> = (usize, Between<F>, Option<[&'a mut [F]; 3]>);
+/// A row of pixels: its number, the share of the lower row of the grid, and room for the gradient of its planes if that is needed.
+type Row<'a, F> = (usize, F, Option<[&'a mut [F]; 3]>);
 
-/// Returns the gradients of picture and grid from `grad`, that of the mapped picture. The one of the picture is empty if it is
-/// not needed.
+/// Returns the gradients of picture and grid from `grad`, that of the mapped picture, those that are needed.
 pub(crate) fn slice_backward_cpu<F: Real>(
     inputs: Sliced<&[F]>,
     grad: &[F],
@@ -205,84 +201,167 @@ pub(crate) fn slice_backward_cpu<F: Real>(
     needs: Sliced<bool>,
 ) -> Sliced<Vec<F>> {
     let mut of_image = vec![F::ZERO; if needs.image { inputs.image.len() } else { 0 }];
-    let mut of_grid = vec![F::ZERO; inputs.grid.len()];
-    let maps = Maps::new(inputs.grid, size);
-    let (across, down) = (Between::all(size.width, size.columns), Between::all(size.height, size.rows));
-    let len = size.columns * size.levels;
+    let (maps, columns) = (by_place(inputs.grid, size), Columns::new(size));
+    let len = size.columns * size.levels * MAP;
     let mut of_rows = planes_mut(&mut of_image, size).into_iter();
-    let mut bands: Vec<(usize, Vec<Row<F>>)> = (0..size.rows - 1).map(|below| (below, Vec::new())).collect();
-    for (y, down) in down.into_iter().enumerate() {
-        bands[down.below].1.push((y, down, of_rows.next()));
+    let mut bands: Vec<(usize, Vec<Row<F>>)> = (0..size.rows - 1).map(|upper| (upper, Vec::new())).collect();
+    for (y, down) in places::<F>(size.height, size.rows).into_iter().enumerate() {
+        let upper = below(down, size.rows);
+        bands[upper].1.push((y, down - F::of(upper as f64), of_rows.next()));
     }
-    // The sums of a band of rows go to the rows of the grid above and below it.
-    let band_sums = |(below, band): (usize, Vec<Row<F>>)| {
-        let mut sums = vec![[F::ZERO; WIDE]; 2 * len];
-        let (mut row, mut row_sums) = (vec![[F::ZERO; WIDE]; len], vec![[F::ZERO; WIDE]; len]);
-        for (y, down, of_image) in band {
-            let pixels = (planes(inputs.image, size, y), planes(grad, size, y));
-            dispatch!(Level::new(), simd => {
-                maps.row(simd, down, &mut row);
-                row_sums.fill([F::ZERO; WIDE]);
-                row_backward(simd, (&row, &mut row_sums), size.levels, &across, pixels, of_image);
-                let (upper, lower) = sums.split_at_mut(len);
-                let shares = [F::ONE - down.share, down.share].map(|share| splat(simd, share));
-                for ((sum, upper), lower) in row_sums.iter().zip(upper).zip(lower) {
-                    WideMap::load(simd, sum).add_to(upper, shares[0]);
-                    WideMap::load(simd, sum).add_to(lower, shares[1]);
-                }
-            });
-        }
-        (below, sums)
+    // The sums of a band go to the rows of the grid above and below it.
+    let band_sums = |(upper, mut rows): (usize, Vec<Row<F>>)| {
+        let mut sums = vec![F::ZERO; 2 * len];
+        let band = Band { inputs, grad, maps: &maps[upper * len..][..2 * len], size, columns: &columns };
+        dispatch!(Level::new(), simd => band.backward(simd, &mut rows, needs.grid, &mut sums));
+        (upper, sums)
     };
-    let sums: Vec<(usize, Vec<Map<F>>)> = bands.into_par_iter().map(band_sums).collect();
-    let mut total = vec![[F::ZERO; WIDE]; maps.maps.len()];
-    for (below, sums) in sums {
-        let total = total[below * len..][..2 * len].as_flattened_mut();
-        total.iter_mut().zip(sums.as_flattened()).for_each(|(total, sum)| *total += *sum);
+    let sums: Vec<(usize, Vec<F>)> = bands.into_par_iter().map(band_sums).collect();
+    if !needs.grid {
+        return Sliced { image: of_image, grid: Vec::new() };
     }
-    for (index, map) in total.iter().enumerate() {
-        let (place, level) = (index / size.levels, index % size.levels);
-        for (entry, value) in map[..MAP].iter().enumerate() {
-            of_grid[entry * total.len() + level * size.rows * size.columns + place] = *value;
-        }
+    let mut total = vec![F::ZERO; maps.len()];
+    for (upper, sums) in sums {
+        total[upper * len..].iter_mut().zip(sums).for_each(|(total, sum)| *total += sum);
     }
-    Sliced { image: of_image, grid: of_grid }
+    Sliced { image: of_image, grid: by_entry(&total, size) }
 }
 
-/// Adds the gradients of a row of pixels to those of its maps, and writes that of its colours to `of_image` if it is needed.
-/// `across` are the places of the pixels; the pair holds the planes of the row and of the mapped row's gradient.
-#[inline(always)]
-fn row_backward<S: Simd, F: Real>(
-    simd: S,
-    (row, sums): (&[Map<F>], &mut [Map<F>]),
-    levels: usize,
-    across: &[Between<F>],
-    ([r, g, b], grads): ([&[F]; 3], [&[F]; 3]),
-    mut of_image: Option<[&mut [F]; 3]>,
-) {
-    for (x, &column) in across.iter().enumerate() {
-        let (colour, grad) = ([r[x], g[x], b[x]], [grads[0][x], grads[1][x], grads[2][x]]);
-        let pixel = Pixel::new(simd, row, levels, column, colour);
-        let level = pixel.level;
-        let mut of_map = [F::ZERO; WIDE];
-        for (of_row, grad) in of_map.as_chunks_mut::<4>().0.iter_mut().zip(grad) {
-            *of_row = [grad * colour[0], grad * colour[1], grad * colour[2], grad];
-        }
-        let of_map = WideMap::load(simd, &of_map);
-        let first = column.below * levels + level.below;
-        for (corner, weight) in [(first, F::ONE - column.share), (first + levels, column.share)] {
-            of_map.add_to(&mut sums[corner], splat(simd, weight * (F::ONE - level.share)));
-            of_map.add_to(&mut sums[corner + 1], splat(simd, weight * level.share));
-        }
-        if let Some(out) = &mut of_image {
-            let along = |i: usize| (of_map.0[i] * (pixel.above.0[i] - pixel.below.0[i])).reduce_sum();
-            let along = if WideMap::<S, F>::LEN < WIDE { along(0) + along(1) } else { along(0) };
-            let of_luma = if pixel.free { along * F::of((levels - 1) as f64) } else { F::ZERO };
-            let map = pixel.map(simd);
-            for (from, out) in out.iter_mut().enumerate() {
-                let direct = map[from] * grad[0] + map[4 + from] * grad[1] + map[8 + from] * grad[2];
-                out[x] = direct + F::of(LUMA[from]) * of_luma;
+/// The pixels between two rows of the grid.
+struct Band<'a, F> {
+    inputs: Sliced<&'a [F]>,
+    grad: &'a [F],
+    /// The maps of both rows, by row, then column, then level.
+    maps: &'a [F],
+    size: SliceSize,
+    columns: &'a Columns<F>,
+}
+
+impl<F: Real> Band<'_, F> {
+    /// Writes the gradients of the rows' colours, where there is room for them, and if `sum` is set adds those of the maps to `sums`.
+    #[inline(always)]
+    fn backward<S: Simd>(&self, simd: S, rows: &mut [Row<F>], sum: bool, sums: &mut [F]) {
+        let (width, levels, lanes) = (self.size.width, self.size.levels, block_len::<S, F>());
+        // Number of entries of a column, and of a row of the grid.
+        let (entries, row_len) = (levels * MAP, self.maps.len() / 2);
+        let (mut maps, mut wide) = (vec![F::ZERO; 2 * entries * lanes], vec![F::ZERO; 2 * entries * lanes]);
+        for from in (0..width).step_by(lanes) {
+            let to = width.min(from + lanes);
+            let (first, last) = self.columns.around(from, to);
+            let x = load(simd, &self.columns.x[from..]);
+            self.mix_columns(simd, (x, first..=last), &mut maps);
+            wide.fill(F::ZERO);
+            let (mut low, mut high) = (levels - 1, 0);
+            for (y, down, out) in rows.iter_mut() {
+                let pixels = Pixels::new(simd, planes(self.inputs.image, self.size, *y), from, levels);
+                let grad = load_rgb(simd, planes(self.grad, self.size, *y), from);
+                (low, high) = (low.min(pixels.low), high.max(pixels.high));
+                let of_colour = pixels.backward((&maps, levels, *down), grad, sum.then_some(&mut wide[..]));
+                if let Some(out) = out {
+                    for (channel, of_channel) in of_colour.into_iter().enumerate() {
+                        store::<S, F>(of_channel, &mut out[channel][from..to]);
+                    }
+                }
+            }
+            if !sum || low > high {
+                continue;
+            }
+            for column in first..=last {
+                let across = share_of::<S, F>(x, column);
+                for (row, wide) in wide.chunks_exact(entries * lanes).enumerate() {
+                    let sums = &mut sums[row * row_len + column * entries..][..entries];
+                    for i in low * MAP..(high + 1) * MAP {
+                        sums[i] += (across * load::<S, F>(simd, &wide[i * lanes..][..lanes])).reduce_sum();
+                    }
+                }
             }
         }
+    }
+
+    /// Writes the maps of a vector of pixels in the upper row of the grid, by level and entry, a vector each, and then what the lower row
+    /// adds to them. They are the same for every row of pixels.
+    #[inline(always)]
+    fn mix_columns<S: Simd>(&self, simd: S, (x, columns): (F::Block<S>, RangeInclusive<usize>), to: &mut [F]) {
+        let (entries, lanes) = (self.size.levels * MAP, block_len::<S, F>());
+        let (upper, lower) = self.maps.split_at(self.maps.len() / 2);
+        let (of_upper, of_lower) = to.split_at_mut(entries * lanes);
+        of_upper.fill(F::ZERO);
+        of_lower.fill(F::ZERO);
+        for column in columns {
+            let across = share_of::<S, F>(x, column);
+            let (upper, lower) = (&upper[column * entries..][..entries], &lower[column * entries..][..entries]);
+            for (i, (&upper, &lower)) in upper.iter().zip(lower).enumerate() {
+                for (to, value) in [(&mut *of_upper, upper), (&mut *of_lower, lower - upper)] {
+                    let at = &mut to[i * lanes..][..lanes];
+                    let sum = across.mul_add(splat::<S, F>(simd, value), F::Block::<S>::from_slice(simd, at));
+                    sum.store_slice(at);
+                }
+            }
+        }
+    }
+}
+
+impl<S: Simd, F: Real> Pixels<S, F> {
+    /// Returns the gradient of the colours from `grad`, that of the mapped colours. `maps` are those of [`Band::mix_columns`], `down` the
+    /// share of the lower row of the grid. Adds the gradients of the maps to `sums`, if it is given, in the same order.
+    #[inline(always)]
+    fn backward(
+        &self,
+        (maps, levels, down): (&[F], usize, F),
+        grad: [F::Block<S>; 3],
+        mut sums: Option<&mut [F]>,
+    ) -> [F::Block<S>; 3] {
+        let simd = self.z.token();
+        let lanes = block_len::<S, F>();
+        let (zero, one) = (splat::<S, F>(simd, F::ZERO), splat::<S, F>(simd, F::ONE));
+        let down = splat::<S, F>(simd, down);
+        let [r, g, b] = self.colour;
+        let (upper, lower) = maps.split_at(maps.len() / 2);
+        let (mut direct, mut along) = ([zero; 3], zero);
+        for level in self.low..=self.high {
+            let away = self.z - splat::<S, F>(simd, F::of(level as f64));
+            let weight = hat::<S, F>(away, zero, one);
+            // The slope of the hat towards larger lumas.
+            let falls = away.simd_ge(zero) & away.simd_lt(one);
+            let rises = away.simd_lt(zero) & away.simd_ge(-one);
+            let slope = falls.select(-one, rises.select(one, zero));
+            let place = level * MAP * lanes;
+            let (upper, lower) = (&upper[place..][..MAP * lanes], &lower[place..][..MAP * lanes]);
+            // Mᵀ g and the gradient of the offset's weight.
+            let mut back = [zero; 4];
+            for (row, grad) in grad.into_iter().enumerate() {
+                for (entry, back) in back.iter_mut().enumerate() {
+                    let at = (4 * row + entry) * lanes;
+                    let upper = F::Block::<S>::from_slice(simd, &upper[at..][..lanes]);
+                    let lower = F::Block::<S>::from_slice(simd, &lower[at..][..lanes]);
+                    *back = grad.mul_add(lower.mul_add(down, upper), *back);
+                }
+            }
+            for (direct, back) in direct.iter_mut().zip(back) {
+                *direct = weight.mul_add(back, *direct);
+            }
+            let of_weight = r.mul_add(back[0], g.mul_add(back[1], b.mul_add(back[2], back[3])));
+            along = slope.mul_add(of_weight, along);
+            let Some(sums) = &mut sums else { continue };
+            let (of_upper, of_lower) = sums.split_at_mut(levels * MAP * lanes);
+            let lower = weight * down;
+            for (sums, weight) in [(of_upper, weight - lower), (of_lower, lower)] {
+                let sums = &mut sums[place..][..MAP * lanes];
+                for (row, grad) in grad.into_iter().enumerate() {
+                    let grad = weight * grad;
+                    for (entry, value) in [r, g, b, one].into_iter().enumerate() {
+                        let at = &mut sums[(4 * row + entry) * lanes..][..lanes];
+                        value.mul_add(grad, F::Block::<S>::from_slice(simd, at)).store_slice(at);
+                    }
+                }
+            }
+        }
+        // The place along the levels is constant where the luma is at its limits.
+        let free = self.luma.simd_gt(zero) & self.luma.simd_lt(one);
+        let of_luma = free.select(along * splat::<S, F>(simd, F::of((levels - 1) as f64)), zero);
+        for (channel, direct) in direct.iter_mut().enumerate() {
+            *direct = of_luma.mul_add(splat::<S, F>(simd, F::of(LUMA[channel])), *direct);
+        }
+        direct
     }
 }

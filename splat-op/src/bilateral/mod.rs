@@ -19,12 +19,14 @@ mod kernel_tests;
 mod kernels;
 #[cfg(feature = "cube")]
 pub(crate) mod launch;
+pub(crate) mod roughness;
 #[cfg(test)]
 mod tests;
 
 use burn::backend::Dispatch;
 use burn::tensor::Tensor;
 
+pub use self::roughness::roughness;
 use crate::backend::bilateral::BilateralBackend;
 use crate::check::Reference;
 use crate::error::SplatError;

@@ -2,6 +2,7 @@ use burn::tensor::{Device, Tensor, TensorData};
 
 use super::cpu::{slice_backward_cpu, slice_cpu};
 use super::*;
+use crate::testing::finite::check_gradient;
 use crate::testing::random::Random;
 
 /// A picture whose lumas keep away from levels of the grid, where the slope jumps, and a grid; in f64.
@@ -88,6 +89,44 @@ fn gradients_are_the_differences_of_the_definition() {
             }
         }
     }
+}
+
+#[test]
+fn roughness_is_the_mean_squared_difference_of_neighbours_with_its_derivative() {
+    for size in SIZES {
+        let [_, grid] = picture_and_grid(size);
+        let SliceSize { levels, rows, columns, .. } = size;
+        let by_definition = |grid: &[f64]| -> f64 {
+            let at = |i: usize| [i / (rows * columns) % levels, i / columns % rows, i % columns];
+            let along = |axis: usize, count: usize, stride: usize| {
+                let lower: Vec<usize> = (0..grid.len()).filter(|&i| at(i)[axis] + 1 < count).collect();
+                lower.iter().map(|&i| (grid[i + stride] - grid[i]).powi(2)).sum::<f64>() / lower.len() as f64
+            };
+            along(0, levels, rows * columns) + along(1, rows, columns) + along(2, columns, 1)
+        };
+        let grid_size = roughness::GridSize { levels, rows, columns };
+        let (value, gradient) = roughness::roughness_cpu(&grid, grid_size);
+        assert!((value / by_definition(&grid) - 1.0).abs() < 1e-12, "{size:?}: {value}");
+        check_gradient("roughness", &grid, &gradient, 1 + grid.len() / 150, by_definition);
+    }
+}
+
+#[test]
+fn roughness_is_differentiable_where_it_is_tracked() {
+    let device = Device::flex();
+    let grid = Tensor::<1, burn::tensor::Int>::arange(0..96, &device).float().reshape([12, 2, 2, 2]);
+    let expected = 16.0 + 4.0 + 1.0;
+    assert_eq!(super::roughness(&grid).unwrap().into_scalar::<f32>(), expected);
+    let tracked = Tensor::from_inner(grid).require_grad();
+    for (path, value) in [("twin", super::roughness(&tracked).unwrap()), ("tensors", roughness::in_tensors(&tracked))] {
+        let value = value * 2.0;
+        let gradient = tracked.grad(&value.backward()).unwrap();
+        assert_eq!(value.into_scalar::<f32>(), 2.0 * expected, "{path}");
+        // Each of 48 differences along the levels is 4, and 2 · 2 · 4/48 for the upper neighbour.
+        let first = gradient.into_data().try_to_vec::<f32>().unwrap()[0];
+        assert!((first + 4.0 * (4.0 + 2.0 + 1.0) / 48.0).abs() < 1e-6, "{path}: {first}");
+    }
+    assert!(super::roughness(&Tensor::zeros([9, 2, 2, 2], &device)).is_err());
 }
 
 #[test]

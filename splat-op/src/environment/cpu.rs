@@ -1,15 +1,18 @@
-//! CPU twin of the composition, parallel over runs of pixels of one length, whose sums are added in their order.
+//! CPU twin of the composition, parallel over runs of pixels of one length, whose sums are added in their order. Sums over a run go to the
+//! lanes of a vector first.
 
+use fearless_simd::prelude::*;
+use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 
 use super::Sky;
+use crate::sh::basis::basis_of;
+use crate::sh::{SH_COEFFICIENTS_MAX, degree_of};
+use crate::simd::blocks::{block_len, load, splat, store};
 use crate::simd::real::Real;
 
 /// Number of pixels per task.
 const RUN: usize = 4096;
-
-/// Number of pixels whose sums are kept apart, so that they are added side by side.
-const LANES: usize = 16;
 
 /// Inputs of a run of pixels, which begins with pixel `first` of `pixels`.
 struct Run<'a, F> {
@@ -27,50 +30,94 @@ impl<'a, F: Real> Run<'a, F> {
         (0..pixels.div_ceil(RUN)).into_par_iter().map(run)
     }
 
-    /// The run's part of a plane.
-    fn of(&self, planes: &'a [F], plane: usize) -> &'a [F] {
-        &planes[plane * self.pixels + self.first..][..self.len]
+    /// The run's part of three planes.
+    fn of(&self, planes: &'a [F]) -> [&'a [F]; 3] {
+        std::array::from_fn(|plane| &planes[plane * self.pixels + self.first..][..self.len])
     }
 
-    /// The sky, a row of the run's length for each channel.
-    fn sky(&self, sky: &mut Vec<F>) {
-        sky.clear();
-        sky.resize(3 * self.len, F::of(0.5));
-        for (k, row) in self.inputs.coefficients.chunks_exact(3).enumerate() {
-            let values = self.of(self.inputs.harmonics, k);
-            for (sky, &coefficient) in sky.chunks_exact_mut(self.len).zip(row) {
-                sky.iter_mut().zip(values).for_each(|(sky, &value)| *sky += value * coefficient);
+    /// The run's part of alpha.
+    fn alpha(&self) -> &'a [F] {
+        &self.inputs.alpha[self.first..][..self.len]
+    }
+
+    /// The coefficients, RGB.
+    fn coefficients(&self) -> &'a [[F; 3]] {
+        self.inputs.coefficients.as_chunks().0
+    }
+
+    /// Writes the render over the environment.
+    #[inline(always)]
+    fn compose<S: Simd>(&self, simd: S, out: [&mut [F]; 3]) {
+        let (image, directions, alpha) = (self.of(self.inputs.image), self.of(self.inputs.directions), self.alpha());
+        for at in (0..self.len).step_by(block_len::<S, F>()) {
+            let sky = sky::<S, F>(&harmonics(simd, directions, at, self.coefficients().len()), self.coefficients());
+            let through = splat(simd, F::ONE) - load(simd, &alpha[at..]);
+            for channel in 0..3 {
+                let colour = load(simd, &image[channel][at..]);
+                store::<S, F>(through.mul_add(sky[channel], colour), &mut out[channel][at..]);
             }
         }
     }
 
-    /// `[K, 3]`: the run's share of the coefficients' gradient.
-    fn sums(&self, grad: &[F], seen: &mut Vec<F>) -> Vec<F> {
-        seen.clear();
-        for channel in 0..3 {
-            let visible = self.of(grad, channel).iter().zip(self.of(self.inputs.alpha, 0));
-            seen.extend(visible.map(|(&grad, &alpha)| grad * (F::ONE - alpha)));
+    /// Writes the gradient of alpha, if it is needed, and returns the run's share of the coefficients' gradient, if that is needed.
+    #[inline(always)]
+    fn differentiate<S: Simd>(&self, simd: S, grad: &'a [F], of_alpha: &mut [F], needs: Sky<bool>) -> Vec<F> {
+        let (grad, directions, alpha) = (self.of(grad), self.of(self.inputs.directions), self.alpha());
+        let count = self.coefficients().len();
+        let zero = splat(simd, F::ZERO);
+        let mut sums = [[zero; 3]; SH_COEFFICIENTS_MAX];
+        for at in (0..self.len).step_by(block_len::<S, F>()) {
+            let harmonics = harmonics(simd, directions, at, count);
+            let grad = [load(simd, &grad[0][at..]), load(simd, &grad[1][at..]), load(simd, &grad[2][at..])];
+            if needs.alpha {
+                let sky = sky::<S, F>(&harmonics, self.coefficients());
+                let lost = grad[0].mul_add(sky[0], grad[1].mul_add(sky[1], grad[2] * sky[2]));
+                store::<S, F>(-lost, &mut of_alpha[at..]);
+            }
+            if needs.coefficients {
+                let through = splat(simd, F::ONE) - load(simd, &alpha[at..]);
+                let seen = [grad[0] * through, grad[1] * through, grad[2] * through];
+                for (sums, &harmonic) in sums.iter_mut().zip(&harmonics).take(count) {
+                    for (sum, seen) in sums.iter_mut().zip(seen) {
+                        *sum = harmonic.mul_add(seen, *sum);
+                    }
+                }
+            }
         }
-        let products = |(k, channel): (usize, usize)| {
-            dot(self.of(self.inputs.harmonics, k), &seen[channel * self.len..][..self.len])
-        };
-        let count = self.inputs.coefficients.len() / 3;
-        (0..count).flat_map(|k| (0..3).map(move |channel| (k, channel))).map(products).collect()
+        let count = if needs.coefficients { count } else { 0 };
+        sums[..count].as_flattened().iter().map(|sum| sum.reduce_sum()).collect()
     }
 }
 
-/// The sum of products, in a fixed order.
-fn dot<F: Real>(a: &[F], b: &[F]) -> F {
-    let mut lanes = [F::ZERO; LANES];
-    let (whole, rest) = a.as_chunks::<LANES>();
-    let (of_whole, of_rest) = b.as_chunks::<LANES>();
-    for (a, b) in whole.iter().zip(of_whole) {
-        for lane in 0..LANES {
-            lanes[lane] += a[lane] * b[lane];
+/// The values of `count` harmonics in the directions from pixel `at` of a run on.
+#[inline(always)]
+fn harmonics<S: Simd, F: Real>(
+    simd: S,
+    directions: [&[F]; 3],
+    at: usize,
+    count: usize,
+) -> [F::Block<S>; SH_COEFFICIENTS_MAX] {
+    let [x, y, z] = directions;
+    let direction = [load(simd, &x[at..]), load(simd, &y[at..]), load(simd, &z[at..])];
+    basis_of(
+        direction,
+        degree_of(count),
+        #[inline(always)]
+        |value| splat(simd, F::of(value)),
+    )
+}
+
+/// The sky in pixels with these harmonics, RGB.
+#[inline(always)]
+fn sky<S: Simd, F: Real>(harmonics: &[F::Block<S>; SH_COEFFICIENTS_MAX], coefficients: &[[F; 3]]) -> [F::Block<S>; 3] {
+    let simd = harmonics[0].token();
+    let mut sky = [splat(simd, F::of(0.5)); 3];
+    for (&harmonic, row) in harmonics.iter().zip(coefficients) {
+        for (sky, &coefficient) in sky.iter_mut().zip(row) {
+            *sky = harmonic.mul_add(splat::<S, F>(simd, coefficient), *sky);
         }
     }
-    lanes.iter_mut().zip(rest.iter().zip(of_rest)).for_each(|(lane, (&a, &b))| *lane += a * b);
-    lanes.into_iter().sum()
+    sky
 }
 
 /// `[3, H, W]`: the render over the environment.
@@ -79,34 +126,19 @@ pub(crate) fn environment_cpu<F: Real>(inputs: Sky<&[F]>) -> Vec<F> {
     let (red, rest) = out.split_at_mut(inputs.alpha.len());
     let (green, blue) = rest.split_at_mut(inputs.alpha.len());
     let planes = red.par_chunks_mut(RUN).zip(green.par_chunks_mut(RUN)).zip(blue.par_chunks_mut(RUN));
-    planes.zip(Run::all(inputs)).for_each_init(Vec::new, |sky, (((red, green), blue), run)| {
-        run.sky(sky);
-        let alpha = run.of(inputs.alpha, 0);
-        for ((channel, out), sky) in [red, green, blue].into_iter().enumerate().zip(sky.chunks_exact(run.len)) {
-            let image = run.of(inputs.image, channel);
-            for (((out, &colour), &alpha), &sky) in out.iter_mut().zip(image).zip(alpha).zip(sky) {
-                *out = colour + (F::ONE - alpha) * sky;
-            }
-        }
+    planes.zip(Run::all(inputs)).for_each(|(((red, green), blue), run)| {
+        dispatch!(Level::new(), simd => run.compose(simd, [red, green, blue]));
     });
     out
 }
 
 /// Returns the gradients of alpha and of the coefficients from `grad`, that of the composed picture, those that are needed. That of
-/// the render is `grad` itself, and the harmonics have none.
+/// the render is `grad` itself, and the directions have none.
 pub(crate) fn environment_backward_cpu<F: Real>(inputs: Sky<&[F]>, grad: &[F], needs: Sky<bool>) -> Sky<Vec<F>> {
     let mut alpha = vec![F::ZERO; inputs.alpha.len()];
-    let of_run = |scratch: &mut Vec<F>, (out, run): (&mut [F], Run<F>)| {
-        if needs.alpha {
-            run.sky(scratch);
-            for (channel, sky) in scratch.chunks_exact(run.len).enumerate() {
-                let grad = run.of(grad, channel);
-                out.iter_mut().zip(grad).zip(sky).for_each(|((out, &grad), &sky)| *out += -grad * sky);
-            }
-        }
-        if needs.coefficients { run.sums(grad, scratch) } else { Vec::new() }
-    };
-    let sums: Vec<Vec<F>> = alpha.par_chunks_mut(RUN).zip(Run::all(inputs)).map_init(Vec::new, of_run).collect();
+    let of_run =
+        |(out, run): (&mut [F], Run<F>)| dispatch!(Level::new(), simd => run.differentiate(simd, grad, out, needs));
+    let sums: Vec<Vec<F>> = alpha.par_chunks_mut(RUN).zip(Run::all(inputs)).map(of_run).collect();
     let mut coefficients = vec![F::ZERO; if needs.coefficients { inputs.coefficients.len() } else { 0 }];
     for sums in sums {
         coefficients.iter_mut().zip(sums).for_each(|(total, sum)| *total += sum);

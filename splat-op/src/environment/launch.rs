@@ -6,16 +6,18 @@ use super::Sky;
 use super::kernels::{RUN, alpha_backward_kernel, coefficients_backward_kernel, environment_kernel};
 use crate::gpu::reduce::launch_column_sums;
 use crate::gpu::{Buffer, Gpu, UNITS, cubes, elementwise};
+use crate::sh::degree_of;
 
-fn counts(inputs: &Sky<Buffer<f32>>) -> (u32, u32) {
-    (inputs.alpha.len as u32, (inputs.coefficients.len / 3) as u32)
+/// Number of pixels, and the degree.
+fn sizes(inputs: &Sky<Buffer<f32>>) -> (u32, usize) {
+    (inputs.alpha.len as u32, degree_of(inputs.coefficients.len / 3))
 }
 
 /// Returns the render over the environment, `[3, H, W]`.
 pub(crate) fn launch_environment(gpu: &Gpu, inputs: &Sky<Buffer<f32>>) -> Buffer<f32> {
     let out = Buffer::new(gpu, inputs.image.len);
-    let ((pixels, count), (grid, dim)) = (counts(inputs), elementwise(inputs.alpha.len));
-    let [image, alpha, harmonics, coefficients] = inputs.each_ref().map(|buffer| buffer.arg()).into_array();
+    let ((pixels, degree), (grid, dim)) = (sizes(inputs), elementwise(inputs.alpha.len));
+    let [image, alpha, directions, coefficients] = inputs.each_ref().map(|buffer| buffer.arg()).into_array();
     // SAFETY: units beyond the last pixel do nothing.
     unsafe {
         environment_kernel::launch_unchecked(
@@ -24,11 +26,11 @@ pub(crate) fn launch_environment(gpu: &Gpu, inputs: &Sky<Buffer<f32>>) -> Buffer
             dim,
             image,
             alpha,
-            harmonics,
+            directions,
             coefficients,
             out.arg(),
             pixels,
-            count,
+            degree,
         );
     }
     out
@@ -37,8 +39,8 @@ pub(crate) fn launch_environment(gpu: &Gpu, inputs: &Sky<Buffer<f32>>) -> Buffer
 /// Returns the gradient of alpha from `grad`, that of the composed picture.
 pub(crate) fn launch_alpha_backward(gpu: &Gpu, inputs: &Sky<Buffer<f32>>, grad: &Buffer<f32>) -> Buffer<f32> {
     let out = Buffer::new(gpu, inputs.alpha.len);
-    let ((pixels, count), (grid, dim)) = (counts(inputs), elementwise(out.len));
-    let (harmonics, coefficients) = (inputs.harmonics.arg(), inputs.coefficients.arg());
+    let ((pixels, degree), (grid, dim)) = (sizes(inputs), elementwise(out.len));
+    let (directions, coefficients) = (inputs.directions.arg(), inputs.coefficients.arg());
     let (client, grad) = (&gpu.client, grad.arg());
     // SAFETY: units beyond the last pixel do nothing.
     unsafe {
@@ -47,11 +49,11 @@ pub(crate) fn launch_alpha_backward(gpu: &Gpu, inputs: &Sky<Buffer<f32>>, grad: 
             grid,
             dim,
             grad,
-            harmonics,
+            directions,
             coefficients,
             out.arg(),
             pixels,
-            count,
+            degree,
         );
     }
     out
@@ -59,11 +61,11 @@ pub(crate) fn launch_alpha_backward(gpu: &Gpu, inputs: &Sky<Buffer<f32>>, grad: 
 
 /// Returns the gradient of the coefficients from `grad`, that of the composed picture.
 pub(crate) fn launch_coefficients_backward(gpu: &Gpu, inputs: &Sky<Buffer<f32>>, grad: &Buffer<f32>) -> Buffer<f32> {
-    let (pixels, count) = counts(inputs);
+    let (pixels, degree) = sizes(inputs);
     let runs = inputs.alpha.len.div_ceil(RUN);
     let sums = Buffer::new(gpu, runs * inputs.coefficients.len);
-    let (grid, dim) = (cubes(runs * count as usize), CubeDim::new_1d(UNITS as u32));
-    let (alpha, harmonics) = (inputs.alpha.arg(), inputs.harmonics.arg());
+    let (grid, dim) = (cubes(sums.len / 3), CubeDim::new_1d(UNITS as u32));
+    let (alpha, directions) = (inputs.alpha.arg(), inputs.directions.arg());
     // SAFETY: cubes beyond the last run and harmonic do nothing, and runs end with the picture.
     unsafe {
         coefficients_backward_kernel::launch_unchecked(
@@ -72,11 +74,11 @@ pub(crate) fn launch_coefficients_backward(gpu: &Gpu, inputs: &Sky<Buffer<f32>>,
             dim,
             grad.arg(),
             alpha,
-            harmonics,
+            directions,
             sums.arg(),
             pixels,
-            count,
             runs as u32,
+            degree,
         );
     }
     launch_column_sums(gpu, &sums, inputs.coefficients.len)

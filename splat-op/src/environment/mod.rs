@@ -8,8 +8,9 @@
 //! Gradients, with `g = ∂out`: `∂colour = g`, `∂α = −⟨g, sky⟩`, `∂cₖ = Σ Yₖ(d) (1 − α) g` over the pixels, in a fixed order, so that
 //! every run has the same bits.
 //!
-//! The values of the harmonics belong to a camera, so the caller keeps them from step to step. With directions in the camera's frame
-//! and coefficients rotated into it, they serve every photograph of that camera.
+//! The directions belong to a camera, so the caller keeps them from step to step. In the camera's frame, with coefficients rotated into
+//! it, they serve every photograph of that camera. The harmonics are evaluated in both passes: reading sixteen numbers for each pixel
+//! takes longer than computing them from three.
 
 pub(crate) mod cpu;
 #[cfg(all(test, feature = "cube"))]
@@ -28,6 +29,7 @@ use crate::backend::environment::EnvironmentBackend;
 use crate::check::Reference;
 use crate::error::SplatError;
 use crate::record::record;
+use crate::sh::sh_degree;
 
 record! {
     /// Inputs of the composition, or their gradients.
@@ -36,38 +38,43 @@ record! {
         image,
         /// `[1, H, W]`: its alpha.
         alpha,
-        /// `[K, H, W]`: values of the harmonics. A constant.
-        harmonics,
+        /// `[3, H, W]`: unit viewing directions of the pixels. A constant.
+        directions,
         /// `[K, 3]`: coefficients.
         coefficients,
     }
 }
 
 /// Composites a render over an environment. `image`, `[H, W, 3]` f32, or f64 on CPUs, is a render over black, `alpha`, `[H, W, 1]`,
-/// its alpha, `harmonics`, `[K, H, W]`, the values of `K` harmonics in the viewing directions of the pixels, and `coefficients` is
-/// `[K, 3]`. Differentiable in all but the harmonics.
+/// its alpha, `directions`, `[3, H, W]`, the unit viewing directions of the pixels, x, y and z, and `coefficients`,
+/// `[(degree+1)², 3]`, those of the harmonics in the frame of the directions, degree 0 to 4. Differentiable in all but the
+/// directions.
 ///
 /// # Errors
 /// If a shape is not as documented, or if float types or devices differ.
 pub fn over(
     image: &Tensor<3>,
     alpha: &Tensor<3>,
-    harmonics: &Tensor<3>,
+    directions: &Tensor<3>,
     coefficients: &Tensor<2>,
 ) -> Result<Tensor<3>, SplatError> {
+    const COEFFICIENTS: &str = "[(degree+1)², 3]";
     let reference = Reference::new(image)?;
     let [height, width, _] = image.dims();
-    let count = harmonics.dims()[0];
     reference.check("image", image, [None, None, Some(3)], "[H, W, 3]")?;
     reference.check("alpha", alpha, [Some(height), Some(width), Some(1)], "[H, W, 1]")?;
-    reference.check("harmonics", harmonics, [None, Some(height), Some(width)], "[K, H, W]")?;
-    reference.check("coefficients", coefficients, [Some(count), Some(3)], "[K, 3]")?;
+    reference.check("directions", directions, [Some(3), Some(height), Some(width)], "[3, H, W]")?;
+    reference.check("coefficients", coefficients, [None, Some(3)], COEFFICIENTS)?;
+    if sh_degree(coefficients.dims()[0]).is_none() {
+        let (found, hint) = (coefficients.dims().to_vec(), "give 1, 4, 9, 16 or 25 rows".into());
+        return Err(SplatError::Shape { name: "coefficients", found, expected: COEFFICIENTS, hint });
+    }
     // Renders come from `rasterize` as planes, so that this moves nothing.
     let planes = |picture: &Tensor<3>| picture.clone().permute([2, 0, 1]).into();
     let inputs = Sky {
         image: planes(image),
         alpha: planes(alpha),
-        harmonics: harmonics.clone().into(),
+        directions: directions.clone().into(),
         coefficients: coefficients.clone().into(),
     };
     let composed = Tensor::<3>::from_dispatch(<Dispatch as EnvironmentBackend>::environment(inputs));

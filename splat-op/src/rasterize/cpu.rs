@@ -1,6 +1,8 @@
 //! CPU twin of `rasterize`: both passes, parallel over tiles. The gradient of each intersection is stored separately,
 //! and those of a Gaussian are added in a fixed order, so the number of threads never changes a result.
 
+use std::borrow::Cow;
+
 use burn::tensor::DType;
 use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
@@ -10,7 +12,7 @@ use super::prepared::Prepared;
 use super::tile::{Plane, Thresholds, TileTrace, in_block_order, rasterize_tile};
 pub(crate) use super::tile_backward::MOMENTS;
 use super::tile_backward::{TileGrad, TileScratch, rasterize_tile_backward};
-use super::{Layers, RasterizeSpec};
+use super::{Layers, PlaneParts, RasterizeSpec};
 use crate::intersect::{IntersectionLists, TILE, TILE_PIXELS, tile_grid};
 use crate::project::{COLUMNS, Ellipse};
 use crate::simd::real::Real;
@@ -20,7 +22,9 @@ pub(super) const CHUNK: usize = 1024;
 
 /// Values that the forward pass keeps for the backward pass.
 pub(crate) struct Trace<F> {
-    footprints: Vec<Footprint<F>>,
+    pub(super) footprints: Vec<Footprint<F>>,
+    /// Features and depth of each Gaussian if depth is rendered; otherwise nothing.
+    pub(super) colours: Vec<F>,
     tiles: Vec<TileTrace<F>>,
 }
 
@@ -79,8 +83,9 @@ pub(crate) fn rasterize_cpu<F: Real>(
             trace
         },
     );
-    let footprints = prepared.footprints.into_owned();
-    (planes, keep.then_some(Trace { footprints, tiles: traces }))
+    let Prepared { footprints, colours, .. } = prepared;
+    let colours = if let Cow::Owned(colours) = colours { colours } else { Vec::new() };
+    (planes, keep.then_some(Trace { footprints: footprints.into_owned(), colours, tiles: traces }))
 }
 
 /// Size of a picture and its numbers of planes.
@@ -158,11 +163,11 @@ fn compose<F: Real>(by_tile: &[F], background: &[F], size: &PictureSize, strip: 
     }
 }
 
-/// Returns the gradients of the inputs from `grad`, the gradient of the planes. Without a trace the forward pass runs
-/// again.
+/// Returns the gradients of the inputs from `grad`, those of the planes; one that is empty is zero. Without a trace the forward
+/// pass runs again.
 pub(crate) fn rasterize_backward_cpu<F: Real>(
     inputs: Layers<&[F]>,
-    grad: &[F],
+    grad: PlaneParts<&[F]>,
     spec: &RasterizeSpec,
     (intersections, trace): (&IntersectionLists, Option<&Trace<F>>),
     needs: Layers<bool>,
@@ -175,7 +180,7 @@ pub(crate) fn rasterize_backward_cpu<F: Real>(
             &rebuilt
         }
     };
-    let prepared = Prepared::new(inputs, spec, intersections, Some(&trace.footprints));
+    let prepared = Prepared::new(inputs, spec, intersections, Some(trace));
     let columns = MOMENTS + prepared.channels + if needs.mean2d_abs { 2 } else { 0 };
     let features = inputs.background.len();
     let (rows, background) = tile_rows(intersections, [columns, features], Buffers::default, |buffers, tile, sums| {
@@ -219,7 +224,7 @@ struct Buffers<F: Real> {
 fn tile_sums<F: Real>(
     prepared: &Prepared<F>,
     background: &[F],
-    grad: &[F],
+    grad: PlaneParts<&[F]>,
     trace: &TileTrace<F>,
     (tile, sums, needs): (usize, &mut [F], Layers<bool>),
     buffers: &mut Buffers<F>,
@@ -250,20 +255,22 @@ pub(crate) struct TilePlanes<F> {
 }
 
 impl<F: Real> TilePlanes<F> {
-    /// Fills them, for the tile with its first pixel at `origin`, from the gradient of the picture's planes.
-    pub fn read(&mut self, grad: &[F], size: &PictureSize, origin: [usize; 2], background: &[F]) {
+    /// Fills them, for the tile with its first pixel at `origin`, from the gradients of the picture's planes.
+    pub fn read(&mut self, grad: PlaneParts<&[F]>, size: &PictureSize, origin: [usize; 2], background: &[F]) {
         let ([width, height], features, channels) = (size.pixels, size.features, size.channels());
         self.planes.clear();
         self.planes.resize(channels + 1, [F::ZERO; TILE_PIXELS]);
         self.background_rho.clear();
         self.background_rho.resize(TILE_PIXELS, F::ZERO);
         for plane in 0..=channels {
-            // In the picture alpha precedes depth; in the tile it is last.
-            let source = match plane {
-                _ if plane == channels => features,
-                _ if plane == features => features + 1,
-                _ => plane,
+            let (grad, source) = match plane {
+                _ if plane == channels => (grad.alpha, 0),
+                _ if plane == features => (grad.depth, 0),
+                _ => (grad.colour, plane),
             };
+            if grad.is_empty() {
+                continue;
+            }
             for row in 0..TILE.min(height - origin[1]) {
                 let first = (source * height + origin[1] + row) * width + origin[0];
                 let values = &grad[first..first + TILE.min(width - origin[0])];

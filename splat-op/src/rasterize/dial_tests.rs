@@ -1,7 +1,7 @@
 //! Tests of what numerical dials change on CPUs and what they must not change.
 
 use super::cpu::{rasterize_backward_cpu, rasterize_cpu};
-use super::{Layers, RasterizeSpec};
+use super::{Layers, PlaneParts, RasterizeSpec};
 use crate::camera::Intrinsics;
 use crate::dials::{Culling, Exponential};
 use crate::intersect::Cut;
@@ -53,7 +53,8 @@ impl Needles {
         let longest = lists.tile_start.windows(2).map(|ends| ends[1] - ends[0]).max().expect("there are tiles");
         let grad = real(&Random::new(4).fill(spec.planes(self.channels) * 64 * 56, -1.0, 1.0));
         let (planes, trace) = rasterize_cpu(inputs, &spec, &lists, true);
-        let g = rasterize_backward_cpu(inputs, &grad, &spec, (&lists, trace.as_ref()), ALL);
+        let grad = PlaneParts::split(&grad, &spec, self.channels);
+        let g = rasterize_backward_cpu(inputs, grad, &spec, (&lists, trace.as_ref()), ALL);
         (longest, [planes, g.projected, g.features, g.background, g.mean2d_abs])
     }
 }

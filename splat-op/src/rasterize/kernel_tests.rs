@@ -5,7 +5,7 @@ use super::cpu::{rasterize_backward_cpu, rasterize_cpu};
 use super::launch::{launch_rasterize, launch_rasterize_backward};
 use super::layer::KernelShape;
 use super::rows::Rows;
-use super::{Layers, RasterizeSpec};
+use super::{Layers, PlaneParts, RasterizeSpec};
 use crate::camera::Intrinsics;
 use crate::gpu::{Buffer, Gpu};
 use crate::intersect::Cut;
@@ -70,6 +70,7 @@ impl StageInputs {
 
     fn backward(&self, grad: &[f64]) -> Layers<Vec<f64>> {
         let lists = intersect_cpu(&self.projected, &self.spec.intrinsics, Cut::of(&self.spec.options));
+        let grad = PlaneParts::split(grad, &self.spec, self.background.len());
         rasterize_backward_cpu(self.inputs(), grad, &self.spec, (&lists, None), ALL)
     }
 

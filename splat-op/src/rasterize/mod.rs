@@ -70,6 +70,18 @@ record! {
     }
 }
 
+record! {
+    /// Gradients of the planes of a render, or their absence.
+    pub struct PlaneParts {
+        /// `[C, H, W]`: of the features.
+        colour,
+        /// `[1, H, W]`
+        alpha,
+        /// `[1, H, W]`, where depth is rendered.
+        depth,
+    }
+}
+
 /// Camera intrinsics and options of the stage.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RasterizeSpec {
@@ -83,6 +95,17 @@ impl RasterizeSpec {
     /// Number of output planes for `features` channels.
     pub(crate) fn planes(&self, features: usize) -> usize {
         features + 1 + usize::from(self.options.depth)
+    }
+}
+
+#[cfg(test)]
+impl<'a, F> PlaneParts<&'a [F]> {
+    /// Splits the gradient of all planes, `[C + 1 (+ 1), H, W]`, of a render of `features` features.
+    pub(crate) fn split(grad: &'a [F], spec: &RasterizeSpec, features: usize) -> Self {
+        let pixels = spec.intrinsics.width * spec.intrinsics.height;
+        let (colour, rest) = grad.split_at(features * pixels);
+        let (alpha, depth) = rest.split_at(pixels);
+        Self { colour, alpha, depth }
     }
 }
 

@@ -4,7 +4,7 @@ use std::borrow::Cow;
 
 use rayon::prelude::*;
 
-use super::cpu::CHUNK;
+use super::cpu::{CHUNK, Trace};
 use super::footprint::Footprint;
 use super::tile::{TileView, is_long};
 use super::{Layers, RasterizeSpec};
@@ -32,13 +32,27 @@ pub(super) struct Prepared<'a, F: Real> {
     pub library: bool,
 }
 
+/// Returns the features of each Gaussian, followed by its depth: `[N, features + 1]`.
+fn with_depth<F: Real>(inputs: Layers<&[F]>, features: usize) -> Vec<F> {
+    let mut out = vec![F::ZERO; inputs.projected.len() / COLUMNS * (features + 1)];
+    let chunks = inputs.projected.par_chunks(COLUMNS * CHUNK).zip(inputs.features.par_chunks(features * CHUNK));
+    out.par_chunks_mut((features + 1) * CHUNK).zip(chunks).for_each(|(out, (ellipses, of_chunk))| {
+        let rows = of_chunk.chunks_exact(features).zip(ellipses.chunks_exact(COLUMNS));
+        for (out, (row, ellipse)) in out.chunks_exact_mut(features + 1).zip(rows) {
+            out[..features].copy_from_slice(row);
+            out[features] = Ellipse::from_row(ellipse).depth;
+        }
+    });
+    out
+}
+
 impl<'a, F: Real> Prepared<'a, F> {
-    /// `footprints` are those of an earlier pass over the same inputs.
+    /// `trace` is that of an earlier pass over the same inputs.
     pub fn new(
         inputs: Layers<&'a [F]>,
         spec: &RasterizeSpec,
         intersections: &'a IntersectionLists,
-        footprints: Option<&'a [Footprint<F>]>,
+        trace: Option<&'a Trace<F>>,
     ) -> Self {
         let options = &spec.options;
         let alpha_min = F::of(options.alpha_min);
@@ -48,22 +62,18 @@ impl<'a, F: Real> Prepared<'a, F> {
             if ellipse.opacity > F::ZERO { Footprint::new(&ellipse, alpha_min) } else { Footprint::default() }
         };
         let features = inputs.background.len();
-        let colours = if options.depth {
-            let rows = inputs.features.chunks_exact(features).zip(inputs.projected.chunks_exact(COLUMNS));
-            let with_depth = rows.flat_map(|(feature, row)| {
-                feature.iter().copied().chain(std::iter::once(Ellipse::from_row(row).depth))
-            });
-            with_depth.collect::<Vec<F>>().into()
-        } else {
-            inputs.features.into()
+        let colours = match trace {
+            _ if !options.depth => inputs.features.into(),
+            Some(trace) => trace.colours.as_slice().into(),
+            None => with_depth(inputs, features).into(),
         };
         let listed = intersections.tile_start.windows(2).map(|ends| ends[1] - ends[0]);
         let apart = options.culling != Culling::Ellipse && listed.max().is_some_and(|most| is_long(most, alpha_min));
         Self {
-            footprints: footprints.map_or_else(
-                || inputs.projected.par_chunks_exact(COLUMNS).with_min_len(CHUNK).map(footprint).collect(),
-                Cow::Borrowed,
-            ),
+            footprints: match trace {
+                Some(trace) => trace.footprints.as_slice().into(),
+                None => inputs.projected.par_chunks_exact(COLUMNS).with_min_len(CHUNK).map(footprint).collect(),
+            },
             colours,
             channels: features + usize::from(options.depth),
             grid: tile_grid(spec.intrinsics.width, spec.intrinsics.height),

@@ -1,7 +1,7 @@
 //! Tests of `rasterize` against a sum written out pixel by pixel and against central finite differences.
 
 use super::cpu::{rasterize_backward_cpu, rasterize_cpu};
-use super::{Layers, RasterizeSpec};
+use super::{Layers, PlaneParts, RasterizeSpec};
 use crate::camera::Intrinsics;
 use crate::intersect::cpu::intersect_cpu;
 use crate::intersect::{Cut, IntersectionLists};
@@ -54,6 +54,7 @@ impl StageInputs {
     fn backward(&self, grad: &[f64], needs: Layers<bool>) -> Layers<Vec<f64>> {
         let lists = self.lists();
         let (_, trace) = rasterize_cpu(inputs(&self.inputs), &self.spec, &lists, true);
+        let grad = PlaneParts::split(grad, &self.spec, self.channels());
         rasterize_backward_cpu(inputs(&self.inputs), grad, &self.spec, (&lists, trace.as_ref()), needs)
     }
 
@@ -209,7 +210,8 @@ fn each_gradient_is_the_same_alone_and_without_a_trace() {
     let (grad, lists) = (scene.random_grad(81), scene.lists());
     let list = |g: Layers<Vec<f64>>| [g.projected, g.features, g.background, g.mean2d_abs];
     let all = list(scene.backward(&grad, ALL));
-    let without = rasterize_backward_cpu(inputs(&scene.inputs), &grad, &scene.spec, (&lists, None), ALL);
+    let parts = PlaneParts::split(&grad, &scene.spec, scene.channels());
+    let without = rasterize_backward_cpu(inputs(&scene.inputs), parts, &scene.spec, (&lists, None), ALL);
     assert_eq!(list(without), all, "a trace is a cache");
     for alone in 0..4 {
         let [projected, features, background, mean2d_abs] = std::array::from_fn(|i| i == alone);
@@ -231,7 +233,8 @@ fn many_layers_behind_an_opaque_one_keep_their_digits() {
     let single_inputs = scene.inputs.each_ref().map(|values| values.iter().map(|v| *v as f32).collect::<Vec<f32>>());
     let single_grad: Vec<f32> = scene.random_grad(91).iter().map(|v| *v as f32).collect();
     let lists = intersect_cpu(&single_inputs[0], &scene.spec.intrinsics, 0.0.into());
-    let single = rasterize_backward_cpu(inputs(&single_inputs), &single_grad, &scene.spec, (&lists, None), ALL);
+    let single_grad = PlaneParts::split(&single_grad, &scene.spec, scene.channels());
+    let single = rasterize_backward_cpu(inputs(&single_inputs), single_grad, &scene.spec, (&lists, None), ALL);
     for (name, single, double) in
         [("ellipses", &single.projected, &double.projected), ("features", &single.features, &double.features)]
     {

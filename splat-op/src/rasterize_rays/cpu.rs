@@ -1,6 +1,7 @@
 //! The CPU twin of `rasterize_rays`: both passes, parallel over tiles. The gradient of each intersection has its own place,
 //! and the gradients of a Gaussian are added in a fixed order, so the number of threads never changes a result.
 
+use std::borrow::Cow;
 use std::sync::Arc;
 
 use fearless_simd::{Level, dispatch};
@@ -9,7 +10,7 @@ use rayon::prelude::*;
 use super::RayLayers;
 use super::footprint::{RayBox, RayFootprint, RayRules};
 use super::lens::with_frames;
-use super::tile::{ColourSlots, RayTile, RayTileView, rasterize_tile};
+use super::tile::{ColourSlots, RayTile, RayTileView, Reach, rasterize_tile};
 use super::tile_backward::{RayScratch, RayTileGrad, columns, rasterize_tile_backward};
 use crate::camera::PictureRays;
 use crate::depth_slope::{DEPTH_SLOPE, LensLimits};
@@ -17,16 +18,37 @@ use crate::intersect::{IntersectionLists, TILE, tile_grid};
 use crate::options::{Order, Projection};
 use crate::project::COLUMNS;
 use crate::rasterize::cpu::{PictureSize, RowSums, TilePlanes, gather, picture, tile_rows};
-use crate::rasterize::{Layers, RasterizeSpec};
+use crate::rasterize::{Layers, PlaneParts, RasterizeSpec};
 use crate::simd::real::Real;
 
 /// Number of Gaussians per task.
 const CHUNK: usize = 1024;
 
-/// A view with its Gaussians prepared for evaluation at pixels.
-struct PreparedRayView<'a, F> {
+/// Values that the forward pass keeps for the backward pass.
+pub(crate) struct RayTrace<F> {
     footprints: Vec<RayFootprint<F>>,
-    boxes: Vec<RayBox<F>>,
+    /// For each tile, by place in its list, a bit for each block that sees the Gaussian.
+    seen: Vec<Vec<u16>>,
+}
+
+#[cfg(test)]
+impl<F: Real> RayTrace<F> {
+    /// Number of pairs of a Gaussian and a block.
+    pub fn pairs(&self) -> usize {
+        self.seen.iter().flatten().map(|seen| seen.count_ones() as usize).sum()
+    }
+
+    /// A trace with every pair.
+    pub fn whole(&self) -> Self {
+        let seen = self.seen.iter().map(|tile| vec![u16::MAX; tile.len()]).collect();
+        Self { footprints: self.footprints.clone(), seen }
+    }
+}
+
+/// A view with its Gaussians prepared for evaluation at pixels.
+struct PreparedRayView<'a, F: Clone> {
+    footprints: Cow<'a, [RayFootprint<F>]>,
+    depth_slope: &'a [F],
     features: &'a [F],
     intersections: &'a IntersectionLists,
     size: PictureSize,
@@ -35,14 +57,27 @@ struct PreparedRayView<'a, F> {
 }
 
 impl<'a, F: Real> PreparedRayView<'a, F> {
-    fn new(inputs: &RayLayers<&'a [F]>, spec: &RasterizeSpec, intersections: &'a IntersectionLists) -> Self {
-        let gaussians = (0..inputs.projected.len() / COLUMNS).into_par_iter().with_min_len(CHUNK);
+    /// Returns the view, and the boxes of the Gaussians unless the footprints are given.
+    fn new(
+        inputs: &RayLayers<&'a [F]>,
+        spec: &RasterizeSpec,
+        intersections: &'a IntersectionLists,
+        footprints: Option<&'a [RayFootprint<F>]>,
+    ) -> (Self, Vec<RayBox<F>>) {
         let rays = PictureRays::of(&spec.intrinsics);
-        let lens = rays.as_ref().map(|rays| LensLimits::new(&spec.intrinsics, rays));
-        let (footprints, boxes) = gaussians.map(|i| RayFootprint::new(inputs, i, (spec, lens.as_ref()))).unzip();
-        Self {
+        let (footprints, boxes) = match footprints {
+            Some(footprints) => (Cow::Borrowed(footprints), Vec::new()),
+            None => {
+                let gaussians = (0..inputs.projected.len() / COLUMNS).into_par_iter().with_min_len(CHUNK);
+                let lens = rays.as_ref().map(|rays| LensLimits::new(&spec.intrinsics, rays));
+                let found = gaussians.map(|i| RayFootprint::new(inputs, i, (spec, lens.as_ref())));
+                let (footprints, boxes): (Vec<_>, Vec<_>) = found.unzip();
+                (Cow::Owned(footprints), boxes)
+            }
+        };
+        let view = Self {
             footprints,
-            boxes,
+            depth_slope: inputs.depth_slope,
             features: inputs.features,
             intersections,
             size: PictureSize {
@@ -51,7 +86,8 @@ impl<'a, F: Real> PreparedRayView<'a, F> {
                 depth: spec.options.depth,
             },
             rays,
-        }
+        };
+        (view, boxes)
     }
 
     fn view(&self, tile: usize) -> RayTileView<'_, F> {
@@ -65,7 +101,7 @@ impl<'a, F: Real> PreparedRayView<'a, F> {
             size: [0, 1].map(|axis| TILE.min(self.size.pixels[axis] - origin[axis])),
             gaussians: &self.intersections.gaussian[starts[tile]..starts[tile + 1]],
             footprints: &self.footprints,
-            boxes: &self.boxes,
+            depth_slope: self.depth_slope,
             features: self.features,
             channels: self.size.features,
         }
@@ -93,44 +129,57 @@ macro_rules! specialised {
     }};
 }
 
-/// Returns the planes `[C + 1 (+ 1), H, W]`.
+/// Returns the planes `[C + 1 (+ 1), H, W]`, and the trace if `keep` is set.
 pub(crate) fn rasterize_rays_cpu<F: Real>(
     inputs: RayLayers<&[F]>,
     spec: &RasterizeSpec,
     intersections: &IntersectionLists,
-) -> Vec<F> {
-    let prepared = PreparedRayView::new(&inputs, spec, intersections);
+    keep: bool,
+) -> (Vec<F>, Option<RayTrace<F>>) {
+    let (prepared, boxes) = PreparedRayView::new(&inputs, spec, intersections, None);
     let buffers = || (RayTile::default(), ColourSlots::default());
-    let (planes, _) = picture(&prepared.size, inputs.background, buffers, |(tile, slots), index, planes| {
-        tile.read(&prepared.view(index));
-        specialised!(spec, simd, EXACT, SORTED => {
+    let (planes, seen) = picture(&prepared.size, inputs.background, buffers, |(tile, slots), index, planes| {
+        let view = prepared.view(index);
+        let seen = specialised!(spec, simd, EXACT, SORTED => {
             let rules = RayRules::new(simd, spec);
-            rasterize_tile::<_, F, EXACT, SORTED>(simd, tile, &rules, planes, slots);
+            tile.read::<_, EXACT, SORTED>(&rules, &view, Reach::Boxes(&boxes));
+            rasterize_tile::<_, F, EXACT, SORTED>(simd, tile, &rules, planes, slots)
         });
+        if keep { seen } else { Vec::new() }
     });
-    planes
+    let footprints = prepared.footprints.into_owned();
+    (planes, keep.then_some(RayTrace { footprints, seen }))
 }
 
-/// Returns the gradients of the inputs from `grad`, the gradient of the planes.
+/// Returns the gradients of the inputs from `grad`, those of the planes; one that is empty is zero. Without a trace the forward pass
+/// runs again.
 pub(crate) fn rasterize_rays_backward_cpu<F: Real>(
     inputs: RayLayers<&[F]>,
-    grad: &[F],
+    grad: PlaneParts<&[F]>,
     spec: &RasterizeSpec,
-    intersections: &IntersectionLists,
+    (intersections, trace): (&IntersectionLists, Option<&RayTrace<F>>),
     needs: RayLayers<bool>,
 ) -> RayLayers<Vec<F>> {
-    let prepared = PreparedRayView::new(&inputs, spec, intersections);
+    let rebuilt;
+    let trace = match trace {
+        Some(trace) => trace,
+        None => {
+            rebuilt = rasterize_rays_cpu(inputs, spec, intersections, true).1.expect("a trace was asked for");
+            &rebuilt
+        }
+    };
+    let (prepared, _) = PreparedRayView::new(&inputs, spec, intersections, Some(&trace.footprints));
     let size = prepared.size;
     let columns = columns(size.channels(), needs.mean2d_abs);
     let buffers = || (RayTile::default(), TilePlanes::default(), RayScratch::default());
     let (rows, background) = tile_rows(intersections, [columns, size.features], buffers, |buffers, index, rows| {
         let (tile, planes, scratch) = buffers;
         let view = prepared.view(index);
-        tile.read(&view);
         planes.read(grad, &size, view.origin, inputs.background);
         let grad = RayTileGrad { planes, depth: size.depth, absolute: needs.mean2d_abs };
         let transmittance = specialised!(spec, simd, EXACT, SORTED => {
             let rules = RayRules::new(simd, spec);
+            tile.read::<_, EXACT, SORTED>(&rules, &view, Reach::Blocks(&trace.seen[index]));
             rasterize_tile_backward::<_, F, EXACT, SORTED>(simd, tile, &rules, &grad, rows, scratch)
         });
         planes.background_gradient(&transmittance, if needs.background { size.features } else { 0 })

@@ -7,7 +7,7 @@ use crate::camera::LEAST_NO_RAY;
 use crate::depth_slope::{LensFrame, LensLimits, beyond, bounding_ellipse, columns};
 use crate::dials::Exponential;
 use crate::intersect::extent::{half_extent, widened_limit};
-use crate::options::Projection;
+use crate::options::{Order, Projection};
 use crate::project::{COLUMNS, Ellipse};
 use crate::rasterize::RasterizeSpec;
 use crate::rasterize::footprint::{TileWindow, WHITEN};
@@ -35,8 +35,8 @@ pub(super) struct RayFootprint<F> {
     pub gamma: F,
     /// Whether the centre lies beyond the picture along x and y.
     pub beyond: [bool; 2],
-    /// Columns of a lens, unused for a pinhole.
-    frame: LensFrame<F>,
+    /// With the order of each pixel: no pixel that sees the Gaussian has a smaller sort key.
+    pub least_key: F,
 }
 
 /// Middle and half the size, px, of the box around the pixels that may see a Gaussian.
@@ -90,7 +90,7 @@ impl<F: Real> RayFootprint<F> {
         let centre = [away[0] * inverse_u, (away[1] - ellipse.shear * away[0]) * inverse_v];
         let centre = centre.map(|value| value.within(-widest, widest));
         let limit = widened_limit(ellipse.opacity, alpha_min) * F::of(WHITEN * WHITEN);
-        let footprint = Self {
+        let mut footprint = Self {
             base_px,
             inverse_u,
             inverse_v,
@@ -103,9 +103,39 @@ impl<F: Real> RayFootprint<F> {
             centre,
             gamma: F::ONE - depth_slope[0] * centre[0] - depth_slope[1] * centre[1],
             beyond: away.map(|away| away != F::ZERO),
-            frame,
+            least_key: -F::MAX,
         };
+        if spec.options.order != Order::CentreDepth {
+            footprint.least_key = footprint.bound_of_keys(spec.options.projection, lens.is_some());
+        }
         (footprint, window)
+    }
+
+    /// Returns a lower bound of the sort keys `λ z` where the Gaussian shows.
+    ///
+    /// There `2E` is at most the square of an extent `r`. With the maximum along the ray, the point on the ray lies `x` from the centre across
+    /// it and `w` along it with `|(x, w)| = √(2E)`, and `λ = 1 + depth_slope·x + thickness w`. With the affine projection `ρ <= r`, and
+    /// `λ = s / D` is least at an end of the range of `s`, with the largest `ρ`.
+    fn bound_of_keys(&self, projection: Projection, lens: bool) -> F {
+        // Beyond the roundings of an ordinary Gaussian.
+        let (slack, wider) = (F::of(1e-3), F::of(1.01));
+        let extent = wider * (F::of(2.0 * std::f64::consts::LN_2) * self.extent.max_of(F::ZERO)).sqrt();
+        let [u, v] = self.depth_slope;
+        let slope = u * u + v * v;
+        let least = match projection {
+            Projection::RayMax => F::ONE - slack - extent * (slope + self.thick).sqrt(),
+            Projection::Affine => {
+                let reach = extent * slope.sqrt() + slack;
+                // A lens takes `λ` elsewhere, and behind the camera there is no bound.
+                if lens || !(reach < F::ONE) {
+                    return -F::MAX;
+                }
+                let across = self.thick * extent * extent;
+                let at = |s: F| s / (s * s + across);
+                at(F::ONE - reach).min_of(at(F::ONE + reach)) * (F::ONE - slack)
+            }
+        };
+        if self.depth > F::ZERO { least * self.depth } else { -F::MAX }
     }
 
     /// Whether the centre is not the origin.
@@ -171,7 +201,7 @@ pub(super) struct RayLayerSimd<S: Simd, F: Real> {
     /// `E log₂e`: the Gaussian is two to the power of minus this.
     pub exponent: F::Block<S>,
     pub lambda: F::Block<S>,
-    /// `1/D`
+    /// `1/D`, or zero where `λ` is set to zero.
     pub inverse: F::Block<S>,
     /// `s/D`, and `α − λu`, `β − λv`, `(γ − λs)/thickness²`, of a Gaussian whose centre is not the origin.
     pub along: F::Block<S>,
@@ -210,13 +240,14 @@ impl<S: Simd, F: Real> RayRules<S, F> {
         }
     }
 
-    /// Evaluates a Gaussian. With `EXACT` its value is its maximum along the ray; without `EXACT` and `KEYED`, `lambda`,
-    /// `inverse` and `key` are arbitrary.
+    /// Evaluates a Gaussian with its columns of a lens, if there is one. With `EXACT` its value is its maximum along the ray; without
+    /// `EXACT` and `KEYED`, `lambda`, `inverse` and `key` are arbitrary. `known` is `inverse`, if it is known from before.
     #[inline(always)]
     pub fn layer<const EXACT: bool, const KEYED: bool>(
         &self,
-        splat: &RayFootprint<F>,
+        (splat, frame): (&RayFootprint<F>, Option<&LensFrame<F>>),
         pixels: &RayPixels<S, F>,
+        known: Option<F::Block<S>>,
     ) -> RayLayerSimd<S, F> {
         let simd = self.simd;
         let lanes = |value: F| F::Block::<S>::splat(simd, value);
@@ -229,13 +260,12 @@ impl<S: Simd, F: Real> RayRules<S, F> {
         };
         let (mut u, mut v, mut square) = whiten(dx, dy);
         let mut met = (u, v, square);
-        if let Some([x, y]) = pixels.slopes.filter(|_| EXACT || KEYED) {
+        if let (Some([x, y]), Some(frame)) = (pixels.slopes.filter(|_| EXACT || KEYED), frame) {
             // A pixel without a ray is hidden below; zero keeps its numbers finite.
             let sees = x.abs().simd_lt(self.widest);
-            let offset =
-                |slope: F::Block<S>, axis: usize| sees.select(slope - lanes(splat.frame.centre[axis]), self.zero);
+            let offset = |slope: F::Block<S>, axis: usize| sees.select(slope - lanes(frame.centre[axis]), self.zero);
             let (x, y) = (offset(x, 0), offset(y, 1));
-            let [dx, dy] = splat.frame.by.map(|[by_x, by_y]| lanes(by_x).mul_add(x, y * lanes(by_y)));
+            let [dx, dy] = frame.by.map(|[by_x, by_y]| lanes(by_x).mul_add(x, y * lanes(by_y)));
             met = whiten(dx, dy);
             if EXACT {
                 (u, v, square) = met;
@@ -255,7 +285,10 @@ impl<S: Simd, F: Real> RayRules<S, F> {
                 let dot = alpha.mul_add(u, beta * v);
                 let product = gamma.mul_add(s, thick * dot);
                 sound = d.simd_gt(self.d_min) & product.simd_gt(self.zero);
-                inverse = sound.select(self.one / d, self.zero);
+                inverse = match known {
+                    Some(inverse) => inverse,
+                    None => sound.select(self.one / d, self.zero),
+                };
                 (lambda, along) = (product * inverse, s * inverse);
                 apart = [
                     (-lambda).mul_add(u, alpha),
@@ -265,7 +298,10 @@ impl<S: Simd, F: Real> RayRules<S, F> {
                 let [of_u, of_v, of_s] = apart;
                 exponent = of_u.mul_add(of_u, of_v.mul_add(of_v, thick * of_s * of_s)) * self.half_log2_e;
             } else {
-                inverse = sound.select(self.one / d, self.zero);
+                inverse = match known {
+                    Some(inverse) => inverse,
+                    None => sound.select(self.one / d, self.zero),
+                };
                 lambda = s * inverse;
                 exponent = if EXACT { exponent * inverse } else { exponent };
             }

@@ -13,9 +13,9 @@ use crate::intersect::launch::{DeviceIntersections, launch_intersect};
 use crate::intersect::{IntersectionLists, TILE_PIXELS};
 use crate::options::{Order, Projection, RenderOptions};
 use crate::project::{COLUMNS, Ellipse};
-use crate::rasterize::RasterizeSpec;
 use crate::rasterize::layer::KernelShape;
 use crate::rasterize::rows::Rows;
+use crate::rasterize::{PlaneParts, RasterizeSpec};
 use crate::testing::ceiling::{PerturbedReference, rounded, to_f32};
 use crate::testing::ellipses::ellipses;
 use crate::testing::gpu::{gpu, gpus};
@@ -93,11 +93,12 @@ impl StageInputs {
     }
 
     fn planes(&self) -> Vec<f64> {
-        rasterize_rays_cpu(self.view(), &self.spec, &self.lists())
+        rasterize_rays_cpu(self.view(), &self.spec, &self.lists(), false).0
     }
 
     fn backward(&self, grad: &[f64]) -> RayLayers<Vec<f64>> {
-        rasterize_rays_backward_cpu(self.view(), grad, &self.spec, &self.lists(), ALL)
+        let grad = PlaneParts::split(grad, &self.spec, self.inputs[3].len());
+        rasterize_rays_backward_cpu(self.view(), grad, &self.spec, (&self.lists(), None), ALL)
     }
 
     /// Marks the pixels whose result jumps when rounding moves a threshold or swaps layers.

@@ -10,7 +10,7 @@ use crate::intersect::cpu::intersect_cpu;
 use crate::options::{Order, Projection, RenderOptions};
 use crate::project::cpu::project_cpu;
 use crate::project::{COLUMNS, Ellipse, Geometry, ProjectSpec};
-use crate::rasterize::RasterizeSpec;
+use crate::rasterize::{PlaneParts, RasterizeSpec};
 use crate::testing::blending::{PixelLayer, assert_close, blended, smooth};
 use crate::testing::ceiling::rounded;
 use crate::testing::finite::{check_gradient, inner_product};
@@ -88,11 +88,12 @@ impl StageInputs {
     }
 
     fn planes(&self) -> Vec<f64> {
-        rasterize_rays_cpu(self.view(), &self.spec, &self.lists())
+        rasterize_rays_cpu(self.view(), &self.spec, &self.lists(), false).0
     }
 
     fn backward(&self, grad: &[f64], needs: RayLayers<bool>) -> RayLayers<Vec<f64>> {
-        rasterize_rays_backward_cpu(self.view(), grad, &self.spec, &self.lists(), needs)
+        let grad = PlaneParts::split(grad, &self.spec, self.inputs[3].len());
+        rasterize_rays_backward_cpu(self.view(), grad, &self.spec, (&self.lists(), None), needs)
     }
 
     fn random_grad(&self) -> Vec<f64> {

@@ -29,8 +29,8 @@
 //! ```
 //!
 //! The alphas, thresholds, sums and the gradient back to front are as in `rasterize`, over the same lists. The order is the order
-//! of the lists (camera z of the centres, then the index) or a per-pixel sort by `λ z`, then in the order of the lists. Only this order
-//! decides which contributions lie behind a `transmittance_min`. The depth plane is `Σ wᵢ zᵢ` for the affine projection and
+//! of the lists (camera z of the centres, then the index) or a per-pixel sort by `λ z`. Layers of one Gaussian's copies, whose `λ z` are
+//! equal everywhere, stay in the order of the lists. Only this order decides which contributions lie behind a `transmittance_min`. The depth plane is `Σ wᵢ zᵢ` for the affine projection and
 //! `Σ wᵢ λᵢ zᵢ` for `RayMax`.
 //!
 //! # Gradient

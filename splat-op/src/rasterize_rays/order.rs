@@ -35,6 +35,11 @@ impl<F: Real, const PARTS: usize> LayerSlots<F, PARTS> {
         self.count
     }
 
+    /// Number of slots that are known to be in order.
+    pub fn sorted(&self) -> usize {
+        if self.unsorted { 0 } else { self.count }
+    }
+
     #[inline(always)]
     pub fn get<S: Simd>(&self, simd: S, slot: usize) -> [F::Block<S>; PARTS] {
         let values = &self.values[slot * PARTS * len::<S, F>()..][..PARTS * len::<S, F>()];
@@ -51,6 +56,18 @@ impl<F: Real, const PARTS: usize> LayerSlots<F, PARTS> {
         for (part, value) in layer.into_iter().enumerate() {
             store(value, values, part * len::<S, F>());
         }
+    }
+
+    /// Returns one of the numbers of a slot's lanes.
+    #[inline(always)]
+    pub fn part<S: Simd>(&self, simd: S, slot: usize, part: usize) -> F::Block<S> {
+        lanes::<S, F>(simd, &self.values, (slot * PARTS + part) * len::<S, F>())
+    }
+
+    /// Replaces one of the numbers of a slot's lanes.
+    #[inline(always)]
+    pub fn put_part<S: Simd>(&mut self, slot: usize, part: usize, value: F::Block<S>) {
+        store(value, &mut self.values, (slot * PARTS + part) * len::<S, F>());
     }
 
     /// Appends a layer if it shows anywhere. A branch on that would be mispredicted too often.
@@ -128,7 +145,7 @@ impl<F: Real, const PARTS: usize> LayerSlots<F, PARTS> {
 
     #[inline(always)]
     fn key<S: Simd>(&self, simd: S, slot: usize) -> F::Block<S> {
-        lanes::<S, F>(simd, &self.values, slot * PARTS * len::<S, F>())
+        self.part::<S>(simd, slot, 0)
     }
 }
 

@@ -8,8 +8,8 @@ use crate::intersect::IntersectionLists;
 use crate::intersect::cpu::intersect_cpu;
 use crate::options::{Order, Projection, RenderOptions};
 use crate::project::{COLUMNS, Ellipse};
-use crate::rasterize::RasterizeSpec;
 use crate::rasterize::cpu::rasterize_cpu;
+use crate::rasterize::{PlaneParts, RasterizeSpec};
 use crate::testing::blending::{PixelLayer, assert_close, blended, small_ellipse, smooth};
 use crate::testing::finite::{check_gradient, inner_product};
 use crate::testing::random::Random;
@@ -66,11 +66,12 @@ impl StageInputs {
     }
 
     fn planes(&self) -> Vec<f64> {
-        rasterize_rays_cpu(inputs(&self.inputs), &self.spec, &self.lists())
+        rasterize_rays_cpu(inputs(&self.inputs), &self.spec, &self.lists(), false).0
     }
 
     fn backward(&self, grad: &[f64], needs: RayLayers<bool>) -> RayLayers<Vec<f64>> {
-        rasterize_rays_backward_cpu(inputs(&self.inputs), grad, &self.spec, &self.lists(), needs)
+        let grad = PlaneParts::split(grad, &self.spec, self.channels());
+        rasterize_rays_backward_cpu(inputs(&self.inputs), grad, &self.spec, (&self.lists(), None), needs)
     }
 
     fn channels(&self) -> usize {
@@ -287,6 +288,48 @@ fn each_gradient_is_the_same_alone() {
             let expected = if i == alone { all[i].as_slice() } else { &[] };
             assert_eq!(gradient, expected, "gradient {i}, asked for {alone}");
         }
+    }
+}
+
+/// A trace that names every block changes no bit of a gradient.
+#[test]
+fn the_trace_leaves_out_only_what_contributes_nothing() {
+    for (projection, order) in CHOICES {
+        let options = RenderOptions { transmittance_min: 1e-2, ..RenderOptions::standard() }.with_depth(true);
+        let options = options.with_projection(projection).with_order(order);
+        let scene = StageInputs::random(85, 900, (40, 37), 3, ([0.2, 1.0], 0.3, 0.2), options);
+        let (grad, lists) = (scene.random_grad(86), scene.lists());
+        let kept = rasterize_rays_cpu(inputs(&scene.inputs), &scene.spec, &lists, true).1.expect("asked for");
+        let whole = kept.whole();
+        let (few, all) = (kept.pairs(), whole.pairs());
+        assert!(2 * few < all && few > lists.gaussian.len(), "{few} of {all} blocks, {projection:?}, {order:?}");
+        let with = |trace| {
+            let grad = PlaneParts::split(&grad, &scene.spec, scene.channels());
+            let g = rasterize_rays_backward_cpu(inputs(&scene.inputs), grad, &scene.spec, (&lists, Some(trace)), ALL);
+            [g.projected, g.depth_slope, g.features, g.background, g.mean2d_abs]
+        };
+        assert!(with(&kept) == with(&whole), "{projection:?}, {order:?}");
+    }
+}
+
+/// Behind an opaque layer the per-pixel sort evaluates only what might lie in front of it.
+#[test]
+fn what_lies_behind_finished_pixels_is_not_evaluated() {
+    for projection in [Projection::Affine, Projection::RayMax] {
+        let options = RenderOptions::standard().with_projection(projection).with_order(Order::PerPixelSort);
+        let mut scene = StageInputs::random(87, 600, (16, 16), 3, ([0.5, 1.0], 0.05, 0.05), options);
+        // Broad Gaussians, one behind the other.
+        for (i, row) in scene.inputs[0].chunks_exact_mut(COLUMNS).enumerate() {
+            (row[2], row[4], row[5]) = (30.0, 30.0, 1.0 + 0.05 * i as f64);
+        }
+        let trace = |scene: &StageInputs| {
+            rasterize_rays_cpu(inputs(&scene.inputs), &scene.spec, &scene.lists(), true).1.expect("asked for")
+        };
+        let (few, planes) = (trace(&scene).pairs(), scene.planes());
+        assert_close("planes", &planes, &planes_by_definition(&scene), 1e-12);
+        scene.spec.options.transmittance_min = 0.0;
+        let all = trace(&scene).pairs();
+        assert!(5 * few < all, "{few} of {all} blocks, {projection:?}");
     }
 }
 

@@ -5,33 +5,48 @@ use fearless_simd::prelude::*;
 use super::footprint::{RayBox, RayFootprint, RayPixels, RayRules};
 use super::order::LayerSlots;
 use crate::camera::NO_RAY;
+use crate::depth_slope::{DEPTH_SLOPE, LENS_FRAME, LensFrame};
 use crate::intersect::{TILE, TILE_PIXELS};
 use crate::rasterize::footprint::{ROWS, WIDTH};
 use crate::rasterize::tile::{
-    BLOCK, BLOCK_ROW, Plane, centres, in_blocks, in_rows, lanes, len, open_transmittance, pixel_rows, store,
+    BLOCK, BLOCK_ROW, Plane, centres, in_block_order, in_blocks, in_rows, lanes, len, open_transmittance, pixel_rows,
+    store,
 };
 use crate::simd::real::Real;
 
 /// Number of blocks in a tile.
 const BLOCKS: usize = TILE_PIXELS / BLOCK;
 
-/// A tile with the Gaussians of its list, copied side by side, and the planes of its pixels' places.
-pub(super) struct RayTile<F> {
+/// Number of columns of depth slopes with a lens.
+const LENS_COLUMNS: usize = DEPTH_SLOPE + LENS_FRAME;
+
+/// The place, in the order of blocks, of the pixel on row 7 of column 7.
+const MIDDLE: usize = in_block_order(7 * TILE / WIDTH) * WIDTH + 7;
+
+/// A tile with Gaussians of its list, copied side by side, and the planes of its pixels' places.
+pub(super) struct RayTile<F: Real> {
+    /// Gaussians in the order in which their layers come.
     pub near: Vec<RayFootprint<F>>,
-    /// `[Gaussians, channels]`: features; depth is not among them.
-    pub features: Vec<F>,
+    /// Columns of a lens of each of `near`, if the camera has one.
+    frames: Vec<LensFrame<F>>,
+    /// Place in the tile's list of each of `near`.
+    pub places: Vec<u32>,
+    /// `[near, channels]`: features; depth is not among them.
+    features: Vec<F>,
     /// Number of features.
     pub channels: usize,
-    /// The values of each Gaussian that the forward pass sums at a time.
-    values: Vec<[F; TOGETHER]>,
-    /// Places in the list of the Gaussians that each block may see.
+    /// The values of each Gaussian that are summed at a time.
+    pub values: Vec<[F; TOGETHER]>,
+    /// For each block, the Gaussians that it may see, as indices in `near`.
     lists: [Vec<u32>; BLOCKS],
-    /// Numbers of places in `lists`.
+    /// Number of Gaussians in each of `lists`.
     ends: [usize; BLOCKS],
-    pub x: [F; BLOCK_ROW],
+    /// Keys at the middle of the tile.
+    keys: Vec<(F::SortKey, u32)>,
+    x: [F; BLOCK_ROW],
     /// Centre of the first row of pixels, px.
-    pub top: F,
-    pub rows: Plane<F>,
+    top: F,
+    rows: Plane<F>,
     /// Slopes of the pixels' rays, if the camera has a lens.
     slopes: Option<Box<[Plane<F>; 2]>>,
     /// One inside the picture, less than zero outside.
@@ -42,11 +57,14 @@ impl<F: Real> Default for RayTile<F> {
     fn default() -> Self {
         Self {
             near: Vec::new(),
+            frames: Vec::new(),
+            places: Vec::new(),
             features: Vec::new(),
             channels: 0,
             values: Vec::new(),
             lists: Default::default(),
             ends: [0; BLOCKS],
+            keys: Vec::new(),
             x: [F::ZERO; BLOCK_ROW],
             top: F::ZERO,
             rows: pixel_rows(),
@@ -68,43 +86,44 @@ pub(super) struct RayTileView<'a, F> {
     /// Gaussians of the tile's intersections, front to back.
     pub gaussians: &'a [u32],
     pub footprints: &'a [RayFootprint<F>],
-    pub boxes: &'a [RayBox<F>],
+    /// `[N, 3]`, with a lens `[N, 9]`: depth slopes.
+    pub depth_slope: &'a [F],
     /// `[N, channels]`
     pub features: &'a [F],
     /// Number of features.
     pub channels: usize,
 }
 
+impl<F: Copy> RayTileView<'_, F> {
+    /// Index of the Gaussian at a place in the tile's list.
+    #[inline(always)]
+    fn gaussian(&self, place: u32) -> usize {
+        self.gaussians[place as usize] as usize
+    }
+}
+
+/// Which blocks may see which Gaussians of a tile.
+#[derive(Clone, Copy)]
+pub(super) enum Reach<'a, F> {
+    /// By the boxes of all Gaussians.
+    Boxes(&'a [RayBox<F>]),
+    /// By place in the tile's list, a bit for each block that sees the Gaussian.
+    Blocks(&'a [u16]),
+}
+
 impl<F: Real> RayTile<F> {
-    /// Copies the Gaussians of a tile.
-    pub fn read(&mut self, view: &RayTileView<F>) {
+    /// Copies the Gaussians of a tile that some block may see.
+    ///
+    /// With `SORTED` their layers come in the order of their keys in the middle of the tile, from which the order of a pixel differs
+    /// less than from the order of their centres.
+    #[inline(always)]
+    pub fn read<S: Simd, const EXACT: bool, const SORTED: bool>(
+        &mut self,
+        rules: &RayRules<S, F>,
+        view: &RayTileView<F>,
+        reach: Reach<F>,
+    ) {
         let corner = view.origin.map(|px| F::of(px as f64));
-        let count = view.gaussians.len();
-        self.channels = view.channels;
-        self.near.resize(count, RayFootprint::default());
-        self.features.resize(count * view.channels, F::ZERO);
-        self.lists.iter_mut().for_each(|list| list.resize(count, 0));
-        self.ends = [0; BLOCKS];
-        // Gaussians are scattered in memory; fetched together, their latencies overlap.
-        for (near, &gaussian) in self.near.iter_mut().zip(view.gaussians) {
-            *near = view.footprints[gaussian as usize];
-        }
-        for (place, &gaussian) in view.gaussians.iter().enumerate() {
-            let window = view.boxes[gaussian as usize].window(corner);
-            for row in window.first_row / ROWS..window.end_row / ROWS {
-                for column in window.first_column..window.end_column {
-                    let block = row * (TILE / WIDTH) + column;
-                    self.lists[block][self.ends[block]] = place as u32;
-                    self.ends[block] += 1;
-                }
-            }
-        }
-        for (place, &gaussian) in view.gaussians.iter().enumerate() {
-            let (to, from) = (place * view.channels, gaussian as usize * view.channels);
-            for channel in 0..view.channels {
-                self.features[to + channel] = view.features[from + channel];
-            }
-        }
         self.x = centres(corner[0]);
         self.top = corner[1] + F::of(0.5);
         self.open = open_transmittance(view.size);
@@ -117,15 +136,86 @@ impl<F: Real> RayTile<F> {
             slopes.iter_mut().for_each(|plane| *plane = in_blocks(plane));
             slopes
         });
+        self.places.clear();
+        match reach {
+            Reach::Boxes(_) => self.places.extend(0..view.gaussians.len() as u32),
+            Reach::Blocks(seen) => {
+                self.places.extend((0..seen.len() as u32).filter(|&place| seen[place as usize] != 0));
+            }
+        }
+        // Gaussians are scattered in memory; fetched together, their latencies overlap.
+        self.near.clear();
+        self.near.extend(self.places.iter().map(|&place| view.footprints[view.gaussian(place)]));
+        self.frames.clear();
+        if view.rays.is_some() {
+            let row = |place: &u32| &view.depth_slope[view.gaussian(*place) * LENS_COLUMNS..][..LENS_COLUMNS];
+            self.frames.extend(self.places.iter().map(|place| LensFrame::of(row(place)).unwrap_or_default()));
+        }
+        if SORTED {
+            self.sort::<S, EXACT>(rules);
+        }
+        self.list_by_block(corner, view, reach);
+        self.channels = view.channels;
+        self.features.clear();
+        for &place in &self.places {
+            let first = view.gaussian(place) * view.channels;
+            self.features.extend_from_slice(&view.features[first..first + view.channels]);
+        }
+    }
+
+    /// Sorts `near` by the keys in the middle of the tile, stably.
+    #[inline(always)]
+    fn sort<S: Simd, const EXACT: bool>(&mut self, rules: &RayRules<S, F>) {
+        let middle = (MIDDLE - MIDDLE % len::<S, F>(), MIDDLE % len::<S, F>());
+        let pixels = self.pixels(rules.zero.token(), middle.0);
+        self.keys.clear();
+        for i in 0..self.near.len() as u32 {
+            let key = rules.layer::<EXACT, true>(self.splat(i), &pixels, None).key[middle.1];
+            // Keys below zero are behind all others: the camera's other side.
+            self.keys.push((key.sort_key(), i));
+        }
+        if self.keys.is_sorted_by_key(|(key, _)| *key) {
+            return;
+        }
+        self.keys.sort_by_key(|(key, _)| *key);
+        let order = || self.keys.iter().map(|&(_, i)| i as usize);
+        self.places = order().map(|i| self.places[i]).collect();
+        self.near = order().map(|i| self.near[i]).collect();
+        if !self.frames.is_empty() {
+            self.frames = order().map(|i| self.frames[i]).collect();
+        }
+    }
+
+    fn list_by_block(&mut self, corner: [F; 2], view: &RayTileView<F>, reach: Reach<F>) {
+        let (lists, ends) = (&mut self.lists, &mut self.ends);
+        lists.iter_mut().for_each(|list| list.resize(self.places.len(), 0));
+        *ends = [0; BLOCKS];
+        let mut list = |block: usize, i: usize| {
+            lists[block][ends[block]] = i as u32;
+            ends[block] += 1;
+        };
+        for (i, &place) in self.places.iter().enumerate() {
+            match reach {
+                Reach::Boxes(boxes) => {
+                    let window = boxes[view.gaussian(place)].window(corner);
+                    for row in window.first_row / ROWS..window.end_row / ROWS {
+                        for column in window.first_column..window.end_column {
+                            list(row * (TILE / WIDTH) + column, i);
+                        }
+                    }
+                }
+                Reach::Blocks(seen) => each_bit(seen[place as usize].into(), |block| list(block, i)),
+            }
+        }
     }
 
     /// Fills `values` with the channels from `first` on: features, then the depth of the centre.
-    fn fill_values(&mut self, first: usize) {
+    pub fn fill_values(&mut self, first: usize) {
         self.values.resize(self.near.len(), [F::ZERO; TOGETHER]);
-        for (place, values) in self.values.iter_mut().enumerate() {
-            let features = &self.features[place * self.channels..][..self.channels];
+        for (i, values) in self.values.iter_mut().enumerate() {
+            let features = &self.features[i * self.channels..][..self.channels];
             for (channel, value) in (first..).zip(values) {
-                *value = if channel < self.channels { features[channel] } else { self.near[place].depth };
+                *value = if channel < self.channels { features[channel] } else { self.near[i].depth };
             }
         }
     }
@@ -140,15 +230,30 @@ impl<F: Real> RayTile<F> {
         }
     }
 
-    /// Returns the places in the list of the Gaussians that the vector of pixels at `place` may see.
+    /// Returns the Gaussians that the vector of pixels at `place` may see, as indices in `near`.
     #[inline(always)]
     pub fn list(&self, place: usize) -> &[u32] {
         &self.lists[place / BLOCK][..self.ends[place / BLOCK]]
     }
 
+    /// Returns a Gaussian of `near` with its columns of a lens.
     #[inline(always)]
-    pub fn feature(&self, place: usize) -> &[F] {
-        &self.features[place * self.channels..][..self.channels]
+    pub fn splat(&self, i: u32) -> (&RayFootprint<F>, Option<&LensFrame<F>>) {
+        (&self.near[i as usize], self.frames.get(i as usize))
+    }
+
+    #[inline(always)]
+    pub fn feature(&self, i: u32) -> &[F] {
+        &self.features[i as usize * self.channels..][..self.channels]
+    }
+}
+
+/// Calls `f` with the number of each bit that is set, in ascending order.
+#[inline(always)]
+fn each_bit(mut bits: u32, mut f: impl FnMut(usize)) {
+    while bits != 0 {
+        f(bits.trailing_zeros() as usize);
+        bits &= bits - 1;
     }
 }
 
@@ -159,7 +264,8 @@ pub(super) const TOGETHER: usize = 4;
 pub(super) type ColourSlots<F> = LayerSlots<F, { 2 + TOGETHER }>;
 
 /// Rasterizes a tile. Writes the sums `Σ w c`, of the features and then of depth if there is one, and the transmittance to
-/// `planes`, `[channels + 1, 256]`. More than [`TOGETHER`] features take a pass for each part of them.
+/// `planes`, `[channels + 1, 256]`. More than [`TOGETHER`] features take a pass for each part of them. Returns, by place in the
+/// tile's list, a bit for each block that sees the Gaussian.
 ///
 /// `EXACT` takes the maximum along the ray, and `SORTED` the order of each pixel.
 #[inline(always)]
@@ -169,7 +275,8 @@ pub(super) fn rasterize_tile<S: Simd, F: Real, const EXACT: bool, const SORTED: 
     rules: &RayRules<S, F>,
     planes: &mut [F],
     slots: &mut ColourSlots<F>,
-) {
+) -> Vec<u16> {
+    let mut seen = vec![0; tile.near.len()];
     let planes = planes.as_chunks_mut::<TILE_PIXELS>().0;
     let (sums, transmittance) = planes.split_at_mut(planes.len() - 1);
     let depth = sums.len() > tile.channels;
@@ -179,7 +286,7 @@ pub(super) fn rasterize_tile<S: Simd, F: Real, const EXACT: bool, const SORTED: 
         tile.fill_values(first);
         for place in (0..TILE_PIXELS).step_by(len::<S, F>()) {
             let sum_depth = EXACT && depth && first == 0;
-            let (totals, left) = sum::<S, F, EXACT, SORTED>(simd, tile, rules, place, sum_depth, slots);
+            let (totals, left) = sum::<S, F, EXACT, SORTED>(simd, tile, rules, (place, sum_depth), (slots, &mut seen));
             for (plane, total) in sums[first..channels].iter_mut().zip(&totals) {
                 store(*total, plane, place);
             }
@@ -192,25 +299,38 @@ pub(super) fn rasterize_tile<S: Simd, F: Real, const EXACT: bool, const SORTED: 
     for plane in planes {
         *plane = in_rows(plane);
     }
+    if SORTED {
+        let mut by_place = vec![0; seen.len()];
+        tile.places.iter().zip(seen).for_each(|(&place, seen)| by_place[place as usize] = seen);
+        return by_place;
+    }
+    seen
 }
 
 /// Returns the sums over the layers of the vector of pixels at `place`, of the tile's values and of the depths, and the
-/// transmittances behind all layers.
+/// transmittances behind all layers. Sets the bit of its block in `seen` for each Gaussian of `near` with a layer in front of a
+/// finish, or with `SORTED` anywhere.
 #[inline(always)]
 fn sum<S: Simd, F: Real, const EXACT: bool, const SORTED: bool>(
     simd: S,
     tile: &RayTile<F>,
     rules: &RayRules<S, F>,
-    place: usize,
-    depth: bool,
-    slots: &mut ColourSlots<F>,
+    (place, depth): (usize, bool),
+    (slots, seen): (&mut ColourSlots<F>, &mut [u16]),
 ) -> ([F::Block<S>; TOGETHER + 1], F::Block<S>) {
     let pixels = tile.pixels(simd, place);
     let mut sums = [rules.zero; TOGETHER + 1];
     let mut open = Open::<S, F>::new(lanes(simd, &tile.open, place));
     slots.clear();
+    // With `SORTED`: the transmittances, whatever the order, and once all pixels are finished the largest key that finishes one.
+    let (mut left, mut last_key, mut checked) = (open.transmittance, F::MAX, 0);
     for &i in tile.list(place) {
-        let layer = rules.layer::<EXACT, SORTED>(&tile.near[i as usize], &pixels);
+        if SORTED && tile.near[i as usize].least_key > last_key {
+            continue;
+        }
+        let layer = rules.layer::<EXACT, SORTED>(tile.splat(i), &pixels, None);
+        let shows = if SORTED { layer.shows } else { layer.shows & open.transmittance.simd_ge(rules.zero) };
+        seen[i as usize] |= u16::from(shows.any_true()) << (place / BLOCK);
         let mut slot = [layer.key; 2 + TOGETHER];
         slot[1] = layer.alpha;
         for (value, &of_gaussian) in slot[2..].iter_mut().zip(&tile.values[i as usize]) {
@@ -218,6 +338,11 @@ fn sum<S: Simd, F: Real, const EXACT: bool, const SORTED: bool>(
         }
         if SORTED {
             slots.insert::<S>(slot, layer.shows);
+            left = (-layer.alpha).mul_add(left, left);
+            if slots.count() >= checked + BETWEEN && !left.simd_gt(rules.transmittance_min).any_true() {
+                last_key = last_key.min_of(key_of_finish(open.transmittance, rules, slots));
+                checked = slots.count();
+            }
         } else if open.add(slot, &mut sums, depth, rules) {
             break;
         }
@@ -231,6 +356,25 @@ fn sum<S: Simd, F: Real, const EXACT: bool, const SORTED: bool>(
         }
     }
     (sums, open.transmittance.abs())
+}
+
+/// Number of slots between two looks for the key that finishes all pixels.
+const BETWEEN: usize = 16;
+
+/// Returns the largest of the keys that finish the pixels, or the largest number if some pixel is not finished. Layers that come later only
+/// finish pixels earlier.
+#[inline(always)]
+fn key_of_finish<S: Simd, F: Real>(open: F::Block<S>, rules: &RayRules<S, F>, slots: &ColourSlots<F>) -> F {
+    let simd = open.token();
+    let (mut left, mut last) = (open, F::Block::<S>::splat(simd, -F::MAX));
+    for slot in 0..slots.sorted() {
+        let (key, alpha) = (slots.part::<S>(simd, slot, 0), slots.part::<S>(simd, slot, 1));
+        let after = (-alpha).mul_add(left, left);
+        let finishes = alpha.simd_gt(rules.zero) & left.simd_ge(rules.zero) & after.simd_le(rules.transmittance_min);
+        last = finishes.select(key, last);
+        left = finishes.select(-left, after);
+    }
+    if left.simd_ge(rules.zero).any_true() { F::MAX } else { last.reduce_max() }
 }
 
 /// Transmittances of a vector of pixels on the way from front to back, negated where a pixel is finished.

@@ -19,18 +19,25 @@ const STORED: usize = 1 << 22;
 /// The largest number of vectors of pixels in a tile, that of f64.
 const VECTORS: usize = 32;
 
+/// Number of values of a pair of a Gaussian and a vector of pixels that sees it, a vector each: `h = α ∂L/∂α` where alpha is below
+/// its limit, the weight `α T`, and if the projection is exact [`RayLayerSimd::inverse`].
+const fn pair_parts(exact: bool) -> usize {
+    2 + exact as usize
+}
+
 /// Buffers that one thread reuses from tile to tile.
 #[derive(Default)]
 pub(super) struct RayScratch<F> {
-    /// Key, then the transmittance before the layer; alpha; the layer's values along the gradient; the pair, by
+    /// With the order of each pixel: key, then the weight; alpha; the layer's values along the gradient; the pair, by
     /// [`Real::from_index`].
     slots: LayerSlots<F, 4>,
-    /// `h = α ∂L/∂α` where alpha is below its limit, and the weight `α T`, for each pair of a Gaussian and a vector of pixels that
-    /// sees it.
+    /// With the order of the list: alpha and the layer's values along the gradient, a vector each.
+    layers: Vec<F>,
+    /// [`pair_parts`] vectors for each pair.
     pairs: Vec<F>,
     /// Number of values in use of `pairs`.
     used: usize,
-    /// A bit for each vector of pixels that stored a pair, by place in the list.
+    /// A bit for each vector of pixels that stored a pair, by index in the tile's Gaussians.
     seen_by: Vec<u32>,
 }
 
@@ -49,16 +56,17 @@ pub(super) fn columns(channels: usize, absolute: bool) -> usize {
 }
 
 /// Adds each intersection's sums over the tile to its row. Returns the transmittances behind all layers, negated where a pixel is
-/// finished.
+/// finished. The tile has the Gaussians and blocks that the forward pass found.
 #[inline(always)]
 pub(super) fn rasterize_tile_backward<S: Simd, F: Real, const EXACT: bool, const SORTED: bool>(
     simd: S,
-    tile: &RayTile<F>,
+    tile: &mut RayTile<F>,
     rules: &RayRules<S, F>,
     grad: &RayTileGrad<F>,
     rows: &mut [F],
     scratch: &mut RayScratch<F>,
 ) -> Plane<F> {
+    tile.fill_values(0);
     let mut transmittance = tile.open;
     // The first pair of each vector; it has as many as its list.
     let mut first = [0; VECTORS];
@@ -87,80 +95,133 @@ fn layers<S: Simd, F: Real, const EXACT: bool, const SORTED: bool>(
     scratch: &mut RayScratch<F>,
 ) -> F::Block<S> {
     let zero = F::Block::<S>::splat(simd, F::ZERO);
-    let plane = |channel: usize| lanes::<S, F>(simd, &grad.planes.planes[channel], place);
-    let alpha_plane = tile.channels + usize::from(grad.depth);
-    let RayScratch { slots, pairs, used, seen_by } = scratch;
+    let along = Along::<S, F, EXACT>::new(simd, tile, grad, place);
+    let RayScratch { slots, layers, pairs, used, seen_by } = scratch;
     let (pixels, list) = (tile.pixels(simd, place), tile.list(place));
-    let mut seen = Open::<S, F>::new(lanes(simd, &tile.open, place));
-    let mut ended = seen;
+    let (vector, parts) = (len::<S, F>(), const { pair_parts(EXACT) });
     let base = *used;
-    *used += 2 * list.len() * len::<S, F>();
+    *used += parts * list.len() * vector;
     if pairs.len() < *used {
         pairs.resize(2 * *used, F::ZERO);
     }
     let pairs = &mut pairs[base..*used];
-    slots.clear();
-    for (pair, &i) in list.iter().enumerate() {
-        let splat = &tile.near[i as usize];
-        let layer = rules.layer::<EXACT, SORTED>(splat, &pixels);
-        // Alpha acts as one more channel of colour one.
-        let mut along = plane(alpha_plane);
-        for (channel, &value) in tile.feature(i as usize).iter().enumerate() {
-            along = plane(channel).mul_add(F::Block::<S>::splat(simd, value), along);
-        }
-        if grad.depth {
-            let depth = if EXACT { layer.key } else { F::Block::<S>::splat(simd, splat.depth) };
-            along = plane(tile.channels).mul_add(depth, along);
-        }
-        let id = F::Block::<S>::splat(simd, F::from_index(pair));
-        seen_by[i as usize] |= u32::from(layer.shows.any_true()) << (place / len::<S, F>());
-        if SORTED {
-            let values = &mut pairs[2 * pair * len::<S, F>()..][..2 * len::<S, F>()];
-            store(zero, values, 0);
-            store(zero, values, len::<S, F>());
-            slots.insert::<S>([layer.key, layer.alpha, along, id], layer.shows);
-        } else {
-            let before = seen.transmittance;
-            let ([_, alpha], finished) = seen.pass(layer.alpha, rules);
-            slots.push::<S>([before, alpha, along, id], layer.shows);
-            if finished {
-                break;
-            }
-        }
+    let mut open = Open::<S, F>::new(lanes(simd, &tile.open, place));
+    let mut behind = Behind { rho: lanes::<S, F>(simd, &grad.planes.background_rho, place) };
+    for &i in list {
+        seen_by[i as usize] |= 1 << (place / vector);
     }
     if SORTED {
-        slots.finish::<S>();
-        for place in 0..slots.count() {
-            let [_, alpha, along, id] = slots.get::<S>(simd, place);
-            let before = ended.transmittance;
-            let ([_, alpha], _) = ended.pass(alpha, rules);
-            slots.put::<S>(place, [before, alpha, along, id]);
+        slots.clear();
+        for ((pair, &i), values) in list.iter().enumerate().zip(pairs.chunks_exact_mut(parts * vector)) {
+            let layer = rules.layer::<EXACT, SORTED>(tile.splat(i), &pixels, None);
+            store(zero, values, 0);
+            store(zero, values, vector);
+            if EXACT {
+                store(layer.inverse, values, 2 * vector);
+            }
+            let id = F::Block::<S>::splat(simd, F::from_index(pair));
+            slots.insert::<S>([layer.key, layer.alpha, along.of(tile, i, layer.key), id], layer.shows);
         }
-        seen = ended;
-    }
-    // Contribution of everything behind the layer, as the gradient weighs it: g·R.
-    let mut behind = lanes::<S, F>(simd, &grad.planes.background_rho, place);
-    for place in (0..slots.count()).rev() {
-        let [before, alpha, along, id] = slots.get::<S>(simd, place);
-        let (weight, ahead) = (alpha * before, along - behind);
-        let shows = alpha.simd_gt(zero);
-        let h = (shows & alpha.simd_lt(rules.alpha_max)).select(weight * ahead, zero);
-        behind = alpha.mul_add(ahead, behind);
-        if SORTED {
+        slots.finish::<S>();
+        for slot in 0..slots.count() {
+            let ([weight, alpha], _) = open.pass(slots.part::<S>(simd, slot, 1), rules);
+            slots.put_part::<S>(slot, 0, weight);
+            slots.put_part::<S>(slot, 1, alpha);
+        }
+        for slot in (0..slots.count()).rev() {
+            let [weight, alpha, along, id] = slots.get::<S>(simd, slot);
+            let (h, shows) = (behind.pass([alpha, along, weight], rules), alpha.simd_gt(zero));
             let mut ids = Ids::<S, F>::new(id, shows);
             while let Some((pair, same)) = ids.next() {
-                let values = &mut pairs[2 * pair * len::<S, F>()..][..2 * len::<S, F>()];
+                let values = &mut pairs[parts * pair * vector..][..2 * vector];
                 let same = same & shows;
                 store(same.select(h, lanes(simd, values, 0)), values, 0);
-                store(same.select(weight, lanes(simd, values, len::<S, F>())), values, len::<S, F>());
+                store(same.select(weight, lanes(simd, values, vector)), values, vector);
             }
-        } else {
-            let values = &mut pairs[2 * id[0].to_index() * len::<S, F>()..][..2 * len::<S, F>()];
-            store(h, values, 0);
-            store(weight, values, len::<S, F>());
+        }
+    } else {
+        if layers.len() < 2 * list.len() * vector {
+            layers.resize(4 * list.len() * vector, F::ZERO);
+        }
+        let layers = &mut layers[..2 * list.len() * vector];
+        let found = layers.chunks_exact_mut(2 * vector).zip(pairs.chunks_exact_mut(parts * vector));
+        for (&i, (kept, values)) in list.iter().zip(found) {
+            let layer = rules.layer::<EXACT, SORTED>(tile.splat(i), &pixels, None);
+            let ([weight, alpha], _) = open.pass(layer.alpha, rules);
+            store(alpha, kept, 0);
+            store(along.of(tile, i, layer.key), kept, vector);
+            store(weight, values, vector);
+            if EXACT {
+                store(layer.inverse, values, 2 * vector);
+            }
+        }
+        for (kept, values) in layers.chunks_exact(2 * vector).zip(pairs.chunks_exact_mut(parts * vector)).rev() {
+            let (alpha, along) = (lanes(simd, kept, 0), lanes(simd, kept, vector));
+            let weight = lanes(simd, values, vector);
+            store(behind.pass([alpha, along, weight], rules), values, 0);
         }
     }
-    seen.transmittance
+    open.transmittance
+}
+
+/// The contribution of everything behind a layer, as the gradient weighs it: g·R. What is done for each layer is a function that is always
+/// inlined: a closure that the compiler leaves outside would lack the processor's instructions.
+struct Behind<S: Simd, F: Real> {
+    rho: F::Block<S>,
+}
+
+impl<S: Simd, F: Real> Behind<S, F> {
+    /// Passes a layer with its alpha, its value along the gradient and its weight, from behind. Returns `h`.
+    #[inline(always)]
+    fn pass(&mut self, [alpha, along, weight]: [F::Block<S>; 3], rules: &RayRules<S, F>) -> F::Block<S> {
+        let ahead = along - self.rho;
+        self.rho = alpha.mul_add(ahead, self.rho);
+        (alpha.simd_gt(rules.zero) & alpha.simd_lt(rules.alpha_max)).select(weight * ahead, rules.zero)
+    }
+}
+
+/// The gradients of the planes of a vector of pixels, by which the values of each layer are weighed.
+struct Along<'a, S: Simd, F: Real, const EXACT: bool> {
+    simd: S,
+    alpha: F::Block<S>,
+    /// Those of the channels of [`RayTile::values`].
+    first: [F::Block<S>; TOGETHER],
+    /// That of depth, if it is not among `first`.
+    depth: Option<F::Block<S>>,
+    planes: &'a [Plane<F>],
+    place: usize,
+}
+
+impl<'a, S: Simd, F: Real, const EXACT: bool> Along<'a, S, F, EXACT> {
+    #[inline(always)]
+    fn new(simd: S, tile: &RayTile<F>, grad: &RayTileGrad<'a, F>, place: usize) -> Self {
+        let planes = &grad.planes.planes[..];
+        let plane = |channel: usize| lanes::<S, F>(simd, &planes[channel], place);
+        let depth_first = grad.depth && !EXACT && tile.channels < TOGETHER;
+        let channels = tile.channels + usize::from(depth_first);
+        let mut first = [F::Block::<S>::splat(simd, F::ZERO); TOGETHER];
+        first.iter_mut().enumerate().take(channels).for_each(|(channel, first)| *first = plane(channel));
+        let depth = (grad.depth && !depth_first).then(|| plane(tile.channels));
+        Self { simd, alpha: plane(tile.channels + usize::from(grad.depth)), first, depth, planes, place }
+    }
+
+    /// The sum of a layer's values along the gradient. `key` is its depth if the projection is exact.
+    #[inline(always)]
+    fn of(&self, tile: &RayTile<F>, i: u32, key: F::Block<S>) -> F::Block<S> {
+        let splat = |value: F| F::Block::<S>::splat(self.simd, value);
+        // Alpha acts as one more channel of colour one.
+        let mut along = self.alpha;
+        for (plane, &value) in self.first.iter().zip(&tile.values[i as usize]) {
+            along = plane.mul_add(splat(value), along);
+        }
+        for (plane, &value) in self.planes.iter().zip(tile.feature(i)).skip(TOGETHER) {
+            along = lanes::<S, F>(self.simd, plane, self.place).mul_add(splat(value), along);
+        }
+        match self.depth {
+            Some(plane) => plane.mul_add(if EXACT { key } else { splat(tile.near[i as usize].depth) }, along),
+            None => along,
+        }
+    }
 }
 
 /// Sums of a Gaussian over the pixels of a tile that do not depend on the number of features.
@@ -187,12 +248,15 @@ fn add_rows<S: Simd, F: Real, const EXACT: bool>(
     let zero = F::Block::<S>::splat(simd, F::ZERO);
     let channels = tile.channels + usize::from(grad.depth);
     let columns = columns(channels, grad.absolute);
-    let mut next = [0; VECTORS];
-    for (i, (row, vectors)) in rows.chunks_exact_mut(columns).zip(seen_by).enumerate() {
+    let (vector, parts) = (len::<S, F>(), const { pair_parts(EXACT) });
+    // Where the next pair of each vector of pixels begins: pairs are in the order of the Gaussians.
+    let mut next = *first;
+    for (i, (vectors, &in_list)) in seen_by.iter_mut().zip(&tile.places).enumerate() {
         if *vectors == 0 {
             continue;
         }
-        let splat = &tile.near[i];
+        let row = &mut rows[in_list as usize * columns..][..columns];
+        let splat = tile.splat(i as u32);
         let mut fixed = RaySums {
             moments: [zero; MOMENTS],
             depth: zero,
@@ -201,38 +265,35 @@ fn add_rows<S: Simd, F: Real, const EXACT: bool>(
             absolute: [zero; 2],
         };
         let mut features = [zero; TOGETHER];
-        let (mut left, mut places) = (*vectors, [(0, 0); VECTORS]);
-        let mut count = 0;
+        let (mut places, mut count) = ([(0, 0); VECTORS], 0);
+        let mut left = *vectors;
         while left != 0 {
             let number = left.trailing_zeros() as usize;
             left &= left - 1;
-            let place = number * len::<S, F>();
-            let list = tile.list(place);
-            while list[next[number]] != i as u32 {
-                next[number] += 1;
-            }
-            let at = first[number] + 2 * next[number] * len::<S, F>();
+            let (place, at) = (number * vector, next[number]);
+            next[number] += parts * vector;
             places[count] = (place, at);
             count += 1;
-            let values = &pairs[at..][..2 * len::<S, F>()];
-            let (h, weight) = (lanes::<S, F>(simd, values, 0), lanes::<S, F>(simd, values, len::<S, F>()));
-            let layer = rules.layer::<EXACT, false>(splat, &tile.pixels(simd, place));
+            let values = &pairs[at..][..parts * vector];
+            let (h, weight) = (lanes::<S, F>(simd, values, 0), lanes::<S, F>(simd, values, vector));
+            let inverse = if EXACT { Some(lanes::<S, F>(simd, values, 2 * vector)) } else { None };
+            let layer = rules.layer::<EXACT, false>(splat, &tile.pixels(simd, place), inverse);
             let plane = |channel: usize| lanes::<S, F>(simd, &grad.planes.planes[channel], place);
             let seen = if grad.depth { weight * plane(tile.channels) } else { zero };
-            fixed.add::<EXACT>(splat, &layer, [h, seen], grad.absolute);
+            fixed.add::<EXACT>(splat.0, &layer, [h, seen], grad.absolute);
             for channel in 0..TOGETHER.min(tile.channels) {
                 features[channel] = plane(channel).mul_add(weight, features[channel]);
             }
         }
         *vectors = 0;
-        fixed.write::<EXACT>(splat, row, [tile.channels, channels], grad.absolute);
+        fixed.write::<EXACT>(splat.0, row, [tile.channels, channels], grad.absolute);
         for channel in 0..TOGETHER.min(tile.channels) {
             row[MOMENTS + channel] += features[channel].reduce_sum();
         }
         for channel in TOGETHER..tile.channels {
             let mut sum = zero;
             for &(place, at) in &places[..count] {
-                let weight = lanes::<S, F>(simd, pairs, at + len::<S, F>());
+                let weight = lanes::<S, F>(simd, pairs, at + vector);
                 sum = lanes::<S, F>(simd, &grad.planes.planes[channel], place).mul_add(weight, sum);
             }
             row[MOMENTS + channel] += sum.reduce_sum();

@@ -1,5 +1,7 @@
 //! Real spherical harmonics to degree 4 as polynomials of a unit direction, and their gradient.
 
+use std::ops::{Add, Mul, Sub};
+
 use super::SH_COEFFICIENTS_MAX;
 use crate::simd::real::Real;
 
@@ -36,14 +38,22 @@ const Y4: [f64; 9] = [
 
 /// `Yₖ(d)` for `k < (degree+1)²`; the rest is zero.
 #[inline(always)]
-pub(super) fn basis<F: Real>([x, y, z]: [F; 3], degree: usize) -> [F; SH_COEFFICIENTS_MAX] {
-    let c = F::of;
-    let mut out = [F::ZERO; SH_COEFFICIENTS_MAX];
+pub(super) fn basis<F: Real>(direction: [F; 3], degree: usize) -> [F; SH_COEFFICIENTS_MAX] {
+    basis_of(direction, degree, F::of)
+}
+
+/// [`basis`] of numbers or of vectors of numbers, with `c` for a constant.
+#[inline(always)]
+pub(crate) fn basis_of<T>([x, y, z]: [T; 3], degree: usize, c: impl Fn(f64) -> T) -> [T; SH_COEFFICIENTS_MAX]
+where
+    T: Copy + Add<Output = T> + Sub<Output = T> + Mul<Output = T>,
+{
+    let mut out = [c(0.0); SH_COEFFICIENTS_MAX];
     out[0] = c(Y0);
     if degree < 1 {
         return out;
     }
-    (out[1], out[2], out[3]) = (-c(Y1) * y, c(Y1) * z, -c(Y1) * x);
+    (out[1], out[2], out[3]) = (c(-Y1) * y, c(Y1) * z, c(-Y1) * x);
     if degree < 2 {
         return out;
     }
@@ -67,7 +77,7 @@ pub(super) fn basis<F: Real>([x, y, z]: [F; 3], degree: usize) -> [F; SH_COEFFIC
     if degree < 4 {
         return out;
     }
-    let (seven_1, seven_3) = (c(7.0) * zz - F::ONE, c(7.0) * zz - c(3.0));
+    let (seven_1, seven_3) = (c(7.0) * zz - c(1.0), c(7.0) * zz - c(3.0));
     out[16] = c(Y4[0]) * xy * (xx - yy);
     out[17] = c(Y4[1]) * yz * (c(3.0) * xx - yy);
     out[18] = c(Y4[2]) * xy * seven_1;

@@ -86,7 +86,7 @@ pub(super) const NORMS: [f32; SH_COEFFICIENTS_MAX] = [
 
 /// `Yₖ(d)` for every `k < (degree+1)²`.
 #[cube]
-pub(super) fn basis(d: Vec3, #[comptime] degree: usize) -> Sequence<f32> {
+pub(crate) fn basis(d: Vec3, #[comptime] degree: usize) -> Sequence<f32> {
     let (x, y, z) = (d.x, d.y, d.z);
     let (xx, yy, zz) = (x * x, y * y, z * z);
     let mut p = Sequence::<f32>::new();

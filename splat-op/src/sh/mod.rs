@@ -27,10 +27,10 @@
 
 #[cfg(feature = "cube")]
 mod backward;
-mod basis;
+pub(crate) mod basis;
 pub(crate) mod cpu;
 #[cfg(feature = "cube")]
-mod forward;
+pub(crate) mod forward;
 #[cfg(all(test, feature = "cube"))]
 mod kernel_tests;
 #[cfg(feature = "cube")]
@@ -72,7 +72,7 @@ pub(crate) fn degree_of(coefficients: usize) -> usize {
 
 /// Number of coefficients per channel at a degree.
 #[cfg(feature = "cube")]
-const fn coefficients_of(degree: usize) -> usize {
+pub(crate) const fn coefficients_of(degree: usize) -> usize {
     (degree + 1) * (degree + 1)
 }
 

@@ -1,56 +1,138 @@
-//! CPU twin of the convolution, parallel over runs of Gaussians.
+//! CPU twin of the convolution, parallel over runs of Gaussians, a vector of them at a time.
 
+use fearless_simd::prelude::*;
+use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 
 use super::Smooth;
 use crate::linalg::norm;
+use crate::simd::blocks::{block_len, load, splat, store};
 use crate::simd::real::Real;
 
 /// Number of Gaussians per task.
 const RUN: usize = 2048;
 
+/// `√(a² + b²)`, without intermediate overflow or underflow.
+#[inline(always)]
+fn hypotenuse<S: Simd, F: Real>(a: F::Block<S>, b: F::Block<S>) -> F::Block<S> {
+    let simd = a.token();
+    let square = a * a + b * b;
+    // The bounds of `norm`.
+    let plain = square.simd_gt(splat::<S, F>(simd, F::of(1e-20))) & square.simd_lt(splat::<S, F>(simd, F::of(1e30)));
+    if plain.all_true() {
+        square.sqrt()
+    } else {
+        F::Block::<S>::from_fn(simd, |lane| norm([a[lane], b[lane], F::ZERO]))
+    }
+}
+
 /// `[N, 3]`: the new standard deviations.
 pub(crate) fn smoothed_scales_cpu<F: Real>(scales: &[F], widths: &[F]) -> Vec<F> {
     let mut out = vec![F::ZERO; scales.len()];
-    out.par_chunks_mut(3 * RUN).zip(scales.par_chunks(3 * RUN).zip(widths.par_chunks(RUN))).for_each(
-        |(out, (scales, widths))| {
-            let rows = scales.as_chunks::<3>().0.iter().zip(widths);
-            for (out, (scales, &width)) in out.as_chunks_mut::<3>().0.iter_mut().zip(rows) {
-                *out = scales.map(|scale| norm([scale, width, F::ZERO]));
-            }
-        },
-    );
+    out.par_chunks_mut(3 * RUN)
+        .zip(scales.par_chunks(3 * RUN).zip(widths.par_chunks(RUN)))
+        .for_each(|(out, (scales, widths))| dispatch!(Level::new(), simd => scales_of_run(simd, scales, widths, out)));
     out
 }
 
-/// Inverses of the new standard deviations, and the shares of the old ones in them.
-fn shares<F: Real>(scales: &[F; 3], width: F) -> ([F; 3], [F; 3]) {
-    let inverse = scales.map(|scale| F::ONE / norm([scale, width, F::ZERO]));
-    (inverse, std::array::from_fn(|axis| scales[axis] * inverse[axis]))
+#[inline(always)]
+fn scales_of_run<S: Simd, F: Real>(simd: S, scales: &[F], widths: &[F], out: &mut [F]) {
+    for at in (0..scales.len()).step_by(block_len::<S, F>()) {
+        let width = F::Block::<S>::from_fn(simd, |lane| widths[((at + lane) / 3).min(widths.len() - 1)]);
+        store::<S, F>(hypotenuse::<S, F>(load(simd, &scales[at..]), width), &mut out[at..]);
+    }
+}
+
+/// A vector of Gaussians: inverses of the new standard deviations, and the shares of the old ones in them, by axis.
+struct Shares<S: Simd, F: Real> {
+    width: F::Block<S>,
+    inverse: [F::Block<S>; 3],
+    share: [F::Block<S>; 3],
+}
+
+impl<S: Simd, F: Real> Shares<S, F> {
+    /// Reads the Gaussians from `at` on. Beyond the last, all lanes have the last.
+    #[inline(always)]
+    fn new(simd: S, scales: &[[F; 3]], widths: &[F], at: usize) -> Self {
+        let last = widths.len() - 1;
+        let width = F::Block::<S>::from_fn(simd, |lane| widths[(at + lane).min(last)]);
+        let at = |axis: usize| F::Block::<S>::from_fn(simd, |lane| scales[(at + lane).min(last)][axis]);
+        let scale = [at(0), at(1), at(2)];
+        let (mut inverse, mut share) = (scale, scale);
+        for axis in 0..3 {
+            inverse[axis] = splat::<S, F>(simd, F::ONE) / hypotenuse::<S, F>(scale[axis], width);
+            share[axis] = scale[axis] * inverse[axis];
+        }
+        Self { width, inverse, share }
+    }
+
+    /// The product of the shares.
+    #[inline(always)]
+    fn product(&self) -> F::Block<S> {
+        let [x, y, z] = self.share;
+        x * y * z
+    }
 }
 
 /// `[N]`: the new opacities.
 pub(crate) fn smoothed_opacities_cpu<F: Real>(inputs: Smooth<&[F]>) -> Vec<F> {
-    let rows = inputs.scales.as_chunks::<3>().0.par_iter().zip(inputs.widths).zip(inputs.opacities);
-    let of = |((scales, &width), &opacity): ((&[F; 3], &F), &F)| {
-        let [x, y, z] = shares(scales, width).1;
-        opacity * (x * y * z)
-    };
-    rows.with_min_len(RUN).map(of).collect()
+    let mut out = vec![F::ZERO; inputs.opacities.len()];
+    let scales = inputs.scales.as_chunks::<3>().0.par_chunks(RUN);
+    let runs = scales.zip(inputs.widths.par_chunks(RUN)).zip(inputs.opacities.par_chunks(RUN));
+    out.par_chunks_mut(RUN).zip(runs).for_each(|(out, ((scales, widths), opacities))| {
+        dispatch!(Level::new(), simd => opacities_of_run(simd, (scales, widths), opacities, out));
+    });
+    out
+}
+
+#[inline(always)]
+fn opacities_of_run<S: Simd, F: Real>(simd: S, (scales, widths): (&[[F; 3]], &[F]), opacities: &[F], out: &mut [F]) {
+    for at in (0..out.len()).step_by(block_len::<S, F>()) {
+        let shares = Shares::<S, F>::new(simd, scales, widths, at);
+        store::<S, F>(load(simd, &opacities[at..]) * shares.product(), &mut out[at..]);
+    }
 }
 
 /// Returns the gradients of the standard deviations and of the opacities from `grad`, `[N]`, that of the new opacities.
 pub(crate) fn smoothed_opacities_backward_cpu<F: Real>(inputs: Smooth<&[F]>, grad: &[F]) -> Smooth<Vec<F>> {
-    let rows = inputs.scales.as_chunks::<3>().0.par_iter().zip(inputs.widths).zip(inputs.opacities).zip(grad);
-    let of = |(((scales, &width), &opacity), &grad): (((&[F; 3], &F), &F), &F)| {
-        let (inverse, [x, y, z]) = shares(scales, width);
+    let (mut scales, mut opacities) = (vec![F::ZERO; inputs.scales.len()], vec![F::ZERO; inputs.opacities.len()]);
+    let of = inputs.scales.as_chunks::<3>().0.par_chunks(RUN).zip(inputs.widths.par_chunks(RUN));
+    let runs = of.zip(inputs.opacities.par_chunks(RUN).zip(grad.par_chunks(RUN)));
+    let out = scales.as_chunks_mut::<3>().0.par_chunks_mut(RUN).zip(opacities.par_chunks_mut(RUN));
+    out.zip(runs).for_each(|(out, (gaussians, grads))| {
+        dispatch!(Level::new(), simd => run_backward(simd, gaussians, grads, out));
+    });
+    Smooth { scales, opacities, widths: Vec::new() }
+}
+
+/// Writes the gradients of a run's standard deviations and opacities.
+#[inline(always)]
+fn run_backward<S: Simd, F: Real>(
+    simd: S,
+    (scales, widths): (&[[F; 3]], &[F]),
+    (opacities, grad): (&[F], &[F]),
+    (of_scales, of_opacities): (&mut [[F; 3]], &mut [F]),
+) {
+    for at in (0..grad.len()).step_by(block_len::<S, F>()) {
+        let (shares, grad) = (Shares::<S, F>::new(simd, scales, widths, at), load(simd, &grad[at..]));
+        store::<S, F>(grad * shares.product(), &mut of_opacities[at..]);
+        shares.backward(grad * load(simd, &opacities[at..]), &mut of_scales[at..]);
+    }
+}
+
+impl<S: Simd, F: Real> Shares<S, F> {
+    /// Writes the gradients of the standard deviations from that of the product of the shares.
+    #[inline(always)]
+    fn backward(&self, grad: F::Block<S>, out: &mut [[F; 3]]) {
+        let [x, y, z] = self.share;
         let others = [y * z, x * z, x * y];
-        let of_scale = |axis: usize| {
-            let added = width * inverse[axis];
-            grad * opacity * others[axis] * (added * added * inverse[axis])
-        };
-        ([of_scale(0), of_scale(1), of_scale(2)], grad * (x * y * z))
-    };
-    let (scales, opacities): (Vec<[F; 3]>, Vec<F>) = rows.with_min_len(RUN).map(of).unzip();
-    Smooth { scales: scales.into_flattened(), opacities, widths: Vec::new() }
+        let mut of_scale = others;
+        for axis in 0..3 {
+            let added = self.width * self.inverse[axis];
+            of_scale[axis] = grad * others[axis] * (added * added * self.inverse[axis]);
+        }
+        for (lane, out) in out.iter_mut().enumerate().take(block_len::<S, F>()) {
+            *out = [of_scale[0][lane], of_scale[1][lane], of_scale[2][lane]];
+        }
+    }
 }

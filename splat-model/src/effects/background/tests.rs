@@ -78,13 +78,13 @@ fn an_environment_is_learnt() {
     for (found, expected) in found.as_flattened().iter().zip(lit().as_flattened()) {
         assert!((found - expected).abs() < 0.02, "{found} instead of {expected}");
     }
-    // The four photographs share the harmonics of their camera. Those of another size are another camera's.
-    let bytes = (3 * 12 + 9 * 7 * 4) * size_of::<f32>();
+    // The four photographs share the directions of their camera. Those of another size are another camera's.
+    let bytes = (3 * 12 + 9 * 7 * 3) * size_of::<f32>();
     assert_eq!(environment.bytes(), bytes);
     let half = intrinsics.resized(4, 3);
     let small = |tensor: Tensor<3>| Tensor::from_inner(tensor.slice([0..3, 0..4]));
     environment.behind(small(image), small(alpha), 0, &half);
-    assert_eq!(environment.bytes(), bytes + 4 * 3 * 4 * size_of::<f32>());
+    assert_eq!(environment.bytes(), bytes + 4 * 3 * 3 * size_of::<f32>());
 }
 
 #[test]
@@ -147,15 +147,15 @@ fn a_learnt_colour_is_one_that_can_be_shown_and_is_learnt() {
     assert_eq!(learnt.bytes(), 36);
 }
 
-/// Harmonics beyond the size of the cache are computed again each time and not counted. Photographs of one camera share them.
+/// Directions beyond the size of the cache are computed again each time and not counted. Photographs of one camera share them.
 #[test]
 fn what_does_not_fit_is_not_kept() {
     let (intrinsics, pose) = camera();
     let device = Device::flex();
     let mut environment = Environment::new(1, &[pose; 3], &device);
-    environment.cached_bytes = CACHE_BYTES - 9 * 7 * 4 * size_of::<f32>();
+    environment.cached_bytes = CACHE_BYTES - 9 * 7 * 3 * size_of::<f32>();
     for focal_px in [0.0, 0.0, 1.0] {
-        environment.harmonics_of(&Intrinsics { fx: intrinsics.fx + focal_px, ..intrinsics });
+        environment.directions_of(&Intrinsics { fx: intrinsics.fx + focal_px, ..intrinsics });
     }
     assert_eq!((environment.cached_bytes, environment.cache.len()), (CACHE_BYTES, 1));
 }

@@ -11,6 +11,10 @@ fn grid(device: &Device) -> Tensor<4> {
     Tensor::random([MAP, LEVELS, SIDE, SIDE], Distribution::Uniform(-1.0, 1.0), device)
 }
 
+fn roughness(grid: Tensor<4>) -> Tensor<1> {
+    bilateral::roughness(&grid).unwrap()
+}
+
 #[test]
 fn identities_change_nothing_and_cost_nothing() {
     let device = Device::flex();

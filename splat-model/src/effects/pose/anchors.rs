@@ -7,6 +7,7 @@
 
 use burn::tensor::{Device, Tensor, TensorData};
 use glam::{DAffine3, DMat3, DVec3, Vec2};
+use splat_op::pose::miss;
 
 use crate::capture::Capture;
 
@@ -109,15 +110,10 @@ impl Anchors {
 }
 
 impl DeviceAnchors {
-    /// Mean of `√(|d − d*|² + r²) − r`, which is about the angle between both directions in rad, `[1]`. `pose` is `[3, 4]`,
-    /// tracked.
-    pub fn penalty(&self, pose: Tensor<2>) -> Tensor<1> {
-        let constant = |tensor: &Tensor<2>| Tensor::<2>::from_inner(tensor.clone());
-        let turned = constant(&self.points).matmul(pose.clone().narrow(1, 0, 3).transpose());
-        let cam = turned + pose.narrow(1, 3, 1).transpose();
-        let length = cam.clone().square().sum_dim(1).clamp_min(1e-30).sqrt();
-        let squared = (cam / length - constant(&self.directions)).square().sum_dim(1);
-        (squared + ROBUST_RAD * ROBUST_RAD).sqrt().mean() - ROBUST_RAD
+    /// The miss of `pose`, `[3, 4]`, tracked, as `[1]`: about the mean angle between the directions to the points and the observed ones,
+    /// rad.
+    pub fn penalty(&self, pose: &Tensor<2>) -> Tensor<1> {
+        miss(pose, &self.points, &self.directions, ROBUST_RAD).expect("points and poses on one device")
     }
 
     pub fn bytes(&self) -> usize {

@@ -79,7 +79,7 @@ fn the_filter_follows_the_scene() {
     let mut smoothing = smoothing(&cameras());
     let scene = |count| Gaussians::from_rows(&random_rows(count, 0, 5), &device).unwrap();
     smoothing.follow(&scene(3), 1);
-    let widths = |smoothing: &Smoothing| values_of(smoothing.ln_widths.clone().unwrap());
+    let widths = |smoothing: &Smoothing| values_of(smoothing.widths.clone().unwrap()[0].clone());
     let first = widths(&smoothing);
     let mut moved = random_rows(3, 0, 5);
     moved.means.iter_mut().for_each(|mean| mean[2] += 3.0);

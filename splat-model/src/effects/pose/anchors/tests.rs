@@ -63,7 +63,7 @@ fn the_pull_is_an_angle_and_vanishes_at_the_right_pose() {
             .map(|value| value as f32)
             .collect();
         let pose = Tensor::<2>::from_data(TensorData::new(rows, [3, 4]), &device);
-        on_device.penalty(Tensor::from_inner(pose)).into_scalar::<f32>()
+        on_device.penalty(&Tensor::from_inner(pose)).into_scalar::<f32>()
     };
     assert!(penalty(&pose).abs() < 1e-6);
     // Rotated about the viewing axis by 0.03 rad: each direction moves by that times its distance from the axis.
