@@ -12,8 +12,9 @@ use splat_model::effects::EffectKind;
 use super::coarse;
 use super::job;
 use super::planned::{JOBS, PLAN, Plan, PlanFolder};
+use crate::input;
+use crate::progress::{self, VoiceArgs};
 use crate::train::TrainArgs;
-use crate::{input, progress};
 
 /// The splats that a block may have, relative to its share of the scene's: some of them lie in its margin or beyond, and are not
 /// kept.
@@ -63,6 +64,8 @@ fn share(text: &str) -> Result<f64, String> {
 /// If the capture cannot be read or cut, an option is refused, or the folder holds a plan already.
 pub fn plan(args: &PlanArgs) -> Result<()> {
     let training = job::training(&args.capture, &args.options)?;
+    // What the plan prints is no log of a run.
+    VoiceArgs { json: false, ..training.voice }.apply();
     let steps = training.config()?.steps;
     let capture = input::capture(&args.capture)?;
     ensure!(
