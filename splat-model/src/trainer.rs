@@ -11,6 +11,7 @@ mod guard;
 pub mod ranks;
 mod resolution;
 mod shared;
+mod start;
 mod state;
 mod views;
 

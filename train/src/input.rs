@@ -174,13 +174,22 @@ fn made_opaque(photo: Photo, opaque: bool) -> Photo {
 /// # Errors
 /// If the file is missing, is not a scene, or holds no Gaussian.
 pub fn rows(path: &Path, capture: &Capture) -> Result<GaussianRows> {
-    let (scene, _) = formats::read(path).context("cannot read the scene that `--scene` names")?;
-    let formats::SceneFile { mut rows, origin, antialiased, .. } = scene;
-    ensure!(!rows.is_empty(), "{} holds no Gaussian: name a scene that was trained with `--scene`", path.display());
-    move_means(&mut rows, (origin - capture.origin).to_array());
-    progress::note_unusable(path, rows.unusable(), rows.len());
+    let (rows, antialiased) = rows_of("--scene", path, capture)?;
     note_antialiased(path, antialiased);
     Ok(rows)
+}
+
+/// Reads rows as [`rows`] does, for an option that errors name. Returns whether the file marks the scene as trained with antialiasing.
+///
+/// # Errors
+/// The errors of [`rows`].
+pub fn rows_of(option: &str, path: &Path, capture: &Capture) -> Result<(GaussianRows, bool)> {
+    let (scene, _) = formats::read(path).with_context(|| format!("cannot read the scene that `{option}` names"))?;
+    let formats::SceneFile { mut rows, origin, antialiased, .. } = scene;
+    ensure!(!rows.is_empty(), "{} holds no Gaussian: name a scene that was trained with `{option}`", path.display());
+    move_means(&mut rows, (origin - capture.origin).to_array());
+    progress::note_unusable(path, rows.unusable(), rows.len());
+    Ok((rows, antialiased))
 }
 
 /// Returns some rows of a scene, with spherical harmonics up to `sh_degree`.

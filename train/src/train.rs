@@ -4,6 +4,7 @@ pub(crate) mod budget;
 pub(crate) mod checkpoints;
 mod results;
 mod run;
+mod start;
 mod steps;
 mod stop;
 mod time_limit;
@@ -19,6 +20,7 @@ use splat_model::trainer::{Resolution, TrainConfig, TrainError};
 pub use self::checkpoints::{RunState, state_of};
 pub(crate) use self::run::{photographs, views_of};
 pub use self::run::{resume, resume_together, run, run_or_resume, run_with};
+pub(crate) use self::start::started;
 pub use self::stop::Interrupted;
 pub(crate) use self::stop::Stop;
 use self::time_limit::{GUESS, TrainingTime};
@@ -58,6 +60,10 @@ pub struct TrainArgs {
     /// the capture, or out/demo for the demo capture; out/NAME-2 and so on if that is not empty]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
+    /// Scene to start from, in any format, with the capture's points as far as `--max-splats` leaves room for them [default: the points alone]
+    #[arg(long, value_name = "FILE", requires = "capture")]
+    #[serde(default)]
+    pub start: Option<PathBuf>,
     /// Training steps
     #[arg(long, value_name = "N", help = format!(
         "Training steps, each on `--batch` photographs [default: {}; with the demo capture {DEMO_STEPS}]", TrainConfig::default().steps

@@ -18,9 +18,12 @@ pub struct Focus {
 }
 
 impl Focus {
-    /// Focuses on a block's region: 0.2 of the rows are for what lies beyond.
+    /// The share of the rows for what lies beyond a block's region.
+    pub const BEYOND_SHARE: f64 = 0.2;
+
+    /// Focuses on a block's region.
     pub fn on(bounds: Bounds) -> Self {
-        Self { bounds, beyond_share: 0.2 }
+        Self { bounds, beyond_share: Self::BEYOND_SHARE }
     }
 
     /// Whether Gaussian `i` lies beyond the bounds.

@@ -32,6 +32,10 @@ pub const FAR_SHARE: f64 = 0.1;
 /// Threshold of the sharpness of the least sharp twentieth of the photographs, divided by the median sharpness.
 pub const BLUR_RATIO: f64 = 0.7;
 
+/// Threshold of the sharpness around the points of a photograph, divided by that around the same points in others. Photographs that show
+/// other things differ in sharpness without blur.
+pub const SAME_BLUR_RATIO: f64 = 0.7;
+
 /// The name of the decision on spherical harmonics.
 const VIEW_DEPENDENCE: &str = "view-dependence";
 
@@ -309,15 +313,21 @@ fn depth(survey: &Survey, at: Conditions) -> Decision {
 }
 
 fn motion_blur(survey: &Survey, at: Conditions) -> Decision {
-    let rule = format!("on if the least sharp twentieth has less than {BLUR_RATIO} of the median sharpness");
+    let rule = format!(
+        "on if the least sharp twentieth has less than {BLUR_RATIO} of the median sharpness, and a twentieth less than {SAME_BLUR_RATIO} of \
+         that of others around the same points"
+    );
     let blur = &survey.blur;
     let (on, evidence) = match (blur.median, blur.least) {
         (Some(median), Some(least)) => {
             let name = blur.least_sharp.as_deref().unwrap_or_default();
+            let same = blur.least_of_same.map_or("not known".into(), |same| format!("{same:.2}"));
             let evidence = format!(
-                "sharpness {median:.2} (median), {least:.2} for the least sharp twentieth; the least sharp is {name:?}"
+                "sharpness {median:.2} (median), {least:.2} for the least sharp twentieth; the least sharp is {name:?}; relative to others \
+                 around the same points {same}"
             );
-            (least < BLUR_RATIO * median, evidence)
+            let differs = blur.least_of_same.is_none_or(|same| same < SAME_BLUR_RATIO);
+            (least < BLUR_RATIO * median && differs, evidence)
         }
         _ => (false, "not known: no photograph has any detail".into()),
     };

@@ -27,8 +27,8 @@ pub fn training(capture: &Path, options: &[String]) -> Result<TrainArgs> {
         Err(error) => bail!("the options after `--` are for `splat train`, which refuses them: {}", error.render()),
     };
     ensure!(
-        args.out.is_none() && !args.resume,
-        "after `--`: the plan sets `--out` and `--resume` itself: leave them out"
+        args.out.is_none() && !args.resume && args.start.is_none(),
+        "after `--`: the plan sets `--out`, `--resume` and `--start` itself: leave them out"
     );
     ensure!(
         args.strategy != StrategyName::Mcmc,
@@ -113,6 +113,7 @@ mod tests {
         for (text, part) in [
             ("--steps x", "--steps"),
             ("--out a", "leave them out"),
+            ("--start a.ply", "leave them out"),
             ("--strategy mcmc", "mcmc"),
             ("--background learned", "background"),
             ("another", "another"),

@@ -9,10 +9,12 @@ use clap::builder::RangedU64ValueParser;
 use splat_model::capture::blocks::{self, Block, BlockFile, BlockOptions};
 use splat_model::effects::EffectKind;
 
+use super::coarse;
 use super::job;
 use super::planned::{JOBS, PLAN, Plan, PlanFolder};
+use crate::input;
+use crate::progress::{self, VoiceArgs};
 use crate::train::TrainArgs;
-use crate::{input, progress};
 
 /// The splats that a block may have, relative to its share of the scene's: some of them lie in its margin or beyond, and are not
 /// kept.
@@ -41,6 +43,10 @@ pub struct PlanArgs {
     /// lie in it
     #[arg(long, value_name = "SHARE", default_value_t = BlockOptions::default().min_share, value_parser = share)]
     pub min_share: f64,
+    /// Steps of the coarse scene of the whole capture, which the plan trains and all blocks start from; 0: blocks start from their points
+    /// alone [default: half of the blocks' steps]
+    #[arg(long, value_name = "N")]
+    pub coarse_steps: Option<usize>,
     /// After `--`: options of `splat train` for all blocks. `--max-splats` is for the whole scene; `--effects auto` is decided on
     /// the whole capture
     #[arg(last = true, value_name = "OPTION")]
@@ -52,13 +58,15 @@ fn share(text: &str) -> Result<f64, String> {
     if (0.0..=1.0).contains(&value) { Ok(value) } else { Err("expected a number from 0 to 1".into()) }
 }
 
-/// Writes the plan and prints its blocks.
+/// Trains the coarse scene, writes the plan and prints its blocks.
 ///
 /// # Errors
 /// If the capture cannot be read or cut, an option is refused, or the folder holds a plan already.
 pub fn plan(args: &PlanArgs) -> Result<()> {
     let training = job::training(&args.capture, &args.options)?;
-    training.config()?;
+    // What the plan prints is no log of a run.
+    VoiceArgs { json: false, ..training.voice }.apply();
+    let steps = training.config()?.steps;
     let capture = input::capture(&args.capture)?;
     ensure!(
         capture.focus.is_none(),
@@ -76,6 +84,11 @@ pub fn plan(args: &PlanArgs) -> Result<()> {
     let width = (count - 1).max(1).ilog10() as usize + 1;
     let names: Vec<String> = (0..count).map(|block| format!("block-{block:0width$}")).collect();
     let folder = prepare(&args.out, &names)?;
+    let coarse_steps = if count == 1 { 0 } else { args.coarse_steps.unwrap_or(coarse::steps_for(steps)) };
+    let start = match coarse_steps {
+        0 => None,
+        _ => Some(coarse::train(&coarse::run_of(&folder, &capture, (&training, &common), (coarse_steps, splats))?)?),
+    };
     let program = env::current_exe().context("cannot tell the path of this program")?;
     let mut lines = Vec::with_capacity(count);
     for (name, block) in names.iter().zip(&planned) {
@@ -89,8 +102,10 @@ pub fn plan(args: &PlanArgs) -> Result<()> {
         let (path, run) = (folder.join(name), planned_folder.run(name));
         let own = [job::utf8(&program)?, "train", job::utf8(&path)?, "--out", job::utf8(&run)?, "--resume"];
         let held_out = if block.test.is_empty() { &["--eval-every", "0"][..] } else { &[] };
+        let start = start.as_deref().map(job::utf8).transpose()?;
         let common = planned_folder.plan.options.iter().map(String::as_str);
-        lines.push(job::line(&own.into_iter().chain(held_out.iter().copied()).chain(common).collect::<Vec<_>>())?);
+        let words = own.into_iter().chain(start.iter().flat_map(|start| ["--start", start]));
+        lines.push(job::line(&words.chain(held_out.iter().copied()).chain(common).collect::<Vec<_>>())?);
     }
     planned_folder.write(&lines)?;
     say(&names, &planned);
@@ -178,7 +193,7 @@ mod tests {
 
     fn args(blocks: Option<usize>, splats_per_block: Option<usize>) -> PlanArgs {
         let (capture, out, options) = Default::default();
-        PlanArgs { capture, out, blocks, splats_per_block, margin: 0.1, min_share: 0.1, options }
+        PlanArgs { capture, out, blocks, splats_per_block, margin: 0.1, min_share: 0.1, coarse_steps: None, options }
     }
 
     #[test]

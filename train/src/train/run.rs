@@ -22,6 +22,7 @@ use splat_model::trainer::{TrainConfig, Trainer};
 use super::budget::{self, MemoryEstimate};
 use super::checkpoints::{self, Checkpoints, RunState, SavedRun, SoFar};
 use super::results::write_learnt;
+use super::start::started;
 use super::steps::{Done, Steps};
 use super::{OUT, ResumeArgs, TrainArgs};
 use crate::accuracy::{self, RequestedAccuracy};
@@ -53,6 +54,7 @@ struct TrainOptionsRecord<'a> {
     photos: &'a PhotoArgs,
     #[serde(flatten)]
     config: &'a TrainConfig,
+    start: Option<&'a Path>,
     check: bool,
     #[serde(flatten)]
     lpips: &'a LpipsArgs,
@@ -155,6 +157,7 @@ fn to_the_end(
     args.cameras.scale(&mut capture)?;
     let capture = Arc::new(capture);
     args.lpips = args.lpips.from_anywhere();
+    args.start = args.start.map(std::path::absolute).transpose()?;
     let (split, photo_args) = args.photos.split(&capture);
     let (seen, max_side) = (split.require_train()?, args.photos.max_side);
     let mut effects = args.effects.choose(&capture, seen, args.model.antialias, max_side)?;
@@ -206,6 +209,7 @@ fn to_the_end(
     let most = config.density.max_splats();
     progress::note(&MemoryEstimate::of(&train, &test, &config, most).said(most, available));
     let trainer = Trainer::of(train, &capture.points, config.clone(), &device)?;
+    let trainer = if kept.is_none() { started(trainer, &args, &capture)? } else { trainer };
     let trainer = effects.supply(trainer, &capture, &train_views)?;
     let trainer = change(if args.check { trainer.with_checks() } else { trainer });
     let mut trainer = trainer.with_ranks(Rc::clone(&ranks));
@@ -283,6 +287,7 @@ fn to_the_end(
         capture: &capture.folder,
         photos: &photo_args,
         config: &config,
+        start: args.start.as_deref(),
         check: args.check,
         lpips: &args.lpips,
     };

@@ -102,6 +102,40 @@ fn a_plan_is_trained_line_by_line_and_merged() {
     assert!(merged > whole - 0.1, "{merged} dB merged, {whole} dB as a whole");
 }
 
+/// The plan trains one scene, of the whole and with few splats, and all lines name it. A run that starts from a scene shows it at once.
+#[test]
+fn blocks_start_from_a_coarse_scene_of_the_whole() {
+    let coarse = IN_TURN.canonicalize().unwrap().join("coarse");
+    let (scene, scored) = (coarse.join("scene.ply"), json(&coarse.join("metrics.json")));
+    // At most a fifth of a block's 1,300 splats (every sixth of 1,500 points), half of its steps, half of the photographs' size but no
+    // less than 32 px.
+    assert_eq!((scored["splats"].as_u64(), scored["steps"].as_u64()), (Some(250), Some(60)));
+    assert_eq!(scored["options"]["max_side"], 32);
+    let capture = Capture::load(&TOWN).unwrap();
+    assert_eq!(scored["test"]["views"].as_array().unwrap().len(), Split::of(&capture, None).test.len());
+    let jobs = fs::read_to_string(IN_TURN.join("jobs.txt")).unwrap();
+    let start = format!(" --start '{}' ", text(&scene));
+    assert!(jobs.lines().all(|line| line.contains(&start)), "{jobs}");
+    assert_eq!(json(&IN_TURN.join("block-1/run/metrics.json"))["options"]["start"], text(&scene));
+
+    let after_one_step = |start: &[&str]| {
+        let out = fresh("one step");
+        let run = ["train", text(&TOWN), "--out", text(&out), "--steps", "1", "--device", "cpu", "--effects", "none"];
+        succeed(splat(&run).args(start));
+        json(&out.join("metrics.json"))["test"]["psnr"].as_f64().unwrap()
+    };
+    let block = IN_TURN.join("block-0/run/scene.ply");
+    let [from_points, from_scene] = [after_one_step(&[]), after_one_step(&["--start", text(&block)])];
+    assert!(from_scene > from_points + 0.5, "{from_scene} dB from a scene, {from_points} dB from points");
+
+    let refused = |options: &[&str], parts: &[&str]| {
+        let out = fresh("no start");
+        refuse(splat(&["train", text(&TOWN), "--out", text(&out), "--steps", "1"]).args(options), parts);
+    };
+    refused(&["--start", "nowhere.ply"], &["nowhere.ply", "--start"]);
+    refused(&["--start", text(&block), "--max-splats", "100"], &["scene.ply", "`--max-splats` is 100", "--start"]);
+}
+
 #[test]
 fn held_out_photographs_are_held_out_of_every_block() {
     let capture = Capture::load(&TOWN).unwrap();
@@ -201,11 +235,13 @@ fn plans_that_cannot_be_are_refused() {
 #[test]
 fn the_splats_of_a_block_decide_the_number_of_blocks() {
     let out = fresh("blocks of a size");
-    let said = succeed(&mut plan(&out, &["--splats-per-block", "900"], &TRAINING)).stdout;
+    let options = ["--splats-per-block", "900", "--coarse-steps", "0"];
+    let said = succeed(&mut plan(&out, &options, &TRAINING)).stdout;
     assert!(said.contains("each block may have 900 splats"), "{said}");
     // 1.3 times 2,000 splats in blocks of 900.
     let jobs = fs::read_to_string(out.join("jobs.txt")).unwrap();
     assert_eq!(jobs.lines().count(), 3);
     assert!(jobs.lines().all(|line| line.contains("--max-splats=900") && line.contains(" --resume ")), "{jobs}");
+    assert!(!jobs.contains("--start") && !out.join("coarse").exists(), "{jobs}");
     assert_eq!(status(&out).matches("waiting").count(), 3);
 }

@@ -118,7 +118,7 @@ impl Survey {
             pose: pose::evidence(capture),
             shutter: shutter::evidence(capture),
             depth: depth::evidence(capture, &observations),
-            blur: blur::evidence(capture, &glances),
+            blur: blur::evidence(capture, &glances, &observations),
             files: files::evidence(capture, views, &glances),
         })
     }

@@ -4,6 +4,7 @@ use glam::DVec3;
 use serde::Serialize;
 use splat_op::Projector;
 
+use super::blur::Detail;
 use crate::capture::{Capture, Observation, View};
 
 /// Largest number of compared points. More points do not change medians.
@@ -51,6 +52,8 @@ pub(super) struct ColourSample {
     /// Smallest and largest value of 5 × 5 px: the range that a shift by a pixel or two could show.
     pub low: [f32; 3],
     pub high: [f32; 3],
+    /// Energies of differences in the neighbourhood. `None` near the border.
+    pub detail: Option<Detail>,
 }
 
 /// Compared points and their observations.

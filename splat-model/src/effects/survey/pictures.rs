@@ -2,6 +2,7 @@
 
 use rayon::prelude::*;
 
+use super::blur::Detail;
 use super::observations::{ColourSample, PointObservations};
 use crate::capture::image::load;
 use crate::capture::{Capture, CaptureError, Photo};
@@ -64,7 +65,8 @@ fn sample(photo: &Photo, at_px: [f64; 2]) -> Option<ColourSample> {
         return None;
     }
     let [x, y] = at_px.map(|px| px as usize);
-    let mut sample = ColourSample { mean: [0.0; 3], low: [1.0; 3], high: [0.0; 3] };
+    let detail = Detail::around(photo, [x, y]);
+    let mut sample = ColourSample { mean: [0.0; 3], low: [1.0; 3], high: [0.0; 3], detail };
     for row in y - 2..=y + 2 {
         for column in x - 2..=x + 2 {
             let at = row * width + column;

@@ -98,6 +98,7 @@ fn seen(colours: &[f32], exposures: &[f64], spread: f32) -> (observations::Point
             mean: [colour; 3],
             low: [colour - spread; 3],
             high: [colour + spread; 3],
+            detail: None,
         }),
     };
     let points = vec![colours.iter().enumerate().map(observation).collect()];
@@ -251,6 +252,8 @@ fn each_effect_of_the_demo_calls_for_itself_alone() {
         (DemoOptions { poses: true, ..SMALL }, "pose-refinement"),
         (DemoOptions { far: true, ..wide }, "environment"),
         (DemoOptions { motion: true, ..large }, "motion-blur"),
+        // Plain walls nearby are less sharp than many houses far away.
+        (DemoOptions { width: 96, height: 72, views: 48, points: 4000, ..DemoOptions::TOWN }, "antialias"),
         (DemoOptions { rolling: true, ..large }, "rolling-shutter"),
         (DemoOptions { defocus: true, ..SMALL }, ""),
         (DemoOptions { depth: true, ..SMALL }, "depth-supervision"),
