@@ -151,12 +151,12 @@ impl Conditions {
 
 /// Times per step: a constant part, ms, and a part per megapixel, ms, measured on the demo capture at 0.02 megapixels and on
 /// `fox_colmap` at 0.52 (see `docs/EFFECTS.md`).
-const ANTIALIAS_MS: (f64, f64) = (0.35, 0.0);
+const ANTIALIAS_MS: (f64, f64) = (0.22, 0.0);
 const MASKS_MS: (f64, f64) = (0.0, 1.0);
-const ENVIRONMENT_MS: (f64, f64) = (0.1, 9.9);
+const ENVIRONMENT_MS: (f64, f64) = (0.08, 2.9);
 const ALPHA_MS: (f64, f64) = (0.2, 0.0);
-const POSE_MS: (f64, f64) = (0.5, 1.2);
-const DEPTH_MS: (f64, f64) = (0.2, 3.8);
+const POSE_MS: (f64, f64) = (0.15, 0.1);
+const DEPTH_MS: (f64, f64) = (0.13, 2.9);
 const MOTION_MS: (f64, f64) = (0.6, 2.5);
 const SHUTTER_MS: (f64, f64) = (0.75, 0.0);
 const DEFOCUS_MS: (f64, f64) = (14.0, 187.0);
