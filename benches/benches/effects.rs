@@ -1,4 +1,5 @@
-//! Times the operations of effects on a smooth picture, forwards and backwards.
+//! Times the operations of effects on a smooth picture, forwards and backwards. The backward pass includes what every loss has: the
+//! gradient of the picture, multiplied by that of the loss.
 //!
 //! `cargo bench --workspace --bench effects -- 539 960` takes the width and the height, px; these are the defaults.
 
@@ -16,7 +17,7 @@ static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 /// Time budget for all operations.
 const BUDGET: Duration = Duration::from_secs(20);
 
-/// Number of known depths, as many as a photograph of `fox_colmap` has.
+/// Number of known depths.
 const KNOWN: usize = 1500;
 
 /// An operation of the picture and of the effect's parameters.

@@ -1,6 +1,7 @@
 //! A training step on a given scene.
 
-use burn::tensor::Tensor;
+use burn::tensor::{DType, Device, Tensor};
+use glam::DAffine3;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use splat_model::density::rows::{Gradients, StepRates, Trained};
@@ -11,10 +12,10 @@ use splat_model::optim::{Adam, LearningRates, MomentBits};
 use splat_model::trainer::Guard;
 use splat_op::{Camera, Extras, SplatError, render_view};
 
+use crate::SyntheticView;
 use crate::job::OPTIONS;
 
 /// Performs the step of [`splat_model::trainer::Trainer::step`] without refinement, so that the number of Gaussians stays constant.
-/// A trainer starts from points and does not accept a scene.
 pub struct Step {
     scene: Trained,
     density: Adaptive,
@@ -32,6 +33,15 @@ impl Step {
     /// Creates a step. `gaussians` are on an autodiff device, `camera` and `truth` on its inner device.
     pub fn new(gaussians: Gaussians, camera: Camera, truth: Truth) -> Self {
         Self::with_moments(gaussians, camera, truth, MomentBits::ThirtyTwo)
+    }
+
+    /// Creates a step of a synthetic scene on the CPU. The photograph is grey, so that the loss has a derivative everywhere.
+    pub fn of(view: &SyntheticView, bits: MomentBits) -> Self {
+        let device = Device::flex();
+        let gaussians = Gaussians::from_rows(&view.rows(), &device.clone().autodiff()).expect("rows of one scene");
+        let camera = Camera::new(view.camera(&device, DType::F32).intrinsics, &DAffine3::IDENTITY, &device);
+        let truth = Truth::new(Tensor::<3>::ones([view.height, view.width, 3], &device) * 0.5);
+        Self::with_moments(gaussians, camera, truth, bits)
     }
 
     /// Creates a step with moments of so many bits.

@@ -2,15 +2,10 @@
 
 use std::alloc::System;
 
-use burn::tensor::{DType, Device, Tensor};
-use glam::DAffine3;
 use splat_benches::SyntheticView;
 use splat_benches::allocations::{CountingAllocator, allocated, held};
 use splat_benches::step::Step;
-use splat_model::gaussians::Gaussians;
-use splat_model::loss::Truth;
 use splat_model::optim::MomentBits;
-use splat_op::Camera;
 
 #[global_allocator]
 static ALLOCATOR: CountingAllocator<System> = CountingAllocator(System);
@@ -23,12 +18,8 @@ const SMALL: SyntheticView = SyntheticView { splats: 0, width: 96, height: 54, s
 
 /// The most bytes held in two steps, and in the refinement after them.
 fn peaks(splats: usize) -> [f64; 2] {
-    let (view, device) = (SyntheticView { splats, ..SMALL }, Device::flex());
-    let camera = Camera::new(view.camera(&device, DType::F32).intrinsics, &DAffine3::IDENTITY, &device);
-    let truth = Truth::new(Tensor::<3>::ones([view.height, view.width, 3], &device) * 0.5);
     let empty = held();
-    let gaussians = Gaussians::from_rows(&view.rows(), &device.clone().autodiff()).unwrap();
-    let mut step = Step::with_moments(gaussians, camera, truth, MomentBits::Eight);
+    let mut step = Step::of(&SyntheticView { splats, ..SMALL }, MomentBits::Eight);
     step.run().unwrap();
     let before = held() - empty;
     let of_step = allocated(|| step.run().unwrap()).1.peak;

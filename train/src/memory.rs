@@ -147,13 +147,13 @@ mod tests {
             from_nothing.dealloc(block, layout(2 * LARGE));
 
             // Bytes are kept when a block becomes large and small again.
-            let counted = LargeFromSystem(System);
-            let block = counted.alloc(small);
+            let from_system = LargeFromSystem(System);
+            let block = from_system.alloc(small);
             block.add(LARGE - 2).write(7);
-            let block = counted.realloc(block, small, LARGE);
+            let block = from_system.realloc(block, small, LARGE);
             assert_eq!(*block.add(LARGE - 2), 7);
-            let block = counted.realloc(block, large, 16);
-            counted.dealloc(block, layout(16));
+            let block = from_system.realloc(block, large, 16);
+            from_system.dealloc(block, layout(16));
         }
     }
 

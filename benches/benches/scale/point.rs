@@ -6,18 +6,15 @@ use std::fs;
 use std::time::{Duration, Instant};
 
 use burn::tensor::{DType, Device, Tensor};
-use glam::DAffine3;
 use splat_benches::allocations::{allocated, held};
 use splat_benches::job::OPTIONS;
 use splat_benches::measure::{PassResult, Prepare, RunTimes, stateful, time};
 use splat_benches::passes::leaves;
 use splat_benches::step::Step;
 use splat_benches::{SyntheticView, values};
-use splat_model::gaussians::Gaussians;
-use splat_model::loss::Truth;
 use splat_model::optim::MomentBits;
 use splat_model::trainer::Trainer;
-use splat_op::{Camera, Extras, intersect, project, render, with_gradient};
+use splat_op::{Extras, intersect, project, render, with_gradient};
 
 /// Kind of work that is timed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -115,7 +112,7 @@ pub fn run(point: &ScalePoint) -> Result<(), Box<dyn Error>> {
     let empty = held();
     let mut prepare = match (point.work, point.views) {
         (ScaleWork::Render, _) => render_and_backward(&point.view),
-        (_, 1) => stateful(step(&point.view, point.moments), Step::run),
+        (_, 1) => stateful(Step::of(&point.view, point.moments), Step::run),
         (_, views) => stateful(point.view.trainer(views), Trainer::step),
     };
     let set_up = held() - empty;
@@ -154,7 +151,7 @@ fn render_and_backward(view: &SyntheticView) -> Prepare {
 /// As [`run`]; once, because it changes the number of Gaussians.
 fn refinement(point: &ScalePoint) -> Result<(), Box<dyn Error>> {
     let empty = held();
-    let mut step = step(&SyntheticView { splats: point.view.splats * 5 / 6, ..point.view }, point.moments);
+    let mut step = Step::of(&SyntheticView { splats: point.view.splats * 5 / 6, ..point.view }, point.moments);
     let set_up = held() - empty;
     forget_peak();
     let start = Instant::now();
@@ -163,15 +160,6 @@ fn refinement(point: &ScalePoint) -> Result<(), Box<dyn Error>> {
     refined?;
     println!("{seconds} 1 0 {} {}", set_up + during.peak, peak_rss());
     Ok(())
-}
-
-/// Prepares a training step. The photograph is grey, so that the loss has a derivative everywhere.
-fn step(view: &SyntheticView, moments: MomentBits) -> Step {
-    let device = Device::flex();
-    let gaussians = Gaussians::from_rows(&view.rows(), &device.clone().autodiff()).expect("rows of one scene");
-    let camera = Camera::new(view.camera(&device, DType::F32).intrinsics, &DAffine3::IDENTITY, &device);
-    let truth = Truth::new(Tensor::<3>::ones([view.height, view.width, 3], &device) * 0.5);
-    Step::with_moments(gaussians, camera, truth, moments)
 }
 
 /// Resets the system's peak of the resident memory. On systems without a reset, the peak covers the whole process.

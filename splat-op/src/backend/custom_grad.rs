@@ -80,7 +80,7 @@ pub fn with_gradient<const D: usize>(variable: Tensor<D>, value: Tensor<1>, grad
     Tensor::from_dispatch(<Dispatch as CustomGradBackend>::with_gradient(variable.into_dispatch(), value, gradient))
 }
 
-/// Returns constants on a device with autodiff if `tracked` is set.
-pub(crate) fn like<const D: usize>(values: &Tensor<D>, tracked: bool) -> Tensor<D> {
-    if tracked && !values.is_autodiff() { Tensor::from_inner(values.clone()) } else { values.clone() }
+/// Returns values as constants beside tensors of a device with autodiff, if `beside_tracked` is set, or of one without.
+pub(crate) fn constant<const D: usize>(values: &Tensor<D>, beside_tracked: bool) -> Tensor<D> {
+    if beside_tracked && !values.is_autodiff() { Tensor::from_inner(values.clone()) } else { values.clone() }
 }

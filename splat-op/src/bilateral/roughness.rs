@@ -85,7 +85,7 @@ pub fn roughness(grid: &Tensor<4>) -> Result<Tensor<1>, SplatError> {
     Ok(if tracked { with_gradient(grid.clone(), value, Tensor::from_dispatch(found.gradient)) } else { value })
 }
 
-/// The roughness in tensor code, for GPUs, where its few launches are no large part of a step.
+/// The roughness in tensor code, for GPUs.
 pub(super) fn in_tensors(grid: &Tensor<4>) -> Tensor<1> {
     let zero = Tensor::zeros([1], &grid.device());
     (1..4).filter(|&axis| grid.dims()[axis] > 1).fold(zero, |sum, axis| {

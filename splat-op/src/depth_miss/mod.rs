@@ -17,7 +17,7 @@ use burn::backend::Dispatch;
 use burn::tensor::{DType, Int, Tensor};
 
 use crate::abilities::is_gpu;
-use crate::backend::custom_grad::like;
+use crate::backend::custom_grad::constant;
 use crate::backend::depth_miss::DepthMissBackend;
 use crate::check::Reference;
 use crate::error::SplatError;
@@ -73,13 +73,12 @@ pub fn depth_miss(
     Ok(Tensor::from_dispatch(<Dispatch as DepthMissBackend>::depth_miss(inputs, pixels.clone().into_dispatch())))
 }
 
-/// The miss in tensor code, for GPUs, where its few launches are no large part of a step.
+/// The miss in tensor code, for GPUs.
 fn in_tensors(depth: &Tensor<3>, alpha: &Tensor<3>, known: &Tensor<1>, pixels: &Tensor<1, Int>) -> Tensor<1> {
     let (plane, tracked) = (depth.dims()[0] * depth.dims()[1], depth.is_autodiff());
     if plane == 0 || known.dims() == [0] {
         return Tensor::zeros([1], &depth.device());
     }
-    let constant = |values: Tensor<1>| like(&values, tracked);
     let at = |picture: Tensor<3>, pixels: Tensor<1, Int>| picture.reshape([plane]).select(0, pixels);
     let inside = pixels.clone().clamp(0, plane as i64 - 1);
     let values = if tracked { alpha.clone().inner() } else { alpha.clone() };
@@ -87,6 +86,6 @@ fn in_tensors(depth: &Tensor<3>, alpha: &Tensor<3>, known: &Tensor<1>, pixels: &
     let counts = at(values, inside.clone()).greater_equal_elem(COVERED).bool_and(exists).float();
     let share = counts.clone() / counts.sum().clamp_min(1.0);
     let inside = if tracked { Tensor::from_inner(inside) } else { inside };
-    let divisor = at(alpha.clone(), inside.clone()).clamp_min(COVERED) * constant(known.clone());
-    ((at(depth.clone(), inside) / divisor - 1.0).abs() * constant(share)).sum()
+    let divisor = at(alpha.clone(), inside.clone()).clamp_min(COVERED) * constant(known, tracked);
+    ((at(depth.clone(), inside) / divisor - 1.0).abs() * constant(&share, tracked)).sum()
 }

@@ -32,7 +32,7 @@ use burn::backend::Dispatch;
 use burn::tensor::Tensor;
 
 use crate::abilities::is_gpu;
-use crate::backend::custom_grad::{like, with_gradient};
+use crate::backend::custom_grad::{constant, with_gradient};
 use crate::backend::penalty::PenaltyBackend;
 use crate::backend::pose::PoseBackend;
 use crate::check::Reference;
@@ -103,12 +103,12 @@ pub fn miss(pose: &Tensor<2>, points: &Tensor<2>, directions: &Tensor<2>, scale:
     Ok(if tracked { with_gradient(pose.clone(), value, Tensor::from_dispatch(found.gradient)) } else { value })
 }
 
-/// The miss in tensor code, for GPUs, where its few launches are no large part of a step.
+/// The miss in tensor code, for GPUs.
 fn miss_in_tensors(pose: &Tensor<2>, points: &Tensor<2>, directions: &Tensor<2>, scale: f64) -> Tensor<1> {
-    let constant = |values: &Tensor<2>| like(values, pose.is_autodiff());
-    let turned = constant(points).matmul(pose.clone().narrow(1, 0, 3).transpose());
+    let tracked = pose.is_autodiff();
+    let turned = constant(points, tracked).matmul(pose.clone().narrow(1, 0, 3).transpose());
     let cam = turned + pose.clone().narrow(1, 3, 1).transpose();
     let length = cam.clone().square().sum_dim(1).clamp_min(LEAST).sqrt();
-    let squared = (cam / length - constant(directions)).square().sum_dim(1);
+    let squared = (cam / length - constant(directions, tracked)).square().sum_dim(1);
     (squared + scale * scale).sqrt().mean() - scale
 }
