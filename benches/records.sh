@@ -29,10 +29,10 @@ strategies() {
   "$splat" train --help | awk '/^ +--strategy /{found=1; next} found && /^ +--/{exit} found && $1 == "-" {sub(":", "", $2); print $2}'
 }
 
-# Prints the largest side of the photographs, px, or `-` for their own size. Small photographs have it at any length.
+# Prints the largest side of the photographs, px, or `-` for their own size. Small photographs have it in all but the longest runs.
 side() {
   case "$1:$2" in
-  fox_small:* | lego_alpha:* | *:2000) echo - ;;
+  fox_small:7000 | lego_alpha:7000 | demo:* | *:2000) echo - ;;
   *) echo "${SIDE:-400}" ;;
   esac
 }
