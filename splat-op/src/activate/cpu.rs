@@ -5,6 +5,7 @@ use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 
 use super::rule::{LARGEST, LARGEST_LOG_SCALE, Raw};
+use crate::simd::each;
 use crate::simd::lanes::{BLOCK, map_lanes};
 use crate::simd::real::Real;
 
@@ -41,11 +42,17 @@ pub(crate) fn scales_cpu<F: Real>(log_scales: &[F]) -> Vec<F> {
 
 #[inline(always)]
 fn scales_chunk<S: Simd, F: Real>(simd: S, logs: &[F], scales: &mut [F]) {
-    let [zero, least, largest] = [F::ZERO, -F::MAX, F::of(LARGEST_LOG_SCALE)].map(|v| F::Lanes::<S>::splat(simd, v));
-    map_lanes(simd, [logs], scales, |[log]| {
-        let usable = log.simd_ge(least) & log.simd_le(largest);
-        usable.select(F::exp_lanes(log), zero)
-    });
+    let [zero, least, largest] = each!([F::ZERO, -F::MAX, F::of(LARGEST_LOG_SCALE)], |v| F::Lanes::<S>::splat(simd, v));
+    map_lanes(
+        simd,
+        [logs],
+        scales,
+        #[inline(always)]
+        |[log]| {
+            let usable = log.simd_ge(least) & log.simd_le(largest);
+            usable.select(F::exp_lanes(log), zero)
+        },
+    );
 }
 
 #[inline(always)]
@@ -66,12 +73,18 @@ pub(crate) fn opacities_cpu<F: Real>(inputs: Raw<&[F]>) -> Vec<F> {
 fn opacities_chunk<S: Simd, F: Real>(simd: S, inputs: &Raw<&[F]>, first: usize, out: &mut [F]) {
     let count = inputs.logit_opacities.len();
     let coefficients = inputs.sh.len() / count.max(1);
-    let [zero, one] = [F::ZERO, F::ONE].map(|value| F::Lanes::<S>::splat(simd, value));
-    map_lanes(simd, [rows_of(inputs.logit_opacities, first, out.len(), 1)], out, |[logit]| {
-        // The exponent is never positive, so nothing overflows.
-        let e = F::exp_lanes(-logit.abs());
-        logit.simd_lt(zero).select(e, one) / (e + one)
-    });
+    let [zero, one] = each!([F::ZERO, F::ONE], |value| F::Lanes::<S>::splat(simd, value));
+    map_lanes(
+        simd,
+        [rows_of(inputs.logit_opacities, first, out.len(), 1)],
+        out,
+        #[inline(always)]
+        |[logit]| {
+            // The exponent is never positive, so nothing overflows.
+            let e = F::exp_lanes(-logit.abs());
+            logit.simd_lt(zero).select(e, one) / (e + one)
+        },
+    );
     for (block, out) in out.chunks_mut(BLOCK).enumerate() {
         let (first, count) = (first + block * BLOCK, out.len());
         let turned = |rotation: &[F]| rotation.iter().any(|c| *c != F::ZERO);
@@ -110,12 +123,18 @@ pub(crate) fn opacity_slopes_cpu<F: Real>(logit_opacities: &[F], opacities: &[F]
 
 #[inline(always)]
 fn slopes_chunk<S: Simd, F: Real>(simd: S, inputs: [&[F]; 2], slopes: &mut [F]) {
-    let [zero, one] = [F::ZERO, F::ONE].map(|value| F::Lanes::<S>::splat(simd, value));
-    map_lanes(simd, inputs, slopes, |[logit, opacity]| {
-        let e = F::exp_lanes(-logit.abs());
-        let sum = e + one;
-        opacity.simd_gt(zero).select(e / (sum * sum), zero)
-    });
+    let [zero, one] = each!([F::ZERO, F::ONE], |value| F::Lanes::<S>::splat(simd, value));
+    map_lanes(
+        simd,
+        inputs,
+        slopes,
+        #[inline(always)]
+        |[logit, opacity]| {
+            let e = F::exp_lanes(-logit.abs());
+            let sum = e + one;
+            opacity.simd_gt(zero).select(e / (sum * sum), zero)
+        },
+    );
 }
 
 /// Whether all values are finite.

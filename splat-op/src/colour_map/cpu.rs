@@ -7,6 +7,7 @@ use rayon::prelude::*;
 
 use super::{MAP, Mapped};
 use crate::simd::blocks::{block_len, load, splat, store};
+use crate::simd::each;
 use crate::simd::real::Real;
 
 /// Number of pixels per task.
@@ -103,5 +104,5 @@ fn differentiate_run<S: Simd, F: Real>(
             }
         }
     }
-    sums.map(|sum| sum.reduce_sum())
+    each!(sums, |sum| sum.reduce_sum())
 }

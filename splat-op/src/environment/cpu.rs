@@ -85,7 +85,11 @@ impl<'a, F: Real> Run<'a, F> {
             }
         }
         let count = if needs.coefficients { count } else { 0 };
-        sums[..count].as_flattened().iter().map(|sum| sum.reduce_sum()).collect()
+        let mut total = Vec::with_capacity(3 * count);
+        for sum in sums[..count].as_flattened() {
+            total.push(sum.reduce_sum());
+        }
+        total
     }
 }
 

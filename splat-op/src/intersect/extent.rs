@@ -8,6 +8,7 @@ use super::{Cut, TILE, tile_grid};
 use crate::camera::Intrinsics;
 use crate::dials::Culling;
 use crate::project::{COLUMNS, Ellipse};
+use crate::simd::each;
 use crate::simd::lanes::{BLOCK, Columns};
 use crate::simd::real::{LANES, Real};
 
@@ -144,9 +145,8 @@ impl<S: Simd, F: Real> Eight<S, F> {
     #[inline(always)]
     fn read(simd: S, extent: &ExtentRules<F>, scratch: &ExtentScratch<F>, first: usize) -> Self {
         let lanes = |value: F| F::Lanes::<S>::splat(simd, value);
-        let column = |column| scratch.ellipses.lanes(simd, column, first);
-        let [x, y, sigma_u, shear, sigma_v, depth, opacity] =
-            [column(0), column(1), column(2), column(3), column(4), column(5), column(6)];
+        let columns = each!([0, 1, 2, 3, 4, 5, 6], |column| scratch.ellipses.lanes(simd, column, first));
+        let [x, y, sigma_u, shear, sigma_v, depth, opacity] = columns;
         let largest = lanes(F::MAX);
         let mut shows =
             depth.simd_gt(lanes(F::ZERO)) & opacity.simd_gt(lanes(F::ZERO)) & opacity.simd_ge(lanes(extent.alpha_min));
@@ -166,9 +166,6 @@ impl<S: Simd, F: Real> Eight<S, F> {
         // `dy − shear dx` loses digits when both terms are large: where it shows, neither exceeds
         // `(|across| + sigma_v) r`.
         let slip = (across.abs() + sigma_v) * r * lanes(F::of(16.0) * F::EPSILON);
-        let margin = |mean: F::Lanes<S>, half: F::Lanes<S>| {
-            (mean.abs() + half) * lanes(F::of(8.0) * F::EPSILON) + lanes(F::of(1e-3))
-        };
         let (half_width, half_height) = match extent.culling {
             Culling::Ellipse | Culling::OpacityBox => (r * sigma_u, r * vertical),
             Culling::BoundingBox => {
@@ -177,7 +174,10 @@ impl<S: Simd, F: Real> Eight<S, F> {
             }
         };
         let half = half_height + slip;
-        let (top, end) = tiles((y - half, y + half), margin(y, half), extent.size[1]);
+        let [margin_x, margin_y] = each!([(x, half_width), (y, half)], |(mean, half)| (mean.abs() + half)
+            * lanes(F::of(8.0) * F::EPSILON)
+            + lanes(F::of(1e-3)));
+        let (top, end) = tiles((y - half, y + half), margin_y, extent.size[1]);
         Self {
             mean: [x, y],
             sigma_u,
@@ -187,7 +187,7 @@ impl<S: Simd, F: Real> Eight<S, F> {
             h,
             inverse: lanes(F::ONE) / vertical,
             slip,
-            margin: margin(x, half_width),
+            margin: margin_x,
             rows: (shows.select(top, lanes(F::ZERO)), shows.select(end, lanes(F::ZERO))),
         }
     }
@@ -205,15 +205,14 @@ impl<S: Simd, F: Real> Eight<S, F> {
         let lanes = |value: F| F::Lanes::<S>::splat(self.r.token(), value);
         let first = (self.rows.0 + row) * F::of(TILE as f64);
         let last = (first + F::of((TILE - 1) as f64)).min(lanes(extent.size[1] - F::ONE));
-        let edge = |pixel: F::Lanes<S>, slip| (pixel + F::of(0.5) - self.mean[1] + slip) * self.inverse;
-        let (top, bottom) = (edge(first, -self.slip), edge(last, self.slip));
-        let chord = |tip: F::Lanes<S>| {
+        let top = (first + F::of(0.5) - self.mean[1] - self.slip) * self.inverse;
+        let bottom = (last + F::of(0.5) - self.mean[1] + self.slip) * self.inverse;
+        let tip = self.r * self.k;
+        let [low, high] = each!([-tip, tip], |tip| {
             let c = tip.max(top).min(bottom);
             let half = (self.r * self.r - c * c).max(lanes(F::ZERO)).sqrt() * self.h;
             (c * self.k, half)
-        };
-        let tip = self.r * self.k;
-        let (low, high) = (chord(-tip), chord(tip));
+        });
         let low = self.mean[0] + self.sigma_u * (low.0 - low.1);
         let high = self.mean[0] + self.sigma_u * (high.0 + high.1);
         tiles((low, high), self.margin, extent.size[0])
@@ -226,13 +225,13 @@ impl<S: Simd, F: Real> Eight<S, F> {
 fn long_axis<S: Simd, L: SimdFloat<S, Element = F>, F: Real<Lanes<S> = L>>([a, x, c]: [L; 3]) -> L {
     let lanes = |value: f64| L::splat(a.token(), F::of(value));
     // Halves, so that nothing overflows before the end.
-    let [a, x, c] = [a, x, c].map(|value| value * F::of(0.5));
-    let length = |along: L| {
+    let [a, x, c] = [a * F::of(0.5), x * F::of(0.5), c * F::of(0.5)];
+    let [sum, difference] = each!([a + c, a - c], |along| {
         let larger = along.abs().max(x.abs()).max(lanes(1e-30));
         let (along, across) = (along / larger, x / larger);
         along.mul_add(along, across * across).sqrt() * larger
-    };
-    length(a + c) + length(a - c)
+    });
+    sum + difference
 }
 
 /// Returns the first tile, and the tile after the last, whose range of pixel centres meets an interval, px, widened by

@@ -6,10 +6,17 @@ use fearless_simd::{Level, dispatch};
 use super::lens_simd::LensProjectionSimd;
 use super::simd::ProjectCameraSimd;
 use crate::linalg::Mat3;
+use crate::simd::each;
 use crate::simd::real::Real;
 
 /// The rows of the Jacobian of a lens at a centre in the camera's frame, px per scene unit.
 pub(crate) type LensJacobian<F> = [[F; 3]; 2];
+
+/// The first lane of each element.
+#[inline(always)]
+fn first<S: Simd, F: Real>(row: [F::Lanes<S>; 3]) -> [F; 3] {
+    each!(row, |lanes| lanes[0])
+}
 
 /// `W R` of a Gaussian that is not rotated against the camera: the rows of `J W R` are those of `J`.
 fn identity<F: Real>() -> Mat3<F> {
@@ -38,15 +45,14 @@ impl<F: Real> ProjectCameraSimd<F> {
         let all = |value: F| F::Lanes::<S>::splat(simd, value);
         let camera = self.lanes(simd);
         let distortion = camera.distortion?;
-        let rows = identity::<F>().map(|row| row.map(all));
+        let rows = each!(identity::<F>(), |row| each!(row, |value| all(value)));
         let bent: LensProjectionSimd<S, F> =
-            LensProjectionSimd::new(&distortion, mean_cam.map(all), &rows, [camera.low, camera.high]);
-        let first = |row: [F::Lanes<S>; 3]| row.map(|lanes| lanes[0]);
-        let jacobian = bent.rows(camera.focal).map(first);
+            LensProjectionSimd::new(&distortion, each!(mean_cam, |value| all(value)), &rows, [camera.low, camera.high]);
+        let jacobian = each!(bent.rows(camera.focal), |value| first::<S, F>(value));
         let of_mean = match grad {
             Some(grad) => {
-                let grad = grad.map(|row| row.map(all));
-                first(bent.backward(&distortion, camera.focal, grad, [all(F::ZERO); 2]).mean_cam)
+                let grad = each!(grad, |row| each!(row, |value| all(value)));
+                first::<S, F>(bent.backward(&distortion, camera.focal, grad, [all(F::ZERO); 2]).mean_cam)
             }
             None => [F::ZERO; 3],
         };

@@ -6,7 +6,8 @@ use fearless_simd::prelude::*;
 use super::lens::{HALF_ANGLE_F32, HALF_ANGLE_F64};
 use super::simd::norm;
 use crate::camera::{CameraModel, Intrinsics};
-use crate::linalg::{Mat3, add, dot, scale, sub};
+use crate::linalg::{Entry, Mat3, add, dot, scale, sub};
+use crate::simd::each;
 use crate::simd::real::Real;
 
 type MaskOf<S, F> = <<F as Real>::Lanes<S> as SimdBase<S>>::Mask;
@@ -45,10 +46,10 @@ impl<F: Real> DistortionSimd<F> {
         let lanes = |value: F| F::Lanes::<S>::splat(simd, value);
         DistortionSimd {
             model: self.model,
-            radial: self.radial.map(lanes),
-            denominator: self.denominator.map(lanes),
-            tangential: self.tangential.map(lanes),
-            prism: self.prism.map(lanes),
+            radial: each!(self.radial, |value| lanes(value)),
+            denominator: each!(self.denominator, |value| lanes(value)),
+            tangential: each!(self.tangential, |value| lanes(value)),
+            prism: each!(self.prism, |value| lanes(value)),
             max_radius_squared: lanes(self.max_radius_squared),
         }
     }
@@ -94,20 +95,23 @@ impl<L: Copy> DistortionSimd<L> {
     where
         L: SimdFloat<S, Element = F>,
     {
-        let (p, both) = (self.tangential, [0, 1].map(|i| self.tangential[i] + self.prism[i]));
+        let (p, both) = (self.tangential, each!([0, 1], |i| self.tangential[i] + self.prism[i]));
         let w = s[0] * s[0] + s[1] * s[1];
         let [g, slope, bend] = self.radial::<S, F>(w);
         let along = p[0] * s[0] + p[1] * s[1];
         let factor = g + along + along;
         let twice_slope = slope + slope;
-        let entry = |i: usize, j: usize| {
-            let half = s[i] * (slope * s[j] + p[j]) + both[i] * s[j];
-            if i == j { factor + half + half } else { half + half }
-        };
+        let mut by = [[factor; 2]; 2];
+        for i in 0..2 {
+            for j in 0..2 {
+                let half = s[i] * (slope * s[j] + p[j]) + both[i] * s[j];
+                by[i][j] = if i == j { factor + half + half } else { half + half };
+            }
+        }
         PlanarMapSimd {
             s,
-            value: [0, 1].map(|i| s[i] * factor + both[i] * w),
-            by: [0, 1].map(|i| [entry(i, 0), entry(i, 1)]),
+            value: [s[0] * factor + both[0] * w, s[1] * factor + both[1] * w],
+            by,
             twice_slope,
             four_bend: (bend + bend) + (bend + bend),
         }
@@ -119,17 +123,24 @@ impl<L: Copy> DistortionSimd<L> {
     where
         L: SimdFloat<S, Element = F>,
     {
-        let (s, p, both) = (at.s, self.tangential, [0, 1].map(|i| self.tangential[i] + self.prism[i]));
+        let (s, p, both) = (at.s, self.tangential, each!([0, 1], |i| self.tangential[i] + self.prism[i]));
         let trace = m[0][0] + m[1][1];
-        let by = |v: [L; 2], i: usize| m[i][0] * v[0] + m[i][1] * v[1];
-        let by_transposed = |v: [L; 2], i: usize| m[0][i] * v[0] + m[1][i] * v[1];
-        let quadratic = s[0] * by(s, 0) + s[1] * by(s, 1);
-        [0, 1].map(|i| {
-            let radial = at.twice_slope * (trace * s[i] + by(s, i) + by_transposed(s, i));
-            let decentred = trace * p[i] + by(p, i) + by_transposed(both, i);
+        let turned = [[m[0][0], m[1][0]], [m[0][1], m[1][1]]];
+        let of_s = matvec2(m, s);
+        let (of_s_turned, of_p, of_both) = (matvec2(&turned, s), matvec2(m, p), matvec2(&turned, both));
+        let quadratic = s[0] * of_s[0] + s[1] * of_s[1];
+        each!([0, 1], |i| {
+            let radial = at.twice_slope * (trace * s[i] + of_s[i] + of_s_turned[i]);
+            let decentred = trace * p[i] + of_p[i] + of_both[i];
             radial + at.four_bend * quadratic * s[i] + decentred + decentred
         })
     }
+}
+
+/// `m v`
+#[inline(always)]
+fn matvec2<L: Entry>(m: &[[L; 2]; 2], v: [L; 2]) -> [L; 2] {
+    [m[0][0] * v[0] + m[0][1] * v[1], m[1][0] * v[0] + m[1][1] * v[1]]
 }
 
 /// Intermediate values of the first step of a perspective lens.
@@ -188,15 +199,15 @@ impl<S: Simd, F: Real> LensProjectionSimd<S, F> {
     ) -> Self {
         let (first, s, slope, base) = if distortion.model.is_fisheye() {
             let step = FisheyeSimd::new(mean_cam, rows);
-            let (s, base) = (step.p.map(|p| step.alpha * p), step.rows(rows));
+            let (s, base) = ([step.alpha * step.p[0], step.alpha * step.p[1]], step.rows(rows));
             (FirstStep::Fisheye(step), s, s, base)
         } else {
             let [x, y, z] = mean_cam;
             let ratio = [x / z, y / z];
-            let slope = [0, 1].map(|k| ratio[k].max(low[k]).min(high[k]));
-            let slope_free = [0, 1].map(|k| slope[k].simd_eq(ratio[k]));
+            let slope = each!([0, 1], |k| ratio[k].max(low[k]).min(high[k]));
+            let slope_free = [slope[0].simd_eq(ratio[0]), slope[1].simd_eq(ratio[1])];
             let inverse_z = F::Lanes::<S>::splat(z.token(), F::ONE) / z;
-            let base = [0, 1].map(|k| scale(sub(rows[k], scale(rows[2], slope[k])), inverse_z));
+            let base = each!([0, 1], |k| scale(sub(rows[k], scale(rows[2], slope[k])), inverse_z));
             (FirstStep::Perspective(PerspectiveSimd { z, ratio, slope_free }), ratio, slope, base)
         };
         Self {
@@ -219,7 +230,7 @@ impl<S: Simd, F: Real> LensProjectionSimd<S, F> {
     #[inline(always)]
     pub fn rows(&self, focal: [Lanes<S, F>; 2]) -> [Vector<S, F>; 2] {
         let by = &self.held.by;
-        [0, 1].map(|i| scale(add(scale(self.base[0], by[i][0]), scale(self.base[1], by[i][1])), focal[i]))
+        each!([0, 1], |i| scale(add(scale(self.base[0], by[i][0]), scale(self.base[1], by[i][1])), focal[i]))
     }
 
     /// Gradients of the centre and of `W R` from those of the rows of `J W R` and of the distorted position.
@@ -231,16 +242,18 @@ impl<S: Simd, F: Real> LensProjectionSimd<S, F> {
         grad_j: [Vector<S, F>; 2],
         grad_seen_at: [Lanes<S, F>; 2],
     ) -> LensProjectionGrad<Lanes<S, F>> {
-        let grad = [0, 1].map(|i| scale(grad_j[i], focal[i]));
+        let grad = [scale(grad_j[0], focal[0]), scale(grad_j[1], focal[1])];
         let by = &self.held.by;
-        let grad_base = [0, 1].map(|k| add(scale(grad[0], by[0][k]), scale(grad[1], by[1][k])));
-        let grad_by = [0, 1].map(|i| [dot(grad[i], self.base[0]), dot(grad[i], self.base[1])]);
+        let grad_base = each!([0, 1], |k| add(scale(grad[0], by[0][k]), scale(grad[1], by[1][k])));
+        let grad_by = each!([0, 1], |i| [dot(grad[i], self.base[0]), dot(grad[i], self.base[1])]);
         let grad_slope = distortion.second::<S, F>(&self.held, &grad_by);
         let by = &self.centre.by;
-        let grad_s = [0, 1].map(|k| grad_seen_at[0] * by[0][k] + grad_seen_at[1] * by[1][k]);
+        let grad_s = each!([0, 1], |k| grad_seen_at[0] * by[0][k] + grad_seen_at[1] * by[1][k]);
         match &self.first {
             FirstStep::Perspective(step) => step.backward(self, grad_base, grad_slope, grad_s),
-            FirstStep::Fisheye(step) => step.backward(&self.rows, grad_base, [0, 1].map(|k| grad_s[k] + grad_slope[k])),
+            FirstStep::Fisheye(step) => {
+                step.backward(&self.rows, grad_base, [grad_s[0] + grad_slope[0], grad_s[1] + grad_slope[1]])
+            }
         }
     }
 }
@@ -294,7 +307,7 @@ impl<S: Simd, F: Real> FisheyeSimd<S, F> {
     #[inline(always)]
     fn rows(&self, rows: &Mat3<Lanes<S, F>>) -> [Vector<S, F>; 2] {
         let inverse = F::Lanes::<S>::splat(self.c.token(), F::ONE) / self.length;
-        [0, 1].map(|k| scale(add(scale(rows[k], self.alpha), scale(self.lean, self.p[k])), inverse))
+        each!([0, 1], |k| scale(add(scale(rows[k], self.alpha), scale(self.lean, self.p[k])), inverse))
     }
 
     #[inline(always)]
@@ -306,20 +319,22 @@ impl<S: Simd, F: Real> FisheyeSimd<S, F> {
     ) -> LensProjectionGrad<Lanes<S, F>> {
         let (p, beta) = (self.p, self.beta);
         let inverse = F::Lanes::<S>::splat(self.c.token(), F::ONE) / self.length;
-        let grad = grad_base.map(|grad| scale(grad, inverse));
+        let grad = [scale(grad_base[0], inverse), scale(grad_base[1], inverse)];
         let sum = add(scale(grad[0], p[0]), scale(grad[1], p[1]));
         let u = dot(grad[0], rows[0]) + dot(grad[1], rows[1]);
         let (m, last) = (dot(sum, self.across), dot(sum, rows[2]));
-        let twice = |value: Lanes<S, F>| value + value;
         let along = p[0] * grad_s[0] + p[1] * grad_s[1];
-        let common = beta * (u + along) + self.delta * m + twice(last);
-        let across = |k: usize| dot(grad[k], self.lean) + beta * dot(sum, rows[k]) + self.alpha * grad_s[k];
-        let grad_p = [0, 1].map(|k| across(k) + p[k] * common);
-        let grad_c = twice(m + self.c * last) - u - along;
-        let of_row = |k: usize| add(scale(grad[k], self.alpha), scale(sum, beta * p[k]));
+        let common = beta * (u + along) + self.delta * m + (last + last);
+        let grad_p = each!([0, 1], |k| dot(grad[k], self.lean)
+            + beta * dot(sum, rows[k])
+            + self.alpha * grad_s[k]
+            + p[k] * common);
+        let half_c = m + self.c * last;
+        let grad_c = (half_c + half_c) - u - along;
+        let of_rows = each!([0, 1], |k| add(scale(grad[k], self.alpha), scale(sum, beta * p[k])));
         LensProjectionGrad {
             mean_cam: [grad_p[0] * inverse, grad_p[1] * inverse, grad_c * inverse],
-            rows: [of_row(0), of_row(1), sum.map(|value| -value)],
+            rows: [of_rows[0], of_rows[1], [-sum[0], -sum[1], -sum[2]]],
         }
     }
 }
@@ -327,7 +342,10 @@ impl<S: Simd, F: Real> FisheyeSimd<S, F> {
 /// `h` of the contract, for `0 <= v <= 1`.
 #[inline(always)]
 fn half_angle<S: Simd, F: Real>(v: Lanes<S, F>) -> Lanes<S, F> {
-    let lanes = |value: &f64| F::Lanes::<S>::splat(v.token(), F::of(*value));
-    let horner = |coefficients: &[f64]| coefficients.iter().fold(lanes(&0.0), |sum, c| sum.mul_add(v, lanes(c)));
-    if F::DTYPE == DType::F32 { horner(&HALF_ANGLE_F32) } else { horner(&HALF_ANGLE_F64) }
+    let coefficients: &[f64] = if F::DTYPE == DType::F32 { &HALF_ANGLE_F32 } else { &HALF_ANGLE_F64 };
+    let mut sum = F::Lanes::<S>::splat(v.token(), F::ZERO);
+    for coefficient in coefficients {
+        sum = sum.mul_add(v, F::Lanes::<S>::splat(v.token(), F::of(*coefficient)));
+    }
+    sum
 }

@@ -6,6 +6,7 @@ use fearless_simd::prelude::*;
 use super::lens_simd::{DistortionSimd, LensProjectionGrad, LensProjectionSimd};
 use super::{COMPENSATION_MIN, Ellipse, ProjectSpec};
 use crate::linalg::{Mat3, add, cross, dot, hadamard, matmul, matvec, rotation_of, scale, sub, transposed_matvec};
+use crate::simd::each;
 use crate::simd::real::Real;
 
 /// The camera, as numbers or broadcast to all lanes.
@@ -55,17 +56,20 @@ impl<F: Real> ProjectCameraSimd<F> {
     pub fn lanes<S: Simd>(&self, simd: S) -> ProjectCameraSimd<F::Lanes<S>> {
         let lanes = |value: F| F::Lanes::<S>::splat(simd, value);
         ProjectCameraSimd {
-            rotation: self.rotation.map(|row| row.map(lanes)),
-            translation: self.translation.map(lanes),
-            focal: self.focal.map(lanes),
-            principal: self.principal.map(lanes),
-            low: self.low.map(lanes),
-            high: self.high.map(lanes),
+            rotation: each!(self.rotation, |row| each!(row, |value| lanes(value))),
+            translation: each!(self.translation, |value| lanes(value)),
+            focal: each!(self.focal, |value| lanes(value)),
+            principal: each!(self.principal, |value| lanes(value)),
+            low: each!(self.low, |value| lanes(value)),
+            high: each!(self.high, |value| lanes(value)),
             near: lanes(self.near),
             blur: lanes(self.blur),
             blur_sigma: lanes(self.blur_sigma),
             antialias: self.antialias,
-            distortion: self.distortion.map(|distortion| distortion.lanes(simd)),
+            distortion: match &self.distortion {
+                Some(distortion) => Some(distortion.lanes(simd)),
+                None => None,
+            },
         }
     }
 }
@@ -149,11 +153,11 @@ impl<S: Simd, F: Real> ProjectionTermsSimd<S, F> {
 
         let slope = [ratio[0].max(lens.low[0]).min(lens.high[0]), ratio[1].max(lens.low[1]).min(lens.high[1])];
         let slope_free = [slope[0].simd_eq(ratio[0]), slope[1].simd_eq(ratio[1])];
-        let row = |axis: usize| {
+        let mut j = each!([0, 1], |axis| {
             let leaning = sub(cam_from_gaussian[axis], scale(cam_from_gaussian[2], slope[axis]));
             scale(leaning, lens.focal[axis] / z)
-        };
-        let (mut j, mut bent) = ([row(0), row(1)], None);
+        });
+        let mut bent = None;
         if BENDS && let Some(distortion) = &lens.distortion {
             let found =
                 LensProjectionSimd::<S, F>::new(distortion, mean_cam, &cam_from_gaussian, [lens.low, lens.high]);
@@ -217,15 +221,15 @@ impl<S: Simd, F: Real> ProjectionTermsSimd<S, F> {
         g: &GaussiansSimd<F::Lanes<S>>,
     ) -> Ellipse<F::Lanes<S>> {
         let (zero, one) = (self.lanes(F::ZERO), self.lanes(F::ONE));
-        let seen = |value: F::Lanes<S>| self.seen.select(value, zero);
-        let centre = |axis: usize| seen(lens.focal[axis] * self.ratio[axis] + lens.principal[axis]);
+        let mean_px =
+            each!([0, 1], |axis| self.seen.select(lens.focal[axis] * self.ratio[axis] + lens.principal[axis], zero));
         Ellipse {
-            mean_px: [centre(0), centre(1)],
+            mean_px,
             sigma_u: self.seen.select(self.sigma_u, one),
-            shear: seen(self.shear),
+            shear: self.seen.select(self.shear, zero),
             sigma_v: self.seen.select(self.sigma_v, one),
-            depth: seen(self.mean_cam[2]),
-            opacity: seen(g.opacity * self.compensation),
+            depth: self.seen.select(self.mean_cam[2], zero),
+            opacity: self.seen.select(g.opacity * self.compensation, zero),
         }
     }
 
@@ -312,11 +316,11 @@ impl<S: Simd, F: Real> ProjectionTermsSimd<S, F> {
 
         let (grad_m, grad_opacity) = self.factor_backward(lens, g.opacity, grad);
         let grad_scale = add(hadamard(grad_m[0], self.j[0]), hadamard(grad_m[1], self.j[1]));
-        let grad_j = grad_m.map(|grad| hadamard(grad, g.scale));
+        let grad_j = [hadamard(grad_m[0], g.scale), hadamard(grad_m[1], g.scale)];
         let LensProjectionGrad { mean_cam: grad_cam, rows: grad_cam_from_gaussian } =
             match (&self.bent, &lens.distortion) {
                 (Some(bent), Some(distortion)) => {
-                    let grad_seen_at = [0, 1].map(|axis| grad.mean_px[axis] * lens.focal[axis]);
+                    let grad_seen_at = [grad.mean_px[0] * lens.focal[0], grad.mean_px[1] * lens.focal[1]];
                     let mut out = bent.backward(distortion, lens.focal, grad_j, grad_seen_at);
                     out.mean_cam[2] += grad.depth;
                     out
@@ -336,7 +340,7 @@ impl<S: Simd, F: Real> ProjectionTermsSimd<S, F> {
         }
         let mut grad_world_from_gaussian = [[zero; 3]; 3];
         for column in 0..3 {
-            let of_camera = [0, 1, 2].map(|row| grad_cam_from_gaussian[row][column]);
+            let of_camera = each!([0, 1, 2], |row| grad_cam_from_gaussian[row][column]);
             let of_world = transposed_matvec(&lens.rotation, of_camera);
             for row in 0..3 {
                 grad_world_from_gaussian[row][column] = of_world[row];
@@ -346,12 +350,12 @@ impl<S: Simd, F: Real> ProjectionTermsSimd<S, F> {
         let kept = |value: F::Lanes<S>| takes_part.select(value, zero);
         GradientsSimd {
             parameters: GaussiansSimd {
-                mean: transposed_matvec(&lens.rotation, grad_cam).map(kept),
-                rotation: rotation.map(kept),
-                scale: grad_scale.map(kept),
+                mean: each!(transposed_matvec(&lens.rotation, grad_cam), |value| kept(value)),
+                rotation: each!(rotation, |value| kept(value)),
+                scale: each!(grad_scale, |value| kept(value)),
                 opacity: kept(grad_opacity),
             },
-            mean2d: grad.mean_px.map(kept),
+            mean2d: each!(grad.mean_px, |value| kept(value)),
         }
     }
 
@@ -413,10 +417,10 @@ pub(super) fn norm<S: Simd, F: Real>(simd: S, v: Vector<S, F>) -> F::Lanes<S> {
 #[inline(always)]
 fn unit_quaternion<S: Simd, F: Real>(simd: S, q: [F::Lanes<S>; 4]) -> ([F::Lanes<S>; 4], F::Lanes<S>) {
     let largest = q[0].abs().max(q[1].abs()).max(q[2].abs().max(q[3].abs()));
-    let scaled = q.map(|c| c / largest);
+    let scaled = each!(q, |c| c / largest);
     let [w, x, y, z] = scaled;
     let length = (w * w + x * x + y * y + z * z).sqrt();
     let zero = F::Lanes::<S>::splat(simd, F::ZERO);
     let whole = largest.simd_gt(zero).select(length * largest, zero);
-    (scaled.map(|c| c / length), whole)
+    (each!(scaled, |c| c / length), whole)
 }

@@ -11,6 +11,7 @@ use crate::options::{Order, Projection};
 use crate::project::{COLUMNS, Ellipse};
 use crate::rasterize::RasterizeSpec;
 use crate::rasterize::footprint::{TileWindow, WHITEN};
+use crate::simd::each;
 use crate::simd::real::{EXP2_CONSTANTS, Real};
 
 /// A Gaussian in the form that the loops over pixels multiply by. Nothing is scaled, as it is in `rasterize`: where `s` is a small
@@ -144,6 +145,15 @@ impl<F: Real> RayFootprint<F> {
         self.beyond[0] | self.beyond[1]
     }
 
+    /// Returns the whitened coordinates `u`, `v` of an offset from the origin, px, and `u² + v²`.
+    #[inline(always)]
+    fn whiten<S: Simd>(&self, dx: F::Block<S>, dy: F::Block<S>) -> (F::Block<S>, F::Block<S>, F::Block<S>) {
+        let lanes = |value: F| F::Block::<S>::splat(dx.token(), value);
+        let u = dx * lanes(self.inverse_u);
+        let v = lanes(-self.shear).mul_add(dx, dy) * lanes(self.inverse_v);
+        (u, v, u.mul_add(u, v * v))
+    }
+
     /// Returns the negative gradient of a position, px, from that of its whitened coordinates.
     pub fn per_px(&self, [u, v]: [F; 2]) -> [F; 2] {
         let per_v = v * self.inverse_v;
@@ -253,20 +263,15 @@ impl<S: Simd, F: Real> RayRules<S, F> {
         let lanes = |value: F| F::Block::<S>::splat(simd, value);
         let dx = pixels.x - lanes(splat.base_px[0]);
         let dy = pixels.y - lanes(splat.base_px[1]);
-        let whiten = |dx: F::Block<S>, dy: F::Block<S>| {
-            let u = dx * lanes(splat.inverse_u);
-            let v = lanes(-splat.shear).mul_add(dx, dy) * lanes(splat.inverse_v);
-            (u, v, u.mul_add(u, v * v))
-        };
-        let (mut u, mut v, mut square) = whiten(dx, dy);
+        let (mut u, mut v, mut square) = splat.whiten::<S>(dx, dy);
         let mut met = (u, v, square);
         if let (Some([x, y]), Some(frame)) = (pixels.slopes.filter(|_| EXACT || KEYED), frame) {
             // A pixel without a ray is hidden below; zero keeps its numbers finite.
             let sees = x.abs().simd_lt(self.widest);
-            let offset = |slope: F::Block<S>, axis: usize| sees.select(slope - lanes(frame.centre[axis]), self.zero);
-            let (x, y) = (offset(x, 0), offset(y, 1));
-            let [dx, dy] = frame.by.map(|[by_x, by_y]| lanes(by_x).mul_add(x, y * lanes(by_y)));
-            met = whiten(dx, dy);
+            let x = sees.select(x - lanes(frame.centre[0]), self.zero);
+            let y = sees.select(y - lanes(frame.centre[1]), self.zero);
+            let [dx, dy] = each!(frame.by, |[by_x, by_y]| lanes(by_x).mul_add(x, y * lanes(by_y)));
+            met = splat.whiten::<S>(dx, dy);
             if EXACT {
                 (u, v, square) = met;
             }
@@ -276,12 +281,13 @@ impl<S: Simd, F: Real> RayRules<S, F> {
         let mut exponent = square * self.half_log2_e;
         let mut near = exponent.simd_le(lanes(splat.extent));
         if EXACT || KEYED {
-            let [slope_u, slope_v] = splat.depth_slope.map(|slope| lanes(-slope));
+            let [slope_u, slope_v] = each!(splat.depth_slope, |slope| lanes(-slope));
             let s = slope_u.mul_add(met.0, slope_v.mul_add(met.1, self.one));
             let d = lanes(splat.thick).mul_add(met.2, s * s);
             let mut sound = if EXACT { s.simd_gt(self.nearest) } else { d.simd_gt(self.d_min) };
             if EXACT && splat.is_beyond() {
-                let ([alpha, beta], gamma, thick) = (splat.centre.map(lanes), lanes(splat.gamma), lanes(splat.thick));
+                let ([alpha, beta], gamma, thick) =
+                    (each!(splat.centre, |value| lanes(value)), lanes(splat.gamma), lanes(splat.thick));
                 let dot = alpha.mul_add(u, beta * v);
                 let product = gamma.mul_add(s, thick * dot);
                 sound = d.simd_gt(self.d_min) & product.simd_gt(self.zero);

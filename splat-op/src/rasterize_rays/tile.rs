@@ -226,7 +226,10 @@ impl<F: Real> RayTile<F> {
         RayPixels {
             x: lanes(simd, &self.x, place % BLOCK_ROW),
             y: lanes::<S, F>(simd, &self.rows, place) + self.top,
-            slopes: self.slopes.as_ref().map(|slopes| [lanes(simd, &slopes[0], place), lanes(simd, &slopes[1], place)]),
+            slopes: match &self.slopes {
+                Some(slopes) => Some([lanes(simd, &slopes[0], place), lanes(simd, &slopes[1], place)]),
+                None => None,
+            },
         }
     }
 

@@ -11,6 +11,7 @@ use crate::depth_slope::DEPTH_SLOPE;
 use crate::intersect::TILE_PIXELS;
 use crate::rasterize::cpu::{MOMENTS, TilePlanes};
 use crate::rasterize::tile::{Plane, lanes, len, store};
+use crate::simd::each;
 use crate::simd::real::Real;
 
 /// Number of values that are stored before they are summed, unless one vector of pixels has more: 16 MiB in f32.
@@ -311,11 +312,11 @@ impl<S: Simd, F: Real> RaySums<S, F> {
         [features, channels]: [usize; 2],
         absolute: bool,
     ) {
-        let mut moments = self.moments.map(|sum| sum.reduce_sum());
-        let [slope_u, slope_v, thickness] = self.slopes.map(|sum| sum.reduce_sum());
+        let mut moments = each!(self.moments, |sum| sum.reduce_sum());
+        let [slope_u, slope_v, thickness] = each!(self.slopes, |sum| sum.reduce_sum());
         let mut slopes = [-slope_u, -slope_v, thickness * splat.thick.sqrt()];
         if EXACT && splat.is_beyond() {
-            let [of_alpha, of_beta, of_gamma] = self.centre.map(|sum| sum.reduce_sum());
+            let [of_alpha, of_beta, of_gamma] = each!(self.centre, |sum| sum.reduce_sum());
             let [alpha, beta] = splat.centre;
             let moved = [of_alpha - splat.depth_slope[0] * of_gamma, of_beta - splat.depth_slope[1] * of_gamma];
             // Along an axis on which the centre lies beyond the picture, the origin stays and the centre moves relative to it.
@@ -359,7 +360,7 @@ impl<S: Simd, F: Real> RaySums<S, F> {
         if EXACT {
             let of_lambda = seen * lanes(splat.depth);
             let phi = lanes(splat.thick) * inverse;
-            let [slope_u, slope_v] = splat.depth_slope.map(lanes);
+            let [slope_u, slope_v] = each!(splat.depth_slope, |value| lanes(value));
             let across;
             if splat.is_beyond() {
                 let [apart_u, apart_v, apart_s] = apart;
@@ -392,16 +393,17 @@ impl<S: Simd, F: Real> RaySums<S, F> {
         self.moments[4] = q.mul_add(u, self.moments[4]);
         self.moments[5] = q.mul_add(v, self.moments[5]);
         if splat.is_beyond() {
-            self.centre.iter_mut().zip(centre).for_each(|(sum, value)| *sum += value);
+            for (sum, value) in self.centre.iter_mut().zip(centre) {
+                *sum += value;
+            }
         }
         if absolute {
-            let per_px = |[p, q]: [F::Block<S>; 2]| {
+            let [slope_u, slope_v] = each!(splat.depth_slope, |value| lanes(value));
+            let moved = [centre[0] - slope_u * centre[2], centre[1] - slope_v * centre[2]];
+            let [of_origin, of_centre] = each!([[p, q], moved], |[p, q]| {
                 let per_v = q * lanes(splat.inverse_v);
                 [p * lanes(splat.inverse_u) - per_v * lanes(splat.shear), per_v]
-            };
-            let [slope_u, slope_v] = splat.depth_slope.map(lanes);
-            let (of_origin, of_centre) =
-                (per_px([p, q]), per_px([centre[0] - slope_u * centre[2], centre[1] - slope_v * centre[2]]));
+            });
             for axis in 0..2 {
                 self.absolute[axis] += if splat.beyond[axis] { of_centre[axis] } else { of_origin[axis] }.abs();
             }

@@ -7,6 +7,8 @@ use burn::tensor::{DType, f16};
 use fearless_simd::{f32x8, f32x16, f64x8, prelude::*, u32x8};
 use half::slice::HalfFloatSliceExt;
 
+use super::each;
+
 /// Number of lanes of [`Real::Lanes`], the same for both float types.
 pub(crate) const LANES: usize = 8;
 
@@ -200,11 +202,11 @@ impl Real for f32 {
         }
         // 2ⁿ is split in two factors, because n exceeds the exponents of a float on both sides.
         let half = (n * 0.5).floor();
-        let power = |n: f32x8<S>| {
+        let powers = each!([half, n - half], |n| {
             let exponent: u32x8<S> = ((n + ROUND).to_bits() << 23) + (127 << 23);
-            f32x8::from_bits(exponent)
-        };
-        p * power(half) * power(n - half)
+            f32x8::<S>::from_bits(exponent)
+        });
+        p * powers[0] * powers[1]
     }
 }
 
