@@ -63,7 +63,6 @@ pub(crate) fn norm<F: Real>(v: [F; 3]) -> F {
 
 #[inline(always)]
 pub(crate) fn matmul<F: Entry>(a: &Mat3<F>, b: &Mat3<F>) -> Mat3<F> {
-    // No closure: the compiler may leave one out of line, without the vector instructions of its caller.
     [transposed_matvec(b, a[0]), transposed_matvec(b, a[1]), transposed_matvec(b, a[2])]
 }
 

@@ -168,7 +168,6 @@ impl<S: Simd, F: Real> ProjectionTermsSimd<S, F> {
         seen = seen & finite(ratio[0]) & finite(ratio[1]) & quaternion_length.simd_gt(zero);
         let m = [hadamard(j[0], g.scale), hadamard(j[1], g.scale)];
 
-        // Not by a closure: one that is not inlined lacks the vector registers.
         let sigma_u = norm::<S, F>(simd, [norm::<S, F>(simd, m[0]), lens.blur_sigma, zero]);
         let n = scale(m[0], one / sigma_u);
         let along = scale(m[1], one / sigma_u);

@@ -165,8 +165,7 @@ fn layers<S: Simd, F: Real, const EXACT: bool, const SORTED: bool>(
     open.transmittance
 }
 
-/// The contribution of everything behind a layer, as the gradient weighs it: g·R. What is done for each layer is a function that is always
-/// inlined: a closure that the compiler leaves outside would lack the processor's instructions.
+/// The contribution of everything behind a layer, as the gradient weighs it: g·R.
 struct Behind<S: Simd, F: Real> {
     rho: F::Block<S>,
 }

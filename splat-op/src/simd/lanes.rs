@@ -49,8 +49,7 @@ impl<F: Real, const C: usize> Columns<F, C> {
         F::Lanes::<S>::from_slice(simd, &self.0[column][first..first + LANES])
     }
 
-    /// Returns [`LANES`] rows of all columns. A loop, because closures passed to `map` may not be inlined and then lack the
-    /// vector registers.
+    /// Returns [`LANES`] rows of all columns.
     #[inline(always)]
     pub fn all_lanes<S: Simd>(&self, simd: S, first: usize) -> [F::Lanes<S>; C] {
         let mut all = [F::Lanes::<S>::splat(simd, F::ZERO); C];
