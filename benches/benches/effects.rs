@@ -66,7 +66,9 @@ fn main() -> Result<(), Box<dyn Error>> {
     let picture = (waves.sin() * 0.4 + 0.5).reshape([3, height, width]).permute([1, 2, 0]);
     let mut passes: Vec<Prepare> = Vec::new();
     for (_, op) in OPS {
-        let grad = op(&picture, &constants)?.detach().ones_like();
+        let [height, width, channels] = op(&picture, &constants)?.dims();
+        // In the order of the picture's planes, as the loss gives it.
+        let grad = Tensor::<3>::ones([channels, height, width], &device).permute([1, 2, 0]);
         let (own, of) = (picture.clone(), constants.clone());
         passes.push(forward(move || op(&own, &of)));
         let (own, of) = (picture.clone(), constants.clone());

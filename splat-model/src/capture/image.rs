@@ -2,10 +2,11 @@
 
 use std::fs::File;
 use std::io::{self, BufReader};
+use std::ops::{Add, Div, Mul, Sub};
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use burn::tensor::{Device, FloatDType, Tensor, TensorData};
+use burn::tensor::{Device, Element, FloatDType, Tensor, TensorData};
 use glam::DAffine3;
 use image::imageops::{self, FilterType};
 use image::{
@@ -63,9 +64,39 @@ impl Photo {
         Some(unit_range(alpha, [self.intrinsics.height, self.intrinsics.width, 1], device))
     }
 
-    /// `[H, W, 3]`: display-referred colours in 0..1, composited over `background`, RGB in 0..1.
+    /// `[H, W, 3]`, a view of planes as a render is: display-referred colours in 0..1, composited over `background`, RGB in 0..1.
     pub fn rgb_over(&self, background: [f32; 3], device: &Device) -> Tensor<3> {
-        over(self.rgb_tensor(device), self.alpha_tensor(device), background)
+        let shape = [3, self.intrinsics.height, self.intrinsics.width];
+        let planes = match device.settings().float_dtype {
+            FloatDType::F64 => TensorData::new(self.planes_over::<f64>(background), shape),
+            _ => TensorData::new(self.planes_over::<f32>(background), shape),
+        };
+        Tensor::<3>::from_data(planes, device).permute([1, 2, 0])
+    }
+
+    /// [`Self::rgb_over`] as `[3, H, W]`.
+    fn planes_over<F: Unit>(&self, background: [f32; 3]) -> Vec<F> {
+        let (width, height) = (self.intrinsics.width, self.intrinsics.height);
+        let units: [F; 256] = std::array::from_fn(|byte| F::from(byte as u8) / F::from(u8::MAX));
+        let mut planes = vec![F::from(0u8); 3 * width * height];
+        let (red, rest) = planes.split_at_mut(width * height);
+        let (green, blue) = rest.split_at_mut(width * height);
+        let [red, green, blue] = [red, green, blue].map(|plane| plane.par_chunks_mut(width.max(1)));
+        red.zip(green).zip(blue).with_min_len(16).enumerate().for_each(|(row, ((red, green), blue))| {
+            let pixels = row * width..(row + 1) * width;
+            let alpha = self.alpha.as_ref().map(|alpha| &alpha[pixels.clone()]);
+            for (x, pixel) in self.rgb.as_chunks::<3>().0[pixels].iter().enumerate() {
+                let opacity = alpha.map(|alpha| units[usize::from(alpha[x])]);
+                for (channel, plane) in [&mut *red, &mut *green, &mut *blue].into_iter().enumerate() {
+                    let value = units[usize::from(pixel[channel])];
+                    plane[x] = match opacity {
+                        None => value,
+                        Some(opacity) => value * opacity + F::from(background[channel]) * (F::from(1u8) - opacity),
+                    };
+                }
+            }
+        });
+        planes
     }
 
     /// The photograph resized to `width` × `height` px (Lanczos, a = 3), with its camera scaled to match.
@@ -93,6 +124,24 @@ impl Photo {
         Self { intrinsics, rgb, alpha, mask, ..self }
     }
 }
+
+/// A float type that bytes are converted to.
+trait Unit:
+    Element
+    + From<u8>
+    + From<f32>
+    + Copy
+    + Send
+    + Sync
+    + Add<Output = Self>
+    + Sub<Output = Self>
+    + Mul<Output = Self>
+    + Div<Output = Self>
+{
+}
+
+impl Unit for f32 {}
+impl Unit for f64 {}
 
 /// `rgb`, `[H, W, 3]`, with opacities `[H, W, 1]`, over `background`; `rgb` itself where it is opaque everywhere.
 pub(super) fn over(rgb: Tensor<3>, alpha: Option<Tensor<3>>, background: [f32; 3]) -> Tensor<3> {

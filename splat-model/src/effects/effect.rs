@@ -88,18 +88,19 @@ impl RenderInput {
 }
 
 /// The mean of one or more renders.
-pub(crate) fn mean_of(pictures: Vec<Rendered<3>>) -> Rendered<3> {
+pub(crate) fn mean_of(mut pictures: Vec<Rendered<3>>) -> Rendered<3> {
     let count = pictures.len() as f32;
-    let sum = pictures.into_iter().reduce(|a, b| Rendered {
-        colour: a.colour + b.colour,
-        alpha: a.alpha + b.alpha,
-        depth: a.depth.zip(b.depth).map(|(a, b)| a + b),
-    });
-    let sum = sum.expect("an effect makes at least one render of each");
-    if count == 1.0 {
-        return sum;
+    if pictures.len() == 1 {
+        return pictures.remove(0);
     }
-    Rendered { colour: sum.colour / count, alpha: sum.alpha / count, depth: sum.depth.map(|depth| depth / count) }
+    // Renders are views of planes: another order of the sum would be rearranged by the loss, and its gradient by every render.
+    let mean = |parts: Vec<Tensor<3>>| {
+        let sum = parts.into_iter().map(|part| part.permute([2, 0, 1])).reduce(|a, b| a + b);
+        (sum.expect("an effect makes at least one render of each") / count).permute([1, 2, 0])
+    };
+    let (colours, (alphas, depths)): (Vec<_>, (Vec<_>, Vec<_>)) =
+        pictures.into_iter().map(|picture| (picture.colour, (picture.alpha, picture.depth))).unzip();
+    Rendered { colour: mean(colours), alpha: mean(alphas), depth: depths.into_iter().collect::<Option<_>>().map(mean) }
 }
 
 /// A model of something that happens between the scene and its photographs. The trainer calls the functions in the order

@@ -161,8 +161,9 @@ const MOTION_MS: (f64, f64) = (0.6, 2.5);
 const SHUTTER_MS: (f64, f64) = (0.75, 0.0);
 const DEFOCUS_MS: (f64, f64) = (14.0, 187.0);
 
-/// The part per megapixel of an environment's viewing directions where they are computed anew in each step.
-const DIRECTIONS_MS: f64 = 14.0;
+/// The part per megapixel of an environment's viewing directions where they are computed anew in each step: a root and a division in f64
+/// for each pixel, 7.5 ms on one thread.
+const DIRECTIONS_MS: f64 = 4.0;
 
 const MIB: f64 = (1 << 20) as f64;
 

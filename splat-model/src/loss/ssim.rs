@@ -19,7 +19,7 @@
 
 use burn::tensor::{Tensor, TensorData, module::conv2d, ops::ConvOptions};
 
-use splat_op::loss::{C1, C2, SIGMA_PX, TAPS, contiguous, window};
+use splat_op::loss::{C1, C2, SIGMA_PX, TAPS, contiguous, moments};
 
 /// The separable window `K` for pictures of the channels, type and device of `like`, `[1, C, H, W]`.
 fn separable_window(like: &Tensor<4>) -> impl Fn(Tensor<4>) -> Tensor<4> + use<> {
@@ -61,10 +61,7 @@ impl Truth {
         let layout = planes(truth.inner());
         // One copy per photograph instead of a strided read at every step.
         let planes = contiguous(&layout);
-        let mean = window(&planes);
-        // σ² from the same moments as the picture's, so that equal pictures have an index of exactly one.
-        let own = |y: &Tensor<4>| (y.clone().neg() + 1.0) * y.clone();
-        let variance = own(&mean) - window(&own(&planes)) + C2;
+        let [mean, variance] = moments(&planes);
         Self { planes, mean, variance }
     }
 

@@ -102,15 +102,16 @@ impl Trainer {
     fn time_loss(&mut self) -> Result<f64, TrainError> {
         let drawn = self.effects.draw(&mut self.rng);
         let prepared = self.prepare(VIEW, drawn)?;
-        let truth = prepared.truth.image();
-        let [height, width, _] = truth.dims();
-        let alpha = Tensor::from_inner(Tensor::ones([height, width, 1], &truth.device()));
-        let image = Tensor::from_inner(truth * 0.9).require_grad();
+        // In the order of a render, planes: each operation would rearrange another.
+        let planes = prepared.truth.image().permute([2, 0, 1]) * 0.9;
+        let [_, height, width] = planes.dims();
+        let alpha = Tensor::from_inner(Tensor::ones([height, width, 1], &planes.device()));
+        let image = Tensor::from_inner(planes.permute([1, 2, 0])).require_grad();
         let start = Instant::now();
         let (loss, _) = self.compare(&prepared, Rendered { colour: image.clone(), alpha, depth: None })?;
         let gradient = image.grad(&loss.backward());
         let _ = loss.into_data();
-        let _ = gradient.map(|gradient| gradient.sum().into_data());
+        let _ = gradient.map(|gradient| gradient.permute([2, 0, 1]).sum().into_data());
         Ok(start.elapsed().as_secs_f64() * 1e3)
     }
 }

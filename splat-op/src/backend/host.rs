@@ -14,6 +14,23 @@ use bytemuck::Pod;
 use crate::sh::cpu::ShCoefficients;
 use crate::simd::real::Real;
 
+/// Runs a CPU twin: evaluates `$body` with `$float` as the float type of `$tensor`.
+macro_rules! by_type {
+    ($tensor:expr, $float:ident => $body:expr) => {{
+        $crate::counters::count_twin_call();
+        match $tensor.dtype() {
+            ::burn::tensor::DType::F64 => {
+                type $float = f64;
+                $body
+            }
+            _ => {
+                type $float = f32;
+                $body
+            }
+        }
+    }};
+}
+
 /// A backend whose tensors lie in host memory.
 pub(crate) trait HostBackend: Backend {
     /// Reads the elements of a tensor, row-major. The tensor must hold `F`.
@@ -24,6 +41,9 @@ pub(crate) trait HostBackend: Backend {
 
     /// Reads the elements of a tensor of i32 or i64, row-major. A number beyond i32 is −1.
     fn host_ints(tensor: IntTensor<Self>) -> Host<i32>;
+
+    /// Returns the same elements in contiguous memory.
+    fn contiguous(tensor: FloatTensor<Self>) -> FloatTensor<Self>;
 
     /// Reads coefficients of half precision or of type `F`.
     fn host_coefficients<F: Real>(tensor: FloatTensor<Self>) -> HostCoefficients<F> {
@@ -95,6 +115,10 @@ impl HostBackend for Flex {
         flex(tensor)
     }
 
+    fn contiguous(tensor: FloatTensor<Self>) -> FloatTensor<Self> {
+        tensor.to_contiguous()
+    }
+
     fn host_ints(tensor: IntTensor<Self>) -> Host<i32> {
         match tensor.dtype() {
             DType::I64 => narrowed(flex::<i64>(tensor).iter()),
@@ -120,6 +144,10 @@ impl HostBackend for NdArray {
         unreachable!("this backend has no tensors of half precision, and this one is of {:?}", tensor.dtype())
     }
 
+    fn contiguous(tensor: FloatTensor<Self>) -> FloatTensor<Self> {
+        by_type!(tensor, F => Self::from_host(Self::host::<F>(tensor.clone()).to_vec(), &tensor.shape(), &tensor))
+    }
+
     fn host_ints(tensor: IntTensor<Self>) -> Host<i32> {
         match tensor {
             NdArrayTensor::I32(storage) => Host::Copied(storage.view().iter().copied().collect()),
@@ -140,23 +168,6 @@ fn elements<F: Pod>(tensor: &NdArrayTensor) -> Option<&[F]> {
 
 fn check_type<F: Real>(dtype: DType) {
     assert_eq!(dtype, F::DTYPE, "all tensors of a stage share one float type; the public functions check it");
-}
-
-/// Runs a CPU twin: evaluates `$body` with `$float` as the float type of `$tensor`.
-macro_rules! by_type {
-    ($tensor:expr, $float:ident => $body:expr) => {{
-        $crate::counters::count_twin_call();
-        match $tensor.dtype() {
-            ::burn::tensor::DType::F64 => {
-                type $float = f64;
-                $body
-            }
-            _ => {
-                type $float = f32;
-                $body
-            }
-        }
-    }};
 }
 
 pub(crate) use by_type;

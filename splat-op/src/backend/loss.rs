@@ -15,7 +15,7 @@ use super::tensors::{ComparedTensors, OptionalTensor};
 #[cfg(feature = "fusion")]
 use super::tensors::{InputTensorMetadata, OptionalTensorMetadata};
 use crate::counters::count_twin_call;
-use crate::loss::cpu::{PlaneSize, photometric_cpu, window_cpu};
+use crate::loss::cpu::{PlaneSize, moments_cpu, photometric_cpu};
 #[cfg(feature = "fusion")]
 use crate::loss::taps::Compared;
 use crate::simd::real::Real;
@@ -42,13 +42,34 @@ pub trait PhotometricBackend: Backend {
         with_gradient: bool,
     ) -> Photometric<Self>;
 
-    /// Returns the filtered planes `Kx`, for any number of planes.
-    #[fusion(dtype = planes, shape = planes)]
-    fn window(planes: FloatTensor<Self>) -> FloatTensor<Self>;
-
     /// Returns the same values in contiguous memory.
     #[fusion(dtype = planes, shape = planes)]
     fn contiguous(planes: FloatTensor<Self>) -> FloatTensor<Self>;
+}
+
+/// The moments of a photograph.
+#[derive(Clone, Debug, ExtensionType)]
+pub struct PhotographMoments<B: Backend> {
+    /// `μy`
+    pub mean: FloatTensor<B>,
+    /// `σy² + C2`
+    pub variance: FloatTensor<B>,
+}
+
+/// The moments of a photograph, on CPU backends without autodiff. On GPUs they are tensor code with [`WindowBackend`].
+#[backend_extension(Flex, NdArray)]
+pub trait MomentsBackend: Backend {
+    /// Returns the moments of planes, each of their shape.
+    fn moments(planes: FloatTensor<Self>) -> PhotographMoments<Self>;
+}
+
+/// The window filter, on GPU backends without autodiff.
+#[cfg(feature = "cube")]
+#[backend_extension(Cube, Fusion: cfg(feature = "fusion"))]
+pub trait WindowBackend: Backend {
+    /// Returns the filtered planes `Kx`, for any number of planes.
+    #[fusion(dtype = planes, shape = planes)]
+    fn window(planes: FloatTensor<Self>) -> FloatTensor<Self>;
 }
 
 #[cfg(feature = "fusion")]
@@ -87,16 +108,12 @@ fn photometric_host<B: HostBackend, F: Real>(
     }
 }
 
-fn window_host<B: HostBackend, F: Real>(planes: FloatTensor<B>) -> FloatTensor<B> {
+fn moments_host<B: HostBackend, F: Real>(planes: FloatTensor<B>) -> PhotographMoments<B> {
     count_twin_call();
     let shape = planes.shape();
-    let filtered = window_cpu::<F>(&B::host(planes.clone()), plane_size(&shape));
-    B::from_host(filtered, &shape, &planes)
-}
-
-fn contiguous_host<B: HostBackend, F: Real>(planes: FloatTensor<B>) -> FloatTensor<B> {
-    let values = B::host::<F>(planes.clone()).to_vec();
-    B::from_host(values, &planes.shape(), &planes)
+    let found = moments_cpu::<F>(&B::host(planes.clone()), plane_size(&shape));
+    let [mean, variance] = found.map(|values| B::from_host(values, &shape, &planes));
+    PhotographMoments { mean, variance }
 }
 
 macro_rules! cpu_backend {
@@ -109,17 +126,16 @@ macro_rules! cpu_backend {
                 }
             }
 
-            fn window(planes: FloatTensor<Self>) -> FloatTensor<Self> {
-                match planes.dtype() {
-                    DType::F64 => window_host::<Self, f64>(planes),
-                    _ => window_host::<Self, f32>(planes),
-                }
-            }
-
             fn contiguous(planes: FloatTensor<Self>) -> FloatTensor<Self> {
+                <Self as HostBackend>::contiguous(planes)
+            }
+        }
+
+        impl MomentsBackend for $backend {
+            fn moments(planes: FloatTensor<Self>) -> PhotographMoments<Self> {
                 match planes.dtype() {
-                    DType::F64 => contiguous_host::<Self, f64>(planes),
-                    _ => contiguous_host::<Self, f32>(planes),
+                    DType::F64 => moments_host::<Self, f64>(planes),
+                    _ => moments_host::<Self, f32>(planes),
                 }
             }
         }
@@ -149,14 +165,16 @@ mod gpu {
             Photometric { loss: tensor(loss, [1], DType::F32, like), gradient: gradient.into() }
         }
 
+        fn contiguous(planes: FloatTensor<Self>) -> FloatTensor<Self> {
+            into_contiguous(planes)
+        }
+    }
+
+    impl WindowBackend for CubeBackend {
         fn window(planes: FloatTensor<Self>) -> FloatTensor<Self> {
             let gpu = Gpu::new(&planes.client);
             let filtered = launch_window(&gpu, &buffer(planes.clone()), picture_size(&planes.shape()));
             tensor(filtered, planes.shape(), DType::F32, &planes)
-        }
-
-        fn contiguous(planes: FloatTensor<Self>) -> FloatTensor<Self> {
-            into_contiguous(planes)
         }
     }
 }

@@ -18,7 +18,8 @@ pub(super) fn inputs(plane: usize, count: usize) -> (Depths<Vec<f64>>, Vec<i32>)
     (Depths { depth, alpha, known }, pixels)
 }
 
-pub(super) const SIZES: [(usize, usize); 4] = [(40, 60), (3, 1), (5, 0), (700, 1500)];
+/// Fewer samples than a run has, and several runs, whose borders lie within the samples of a pixel.
+pub(super) const SIZES: [(usize, usize); 5] = [(40, 60), (3, 1), (5, 0), (700, 1500), (90, 5000)];
 
 fn by_definition(inputs: &Depths<&[f64]>, pixels: &[i32]) -> f64 {
     let errors = pixels.iter().zip(inputs.known).filter_map(|(&pixel, known)| {
@@ -46,6 +47,19 @@ fn the_miss_is_the_mean_relative_error_with_its_gradients() {
             3.0 * by_definition(&Depths { alpha, ..slices }, &pixels)
         });
     }
+}
+
+#[test]
+fn threads_change_no_bit() {
+    let (inputs, pixels) = inputs(90, 5000);
+    let run = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let slices = inputs.each_ref().map(|values| &values[..]);
+        let needs = Depths { depth: true, alpha: true, known: false };
+        pool.install(|| (depth_miss_cpu(slices, &pixels), depth_miss_backward_cpu(slices, &pixels, 3.0, needs)))
+    };
+    let ((one, of_one), (five, of_five)) = (run(1), run(5));
+    assert!(one == five && of_one.depth == of_five.depth && of_one.alpha == of_five.alpha);
 }
 
 #[test]

@@ -45,10 +45,6 @@ pub(crate) fn photometric_cpu<F: Real>(
     if inputs.image.is_empty() {
         return (F::ZERO, with_gradient.then(Vec::new));
     }
-    let planes = inputs.image.len() / size.pixels();
-    let bands = (0..planes)
-        .flat_map(|plane| (0..size.height).step_by(BAND).map(move |first| (plane, first)))
-        .map(|(plane, first)| RowBand { plane, rows: first..size.height.min(first + BAND) });
     let job = LossTask { inputs, size, lambda: F::of(lambda), share: F::of(1.0 / inputs.image.len() as f64) };
     let mut gradient = vec![F::ZERO; if with_gradient { inputs.image.len() } else { 0 }];
     let mut rest = gradient.as_mut_slice();
@@ -56,7 +52,7 @@ pub(crate) fn photometric_cpu<F: Real>(
         let len = if with_gradient { band.rows.len() * size.width } else { 0 };
         (band, rest.split_off_mut(..len).expect("as many rows as the bands have"))
     };
-    let parts: Vec<(RowBand, &mut [F])> = bands.map(part).collect();
+    let parts: Vec<(RowBand, &mut [F])> = bands(inputs.image.len(), size).map(part).collect();
     let sums: Vec<f64> = parts
         .into_par_iter()
         .map_init(Vec::new, |maps, (band, gradient)| {
@@ -77,22 +73,49 @@ pub(crate) fn photometric_cpu<F: Real>(
     (loss, with_gradient.then_some(gradient))
 }
 
-/// Returns `Kx` of planes of one size.
-pub(crate) fn window_cpu<F: Real>(planes: &[F], size: PlaneSize) -> Vec<F> {
-    let mut out = vec![F::ZERO; planes.len()];
-    if planes.is_empty() {
-        return out;
-    }
-    out.par_chunks_mut(size.pixels()).zip(planes.par_chunks(size.pixels())).for_each(|(out, plane)| {
+/// Returns the mean `μy` and `σy² + C2` of a photograph's planes, which are of one size.
+pub(crate) fn moments_cpu<F: Real>(planes: &[F], size: PlaneSize) -> [Vec<F>; 2] {
+    let [mut mean, mut variance] = [0, 1].map(|_| vec![F::ZERO; planes.len()]);
+    let (mut means, mut variances) = (&mut mean[..], &mut variance[..]);
+    let part = |band: RowBand| {
+        let len = band.rows.len() * size.width;
+        let [mean, variance] =
+            [&mut means, &mut variances].map(|rest| rest.split_off_mut(..len).expect("as many rows as the bands have"));
+        (band, mean, variance)
+    };
+    let parts: Vec<(RowBand, &mut [F], &mut [F])> = bands(planes.len(), size).map(part).collect();
+    parts.into_par_iter().for_each(|(band, mean, variance)| {
         dispatch!(Level::new(), simd => {
-            let mut sweep = Sweep::<F, 1>::new(size.width);
-            let fill = |row: usize, [to]: [&mut [F]; 1]| to.copy_from_slice(&plane[size.row(0, row)..][..size.width]);
-            sweep.run(simd, 0..size.height, size.height, fill, #[inline(always)] |row, column, [value]| {
-                store(value, &mut out[size.row(0, row)..][..size.width][column..]);
+            let (one, c2) = (splat(simd, F::ONE), splat(simd, F::of(C2)));
+            let mut sweep = Sweep::<F, 2>::new(size.width);
+            let fill = |row: usize, [to, own]: [&mut [F]; 2]| {
+                let plane = &planes[size.row(band.plane, row)..][..size.width];
+                for ((to, own), &y) in to.iter_mut().zip(own).zip(plane) {
+                    (*to, *own) = (y, y * (F::ONE - y));
+                }
+            };
+            sweep.run(simd, band.rows.clone(), size.height, fill, #[inline(always)] |row, column, [mean_y, own]| {
+                let first = (row - band.rows.start) * size.width;
+                let columns = first + column..first + size.width;
+                store(mean_y, &mut mean[columns.clone()]);
+                store(mean_y * (one - mean_y) - own + c2, &mut variance[columns]);
             });
         });
     });
-    out
+    [mean, variance]
+}
+
+#[inline(always)]
+fn splat<S: Simd, F: Real>(simd: S, value: F) -> F::Lanes<S> {
+    F::Lanes::<S>::splat(simd, value)
+}
+
+/// Returns the bands of planes that have `len` values together.
+fn bands(len: usize, size: PlaneSize) -> impl Iterator<Item = RowBand> {
+    let planes = len.checked_div(size.pixels()).unwrap_or(0);
+    (0..planes)
+        .flat_map(move |plane| (0..size.height).step_by(BAND).map(move |first| (plane, first)))
+        .map(move |(plane, first)| RowBand { plane, rows: first..size.height.min(first + BAND) })
 }
 
 /// Rows of a plane.

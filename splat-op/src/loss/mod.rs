@@ -36,7 +36,9 @@ use taps::Compared;
 pub use taps::{C1, C2, SIGMA_PX, TAPS};
 
 use crate::abilities::is_gpu;
-use crate::backend::loss::PhotometricBackend;
+#[cfg(feature = "cube")]
+use crate::backend::loss::WindowBackend;
+use crate::backend::loss::{MomentsBackend, PhotographMoments, PhotometricBackend};
 
 /// Computes the loss of `image` against a photograph, `[.., H, W]` f32, or f64 on CPUs, without autodiff. Returns
 /// the loss and, if `with_gradient` is set, its gradient.
@@ -60,10 +62,22 @@ pub fn photometric<const D: usize>(
     (Tensor::from_dispatch(found.loss), found.gradient.into_option().map(Tensor::from_dispatch))
 }
 
-/// Returns `Kx` of planes `[.., H, W]` f32, or f64 on CPUs, without autodiff.
-pub fn window<const D: usize>(planes: &Tensor<D>) -> Tensor<D> {
-    check(planes);
-    Tensor::from_dispatch(<Dispatch as PhotometricBackend>::window(planes.clone().into_dispatch()))
+/// Returns the mean `μy` and the variance `σy² + C2` of a photograph's planes, `[.., H, W]` f32, or f64 on CPUs, without autodiff: what
+/// [`photometric`] takes besides the planes.
+pub fn moments<const D: usize>(photograph: &Tensor<D>) -> [Tensor<D>; 2] {
+    check(photograph);
+    #[cfg(feature = "cube")]
+    if is_gpu(&photograph.device()) {
+        let window =
+            |planes: Tensor<D>| Tensor::<D>::from_dispatch(<Dispatch as WindowBackend>::window(planes.into_dispatch()));
+        let own = |y: &Tensor<D>| (y.clone().neg() + 1.0) * y.clone();
+        let mean = window(photograph.clone());
+        let variance = own(&mean) - window(own(photograph)) + C2;
+        return [mean, variance];
+    }
+    let PhotographMoments { mean, variance } =
+        <Dispatch as MomentsBackend>::moments(photograph.clone().into_dispatch());
+    [mean, variance].map(Tensor::from_dispatch)
 }
 
 fn check<const D: usize>(tensor: &Tensor<D>) {

@@ -1,6 +1,6 @@
 //! Tests of the CPU twin against sums written out in f64.
 
-use super::cpu::{PlaneSize, photometric_cpu, window_cpu};
+use super::cpu::{PlaneSize, moments_cpu, photometric_cpu};
 use super::taps::Compared;
 use crate::simd::real::Real;
 use crate::testing::ceiling::{PerturbedReference, rounded, to_f32};
@@ -39,14 +39,20 @@ pub(super) fn shares(inputs: &[Vec<f64>], size: [usize; 2], lambda: f64) -> Vec<
     (0..x.len()).map(share).collect()
 }
 
+/// Mean and `σy² + C2` by the definition.
+fn moments_of(y: &[f64], size: [usize; 2]) -> [Vec<f64>; 2] {
+    let mean = window(y, size);
+    let square: Vec<f64> = y.iter().map(|y| y * y).collect();
+    let variance = window(&square, size).iter().zip(&mean).map(|(yy, m)| yy - m * m + 9e-4).collect();
+    [mean, variance]
+}
+
 /// A picture and a photograph, rounded to f32, and the photograph's mean and `σy² + C2`.
 pub(super) fn pictures(size: [usize; 2], planes: usize) -> Vec<Vec<f64>> {
     let mut random = Random::new((size[0] + 1000 * size[1]) as u64);
     let len = planes * size[0] * size[1];
     let [x, y] = [0, 1].map(|_| rounded(&random.fill(len, 0.0, 1.0)));
-    let mean = window(&y, size);
-    let square: Vec<f64> = y.iter().map(|y| y * y).collect();
-    let variance = window(&square, size).iter().zip(&mean).map(|(yy, m)| yy - m * m + 9e-4).collect::<Vec<_>>();
+    let [mean, variance] = moments_of(&y, size);
     vec![x, y, mean, variance]
 }
 
@@ -64,19 +70,22 @@ fn twin<F: Real>(
 }
 
 #[test]
-fn window_is_the_double_sum() {
+fn moments_are_double_sums() {
     for size @ [width, height] in SIZES {
         for planes in [1, 3] {
-            let x = pictures(size, planes).swap_remove(0);
-            let expected = window(&x, size);
-            let found = window_cpu(&x, PlaneSize { width, height });
-            assert_eq!(found.len(), expected.len());
-            for (i, (found, expected)) in found.iter().zip(&expected).enumerate() {
-                assert!((found - expected).abs() <= 1e-14, "{size:?}, {i}: {found} instead of {expected}");
+            let [_, photograph, mean, variance] = pictures(size, planes).try_into().expect("four");
+            for (found, expected) in moments_cpu(&photograph, PlaneSize { width, height }).iter().zip([mean, variance])
+            {
+                assert_eq!(found.len(), expected.len());
+                for (i, (found, expected)) in found.iter().zip(&expected).enumerate() {
+                    assert!((found - expected).abs() <= 1e-14, "{size:?}, {i}: {found} instead of {expected}");
+                }
             }
-            let reference = PerturbedReference::new(&[x], |inputs| vec![window(&inputs[0], size)]);
-            let narrow = window_cpu(&to_f32(&pictures(size, planes)[0]), PlaneSize { width, height });
-            reference.check(&format!("{size:?}"), 0, &narrow, &vec![Some(0); narrow.len()]);
+            let by_definition = |inputs: &[Vec<f64>]| moments_of(&inputs[0], size).to_vec();
+            let reference = PerturbedReference::new(&[photograph.clone()], by_definition);
+            for (i, narrow) in moments_cpu(&to_f32(&photograph), PlaneSize { width, height }).iter().enumerate() {
+                reference.check(&format!("{size:?}"), i, narrow, &vec![Some(0); narrow.len()]);
+            }
         }
     }
 }
@@ -152,5 +161,5 @@ fn what_is_not_a_number_spreads_as_far_as_the_window_reaches() {
 fn no_pixels_no_loss() {
     let none: Vec<Vec<f32>> = vec![Vec::new(); 4];
     assert_eq!(twin(&none, [0, 5], 0.2, true), (0.0, Some(Vec::new())));
-    assert!(window_cpu::<f32>(&[], PlaneSize { width: 4, height: 0 }).is_empty());
+    assert!(moments_cpu::<f32>(&[], PlaneSize { width: 4, height: 0 }).iter().all(Vec::is_empty));
 }

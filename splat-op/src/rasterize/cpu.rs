@@ -342,6 +342,7 @@ pub(crate) fn gather<F: Real>(
             sum.fill(F::ZERO);
             match columns {
                 RGB_COLUMNS => add_rows_of::<F, RGB_COLUMNS>(rows, own, &mut sum),
+                RGBD_COLUMNS => add_rows_of::<F, RGBD_COLUMNS>(rows, own, &mut sum),
                 _ => add_rows(rows, own, &mut sum),
             }
             let (moments, colours) = sum.split_at(MOMENTS);
@@ -377,6 +378,9 @@ fn chunks<F>(grad: &mut [F], columns: usize, count: usize) -> Vec<&mut [F]> {
 
 /// Number of columns of the sums for three channels.
 const RGB_COLUMNS: usize = MOMENTS + 3;
+
+/// Number of columns of the sums for three channels and depth.
+const RGBD_COLUMNS: usize = RGB_COLUMNS + 1;
 
 /// Adds rows of `intersection_sums` to `sum`.
 #[inline(always)]
