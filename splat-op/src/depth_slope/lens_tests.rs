@@ -18,6 +18,8 @@ const ALL: Geometry<bool> =
 
 const ROW: usize = DEPTH_SLOPE + LENS_FRAME;
 
+const POSE: [f32; 12] = [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0];
+
 fn spec((model, distortion): (CameraModel, [f64; 8]), focal: f64, projection: Projection) -> ProjectSpec {
     let plain = Intrinsics { fy: 0.95 * focal, cx: 76.0, cy: 59.5, ..Intrinsics::centred(160, 112, focal) };
     let options = RenderOptions { blur: 0.3f32.into(), near: 0.0, ..RenderOptions::standard() };
@@ -67,6 +69,30 @@ fn every_gradient_agrees_with_finite_differences() {
                     inner_product(&depth_slope_cpu(inputs(&tensors), &spec), &grad)
                 });
             }
+        }
+    }
+}
+
+/// Near 90° from its axis a fisheye shrinks the picture along the direction from the axis by `cos² θ`, and a hundred times less across it.
+#[test]
+fn the_rim_of_a_fisheye_keeps_the_digits_along_its_radius() {
+    let spec = spec((CameraModel::Fisheye, [0.0; 8]), 19.0, Projection::RayMax);
+    let focal = [spec.intrinsics.fx, spec.intrinsics.fy];
+    for (degrees, turn) in [80.0_f64, 86.0, 89.45].into_iter().flat_map(|degrees| (0..24).map(move |k| (degrees, k))) {
+        let (angle, turn) = (degrees.to_radians(), f64::from(turn) / 24.0 * std::f64::consts::TAU);
+        let ray = [angle.sin() * turn.cos(), angle.sin() * turn.sin(), angle.cos()];
+        let mean = ray.map(|c| (6.9 * c) as f32);
+        let scene = [mean.to_vec(), vec![1.0, 0.0, 0.0, 0.0], vec![0.2; 3], vec![0.5], POSE.to_vec()];
+        let row = depth_slope_cpu(inputs(&scene), &spec);
+        let [x, y, z] = mean.map(f64::from);
+        let across = x.hypot(y);
+        let (n, cos) = ([x / across, y / across], z / across.hypot(z));
+        for axis in 0..2 {
+            let g = [0, 1].map(|k| f64::from(row[DEPTH_SLOPE + 2 + 2 * axis + k]) * n[k]);
+            let (found, expected) = (g[0] + g[1], focal[axis] * cos * cos * n[axis]);
+            // The entries themselves are rounded.
+            let tolerance = 8.0 * f64::from(f32::EPSILON) * (g[0].abs() + g[1].abs());
+            assert!((found - expected).abs() <= tolerance, "{degrees}°, {turn}: {found} instead of {expected}");
         }
     }
 }

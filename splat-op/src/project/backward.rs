@@ -35,7 +35,8 @@ fn factor_backward(f: &ProjectionTerms, lens: &ProjectCamera, opacity: f32, grad
     // Both factors are at most one for all scales.
     let blur = lens.blur_sigma * inverse_v;
     let blur_along = f.along.times(blur);
-    let mut grad_p = f.p.times(grad.sigma_v * inverse_v);
+    // Not by `p` times a quotient, which leaves the range of f32 where the Gaussian is large.
+    let mut grad_p = f.p.times(inverse_v).times(grad.sigma_v);
     let mut along_weight = lens.blur_sigma * grad.sigma_v;
     if comptime!(lens.antialias) {
         let grad_compensation = grad.opacity * opacity;

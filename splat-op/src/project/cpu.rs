@@ -189,7 +189,8 @@ fn backward_chunk<S: Simd, F: Real, const BENDS: bool>(
             let eight = parameters.eight(simd, at);
             let row = grads.all_lanes(simd, at);
             let projection = ProjectionTermsSimd::<S, F>::new::<BENDS>(simd, &eight, &lens);
-            let one = projection.backward(&lens, &eight, &Ellipse::from_row(&row), needs_pose.then_some(&mut pose));
+            let one =
+                projection.backward::<BENDS>(&lens, &eight, &Ellipse::from_row(&row), needs_pose.then_some(&mut pose));
             found.store::<S>(at, &one.parameters);
             for (axis, value) in one.mean2d.into_iter().enumerate() {
                 mean2d.store(axis, at, value);

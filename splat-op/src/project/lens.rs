@@ -7,7 +7,11 @@
 //! ```text
 //! perspective   s = (x, y)/z     bₖ = (rowₖ − sₖ last) / z
 //! fisheye       s = α p          bₖ = (α rowₖ + pₖ (β p·row − last)) / R       (p, c) = (x, y, z)/R,  R = |(x, y, z)|
+//!                                   = (c rowₖ − β p⊥ₖ p⊥·row − pₖ last) / R      p⊥ = (−p_y, p_x)
 //! ```
+//!
+//! The last line is what is computed. Away from the axis a fisheye shrinks the picture along `p` by `c = α + β |p|²`, which near 90° is a
+//! small difference of `α` and `−β |p|²`.
 //!
 //! The second is the planar map `d(s)`, with the Jacobian `A` and, contracted with any 2×2 matrix `M`, the second derivative
 //!

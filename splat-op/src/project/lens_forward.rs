@@ -218,6 +218,7 @@ fn fisheye(mean_cam: Vec3, rows: Mat3, distortion: &Distortion) -> LensProjectio
     let delta = more * (25.0 + v * (9.0 - v * more) + 3.0 * squared * squared * h) * 0.0625;
     let across = rows.x.times(p.x).plus(rows.y.times(p.y));
     let lean = across.times(beta).minus(rows.z);
+    let aside = rows.y.times(p.x).minus(rows.x.times(p.y)).times(beta);
     let inverse_length = 1.0 / length;
     let s = p.times(alpha);
     let at = distortion.at(s);
@@ -225,8 +226,8 @@ fn fisheye(mean_cam: Vec3, rows: Mat3, distortion: &Distortion) -> LensProjectio
         within: s.dot(s) < distortion.max_radius_squared,
         centre: at,
         held: at,
-        base_x: rows.x.times(alpha).plus(lean.times(p.x)).times(inverse_length),
-        base_y: rows.y.times(alpha).plus(lean.times(p.y)).times(inverse_length),
+        base_x: rows.x.times(c).plus(aside.times(p.y)).minus(rows.z.times(p.x)).times(inverse_length),
+        base_y: rows.y.times(c).minus(aside.times(p.x)).minus(rows.z.times(p.y)).times(inverse_length),
         rows,
         perspective: ComptimeOption::new_None(),
         fisheye: ComptimeOption::new_Some(Fisheye { p, c, alpha, beta, delta, lean, across, inverse_length }),

@@ -307,7 +307,13 @@ impl<S: Simd, F: Real> FisheyeSimd<S, F> {
     #[inline(always)]
     fn rows(&self, rows: &Mat3<Lanes<S, F>>) -> [Vector<S, F>; 2] {
         let inverse = F::Lanes::<S>::splat(self.c.token(), F::ONE) / self.length;
-        each!([0, 1], |k| scale(add(scale(rows[k], self.alpha), scale(self.lean, self.p[k])), inverse))
+        let [x, y] = self.p;
+        let aside = scale(sub(scale(rows[1], x), scale(rows[0], y)), self.beta);
+        let turned = [scale(aside, y), scale(aside, -x)];
+        each!([0, 1], |k| {
+            let row = sub(add(scale(rows[k], self.c), turned[k]), scale(rows[2], self.p[k]));
+            scale(row, inverse)
+        })
     }
 
     #[inline(always)]

@@ -19,7 +19,6 @@ pub(crate) struct ProjectCameraSimd<L> {
     pub low: [L; 2],
     pub high: [L; 2],
     pub near: L,
-    blur: L,
     /// `√blur`
     pub blur_sigma: L,
     antialias: bool,
@@ -45,7 +44,6 @@ impl<F: Real> ProjectCameraSimd<F> {
             low: limits.map(|[low, _]| F::of(low)),
             high: limits.map(|[_, high]| F::of(high)),
             near: F::of(options.near),
-            blur: F::of(options.blur),
             blur_sigma: F::of(options.blur).sqrt(),
             antialias: options.antialias,
             distortion: DistortionSimd::new(camera),
@@ -63,7 +61,6 @@ impl<F: Real> ProjectCameraSimd<F> {
             low: each!(self.low, |value| lanes(value)),
             high: each!(self.high, |value| lanes(value)),
             near: lanes(self.near),
-            blur: lanes(self.blur),
             blur_sigma: lanes(self.blur_sigma),
             antialias: self.antialias,
             distortion: match &self.distortion {
@@ -259,9 +256,12 @@ impl<S: Simd, F: Real> ProjectionTermsSimd<S, F> {
                 grad_along[axis] -= self.compensation_free.select(through_along[axis], zero);
             }
         }
-        let relative = grad.sigma_v / self.sigma_v;
-        grad_p = add(grad_p, scale(self.p, relative));
-        grad_along = add(grad_along, scale(self.along, lens.blur * relative));
+        // `p` and the blur along are divided by `sigma_v` first: a gradient that is divided by a standard deviation again may leave
+        // the range of the float.
+        let inverse_v = self.lanes(F::ONE) / self.sigma_v;
+        grad_p = add(grad_p, scale(scale(self.p, inverse_v), grad.sigma_v));
+        let blur_along = scale(self.along, lens.blur_sigma * inverse_v);
+        grad_along = add(grad_along, scale(blur_along, lens.blur_sigma * grad.sigma_v));
         let grad_n = add(scale(self.along, grad.shear), cross(self.m[1], grad_p));
         let inverse = self.lanes(F::ONE) / self.sigma_u;
         let grad_sigma_u = grad.sigma_u - (dot(grad_along, self.along) + dot(grad_n, self.n)) * inverse;
@@ -297,9 +297,9 @@ impl<S: Simd, F: Real> ProjectionTermsSimd<S, F> {
     }
 
     /// Gradients of the Gaussians from those of their ellipses; zero if those are zero. Adds the pose's gradient, row by row, to
-    /// `pose`.
+    /// `pose`. `BENDS` as in [`Self::new`].
     #[inline(always)]
-    pub fn backward(
+    pub fn backward<const BENDS: bool>(
         &self,
         lens: &ProjectCameraSimd<F::Lanes<S>>,
         g: &GaussiansSimd<F::Lanes<S>>,
@@ -318,7 +318,7 @@ impl<S: Simd, F: Real> ProjectionTermsSimd<S, F> {
         let grad_j = [hadamard(grad_m[0], g.scale), hadamard(grad_m[1], g.scale)];
         let LensProjectionGrad { mean_cam: grad_cam, rows: grad_cam_from_gaussian } =
             match (&self.bent, &lens.distortion) {
-                (Some(bent), Some(distortion)) => {
+                (Some(bent), Some(distortion)) if BENDS => {
                     let grad_seen_at = [grad.mean_px[0] * lens.focal[0], grad.mean_px[1] * lens.focal[1]];
                     let mut out = bent.backward(distortion, lens.focal, grad_j, grad_seen_at);
                     out.mean_cam[2] += grad.depth;
