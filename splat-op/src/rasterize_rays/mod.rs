@@ -79,6 +79,8 @@
 #[cfg(feature = "cube")]
 mod backward;
 pub(crate) mod cpu;
+#[cfg(test)]
+mod crossing_tests;
 mod footprint;
 #[cfg(feature = "cube")]
 mod forward;

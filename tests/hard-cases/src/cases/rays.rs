@@ -46,25 +46,14 @@ const SORTED: [&str; 9] = [
     "behind the camera",
 ];
 
-/// Cases whose ceiling the gradients cannot meet with the ray-max projection, with the allowed multiple and the reason.
-const LOOSE: [(&str, f64, &str); 2] = [
-    (
-        "larger than the scene",
-        1e4,
-        "beside the view the gradient of the centre's camera z is the sum of terms 1e4 times as large, because everything that passes \
-         between the stages is relative to this z; picture and all other gradients meet the ceiling",
-    ),
-    (
-        "log-scale +50",
-        500.0,
-        "`project` divides the gradient of a standard deviation of 1e23 px by it once more, and 1e-43 is a denormal number with two \
-         digits left; the picture meets the ceiling",
-    ),
-];
-
-/// Reason why kernels miss the ceiling at the limit of a fisheye.
-const NEAR_90: &str = "the depth of a splat at 89.4° from the axis is a third of its size, and `s = 1 − slope·(u, v)` is a small \
-                       difference of two numbers that are rounded separately";
+/// The case whose ceiling a gradient cannot meet with the ray-max projection, with the allowed multiple and the reason.
+const LOOSE: (&str, f64, &str) = (
+    "larger than the scene",
+    1e4,
+    "bounded by the rounding of what crosses the stages: beside the view the gradient of the centre's camera z is the sum of terms 1e4 \
+     times as large, each from a gradient that passes between two stages as f32, and with all else in f64 their correct rounding alone \
+     costs 51 to 314 times the ceiling (shown by `splat-op/src/rasterize_rays/crossing_tests.rs`); picture and all other gradients meet it",
+);
 
 pub fn cases() -> Vec<HardCase> {
     let exact = SMOOTH.with_projection(Projection::RayMax);
@@ -75,9 +64,10 @@ pub fn cases() -> Vec<HardCase> {
         let chosen = others().filter(|case| names.contains(&case.name.as_str()));
         chosen.map(|case| along_rays(case, what, options)).collect()
     };
-    let loose = |case: HardCase| match LOOSE.iter().find(|(name, ..)| case.name.starts_with(name)) {
-        Some(&(_, factor, why)) => case.loose(Processor::Cpu, factor, why).loose(Processor::Gpu, factor, why),
-        None => case,
+    let (name, factor, why) = LOOSE;
+    let loose = |case: HardCase| match case.name.starts_with(name) {
+        true => case.loose(Processor::Cpu, factor, why).loose(Processor::Gpu, factor, why),
+        false => case,
     };
     let mut cases: Vec<HardCase> = again(&PROJECTED, "ray-max projection", exact).into_iter().map(loose).collect();
     cases.extend(again(&SORTED, "per-pixel sort", sorted));
@@ -110,13 +100,14 @@ pub fn cases() -> Vec<HardCase> {
             )
             .hardness("1/4 of the magnification"),
         );
-        let limit = HardCase::scenes(
-            format!("fisheye up to 90° and beyond, {what}"),
-            "the slopes of rays reach hundreds, and pixels beyond 90° have no ray",
-            seen(fisheye()),
-        )
-        .hardness("slope 105");
-        cases.push(if options == exact { limit.loose(Processor::Gpu, 3.0, NEAR_90) } else { limit });
+        cases.push(
+            HardCase::scenes(
+                format!("fisheye up to 90° and beyond, {what}"),
+                "the slopes of rays reach hundreds, and pixels beyond 90° have no ray",
+                seen(fisheye()),
+            )
+            .hardness("slope 105"),
+        );
     }
     cases
 }
