@@ -151,15 +151,15 @@ impl Conditions {
 
 /// Times per step: a constant part, ms, and a part per megapixel, ms, measured on the demo capture at 0.02 megapixels and on
 /// `fox_colmap` at 0.52 (see `docs/EFFECTS.md`).
-const ANTIALIAS_MS: (f64, f64) = (0.22, 0.0);
-const MASKS_MS: (f64, f64) = (0.0, 1.0);
-const ENVIRONMENT_MS: (f64, f64) = (0.08, 2.9);
+const ANTIALIAS_MS: (f64, f64) = (0.15, 0.0);
+const MASKS_MS: (f64, f64) = (0.04, 2.3);
+const ENVIRONMENT_MS: (f64, f64) = (0.16, 3.2);
 const ALPHA_MS: (f64, f64) = (0.2, 0.0);
-const POSE_MS: (f64, f64) = (0.15, 0.1);
-const DEPTH_MS: (f64, f64) = (0.13, 2.9);
+const POSE_MS: (f64, f64) = (0.15, 0.3);
+const DEPTH_MS: (f64, f64) = (0.16, 3.0);
 const MOTION_MS: (f64, f64) = (0.6, 2.5);
 const SHUTTER_MS: (f64, f64) = (0.75, 0.0);
-const DEFOCUS_MS: (f64, f64) = (14.0, 187.0);
+const DEFOCUS_MS: (f64, f64) = (14.0, 118.0);
 
 /// The part per megapixel of an environment's viewing directions where they are computed anew in each step: a root and a division in f64
 /// for each pixel, 7.5 ms on one thread.

@@ -1,29 +1,75 @@
-//! The CPU twin of the bounds.
+//! The CPU twin of the bounds, for eight Gaussians at a time, one per SIMD lane.
 
+use fearless_simd::prelude::*;
+use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 
-use super::{DEPTH_SLOPE, EXTENT, LEAST, LensFrame, LensLimits, ROUNDING, SLACK, columns};
+use super::lens_bounds::{LensFrame, LensLimits};
+use super::{DEPTH_SLOPE, EXTENT, LEAST, LENS_FRAME, ROUNDING, SLACK};
 use crate::camera::{CameraModel, Intrinsics, PictureRays};
 use crate::intersect::extent::whitened_limit;
-use crate::linalg::{cross, dot, norm, scale};
+use crate::linalg::{cross, dot, scale};
+use crate::project::simd::{MaskOf, norm};
 use crate::project::{COLUMNS, Ellipse};
 use crate::rasterize::RasterizeSpec;
 use crate::rasterize_rays::WHITENED_MAX;
-use crate::simd::real::Real;
+use crate::simd::each;
+use crate::simd::lanes::{BLOCK, Columns};
+use crate::simd::real::{LANES, Real};
 
 /// Gaussians per task.
 const CHUNK: usize = 1024;
 
-/// Returns rows `[N, 7]` for `intersect`, from packed ellipses `[N, 7]` and depth slopes `[N, 3]`. Culled Gaussians stay culled.
+type Lanes<S, F> = <F as Real>::Lanes<S>;
+
+/// Returns rows `[N, 7]` for `intersect`, from packed ellipses `[N, 7]` and depth slopes `[N, 3]`, with a lens `[N, 9]`. Culled
+/// Gaussians stay culled.
 pub(crate) fn bounds_cpu<F: Real>(packed: &[F], depth_slopes: &[F], spec: &RasterizeSpec) -> Vec<F> {
+    const BENT: usize = DEPTH_SLOPE + LENS_FRAME;
     let mut bounds = vec![F::ZERO; packed.len()];
-    let slopes = depth_slopes.par_chunks(columns(&spec.intrinsics));
-    let lens = PictureRays::of(&spec.intrinsics).map(|rays| LensLimits::new(&spec.intrinsics, &rays));
-    let rows = (bounds.par_chunks_mut(COLUMNS), packed.par_chunks(COLUMNS), slopes);
-    rows.into_par_iter().with_min_len(CHUNK).for_each(|(out, row, depth_slope)| {
-        out.copy_from_slice(&bounding_ellipse(&Ellipse::from_row(row), depth_slope, (spec, lens.as_ref())).to_row());
-    });
+    let rays = PictureRays::of(&spec.intrinsics);
+    let limits = rays.as_ref().map(|rays| LensLimits::new(&spec.intrinsics, rays));
+    let chunks = (bounds.par_chunks_mut(CHUNK * COLUMNS), packed.par_chunks(CHUNK * COLUMNS));
+    match &limits {
+        Some(limits) => (chunks.0, chunks.1, depth_slopes.par_chunks(CHUNK * BENT)).into_par_iter().for_each(
+            |(out, rows, slopes)| {
+                dispatch!(Level::new(), simd => chunk::<_, F, BENT>(simd, out, rows, slopes, (spec, Some(limits))));
+            },
+        ),
+        None => (chunks.0, chunks.1, depth_slopes.par_chunks(CHUNK * DEPTH_SLOPE)).into_par_iter().for_each(
+            |(out, rows, slopes)| {
+                dispatch!(Level::new(), simd => chunk::<_, F, DEPTH_SLOPE>(simd, out, rows, slopes, (spec, None)));
+            },
+        ),
+    }
     bounds
+}
+
+/// Writes the bounds of consecutive Gaussians, whose depth slopes have `C` columns.
+#[inline(always)]
+fn chunk<S: Simd, F: Real, const C: usize>(
+    simd: S,
+    out: &mut [F],
+    packed: &[F],
+    depth_slopes: &[F],
+    (spec, limits): (&RasterizeSpec, Option<&LensLimits<F>>),
+) {
+    let (mut ellipses, mut slopes, mut found) =
+        (Columns::<F, COLUMNS>::new(), Columns::<F, C>::new(), Columns::<F, COLUMNS>::new());
+    let rules = BoundsRules::<S, F>::new(simd, spec, limits);
+    let blocks = out.chunks_mut(BLOCK * COLUMNS).zip(packed.chunks(BLOCK * COLUMNS));
+    for ((out, rows), of_slopes) in blocks.zip(depth_slopes.chunks(BLOCK * C)) {
+        ellipses.read(rows);
+        slopes.read(of_slopes);
+        for at in (0..rows.len() / COLUMNS).step_by(LANES) {
+            let ellipse = Ellipse::from_row(&ellipses.all_lanes(simd, at));
+            let bounds = rules.bound(&ellipse, &slopes.all_lanes::<S>(simd, at));
+            for (column, value) in bounds.to_row().into_iter().enumerate() {
+                found.store(column, at, value);
+            }
+        }
+        found.write(out);
+    }
 }
 
 /// Returns the point of the picture next to a centre, and the distance of the centre from there, px. With a lens it is the centre.
@@ -36,106 +82,185 @@ pub(crate) fn beyond<F: Real>(mean_px: [F; 2], camera: &Intrinsics) -> ([F; 2], 
     (base, [0, 1].map(|axis| mean_px[axis] - base[axis]))
 }
 
+/// An ellipse and its depth slope in the ray-space coordinates of one point.
+type Seen<L> = (Ellipse<L>, [L; DEPTH_SLOPE]);
+
+/// Returns the lanes of `a` where `mask` is set, else those of `b`.
+#[inline(always)]
+fn select<S: Simd, F: Real>(
+    mask: MaskOf<S, F>,
+    a: &Ellipse<Lanes<S, F>>,
+    b: &Ellipse<Lanes<S, F>>,
+) -> Ellipse<Lanes<S, F>> {
+    let (a, b) = (a.to_row(), b.to_row());
+    Ellipse::from_row(&each!([0, 1, 2, 3, 4, 5, 6], |k| mask.select(a[k], b[k])))
+}
+
+/// Whether all fields are finite.
+#[inline(always)]
+fn finite<S: Simd, F: Real>(simd: S, e: &Ellipse<Lanes<S, F>>) -> MaskOf<S, F> {
+    let largest = F::Lanes::<S>::splat(simd, F::MAX);
+    let mut finite = e.depth.abs().simd_le(largest);
+    for value in e.to_row() {
+        finite &= value.abs().simd_le(largest);
+    }
+    finite
+}
+
 /// Returns the ellipse and the depth slope in the ray-space coordinates of the centre, from those of the point that lies `away` px
 /// before the centre.
-fn about_centre<F: Real>(
-    e: &Ellipse<F>,
-    [slope_u, slope_v, thickness]: [F; DEPTH_SLOPE],
-    away: [F; 2],
-) -> (Ellipse<F>, [F; DEPTH_SLOPE]) {
+#[inline(always)]
+fn about_centre<S: Simd, F: Real>(
+    simd: S,
+    e: &Ellipse<Lanes<S, F>>,
+    [slope_u, slope_v, thickness]: [Lanes<S, F>; DEPTH_SLOPE],
+    away: [Lanes<S, F>; 2],
+) -> Seen<Lanes<S, F>> {
+    let one = F::Lanes::<S>::splat(simd, F::ONE);
     let z = [slope_u, slope_v, thickness];
     let x = [e.sigma_u - away[0] * slope_u, -away[0] * slope_v, -away[0] * thickness];
     let y = [e.shear * e.sigma_u - away[1] * slope_u, e.sigma_v - away[1] * slope_v, -away[1] * thickness];
-    let sigma_u = norm(x);
-    let n = scale(x, F::ONE / sigma_u);
+    let sigma_u = norm::<S, F>(simd, x);
+    let n = scale(x, one / sigma_u);
     let across = cross(n, y);
-    let sigma_v = norm(across);
-    let p = scale(cross(across, n), F::ONE / sigma_v);
+    let sigma_v = norm::<S, F>(simd, across);
+    let p = scale(cross(across, n), one / sigma_v);
     let thickness = thickness * (e.sigma_u / sigma_u) * (e.sigma_v / sigma_v);
     (Ellipse { sigma_u, shear: dot(n, y) / sigma_u, sigma_v, ..*e }, [dot(n, z), dot(p, z), thickness])
 }
 
-/// Returns the bounds of a Gaussian from its packed ellipse and its row of depth slopes, with the limits of the lens if the camera
-/// is no pinhole. The row of a Gaussian that shows nowhere in the picture has no opacity.
-pub(crate) fn bounding_ellipse<F: Real>(
-    e: &Ellipse<F>,
-    depth_slope: &[F],
-    (spec, lens): (&RasterizeSpec, Option<&LensLimits<F>>),
-) -> Ellipse<F> {
-    let alpha_min = F::of(spec.options.alpha_min);
-    if !(e.opacity > F::ZERO && e.opacity >= alpha_min) {
-        return *e;
-    }
-    let hidden = Ellipse { opacity: F::ZERO, ..*e };
-    let camera = &spec.intrinsics;
-    let away = beyond(e.mean_px, camera).1;
-    let lens = lens.zip(LensFrame::of(depth_slope));
-    let own = [depth_slope[0], depth_slope[1], depth_slope[2]];
-    let (e, [slope_u, slope_v, thickness]) = match away == [F::ZERO; 2] {
-        true => (*e, own),
-        false => about_centre(e, own, away),
-    };
-    let e = &e;
-    let reached = alpha_min * F::of((0.5 * EXTENT * EXTENT).exp());
-    let half = [camera.width, camera.height].map(|px| F::of(0.5 * px as f64));
-    let width_and_height = F::of(2.0) * (half[0] + half[1]);
-    let everywhere = Ellipse {
-        mean_px: half,
-        sigma_u: width_and_height,
-        shear: F::ZERO,
-        sigma_v: width_and_height,
-        depth: e.depth,
-        opacity: if alpha_min > F::ZERO { reached } else { F::ONE },
-    };
-    let slope = [slope_u, slope_v];
-    let seen = InPicture::new(e, slope, half);
-    if lens.is_none() && seen.most <= F::ZERO {
-        return hidden;
-    }
-    let [relative, absolute] = SLACK.map(F::of);
-    let tau = whitened_limit(e.opacity, alpha_min) * (F::ONE + relative) + absolute;
-    let across = thickness * tau.sqrt();
-    let thin = F::ONE - across * across;
-    if !(alpha_min > F::ZERO && thin > F::of(LEAST)) {
-        return everywhere;
-    }
-    let square = tau / thin;
-    if let Some((limits, frame)) = lens {
-        let row = whole_ellipse(slope, square).and_then(|whole| limits.bent(&whole.row(e, reached), e, &frame));
-        return row.filter(|row| row.to_row().iter().all(|value| value.finite())).unwrap_or(everywhere);
-    }
-    let disc = match seen.disc(slope, square) {
-        Some(disc) if disc.scale < F::ZERO => return hidden,
-        disc => disc,
-    };
-    let ellipse = whole_ellipse(slope, square);
-    let smaller = match (ellipse, disc) {
-        (Some(ellipse), Some(disc)) if disc.area() < ellipse.area() => disc,
-        (Some(ellipse), _) => ellipse,
-        (None, Some(disc)) => disc,
-        (None, None) => return everywhere,
-    };
-    let row = smaller.row(e, reached);
-    if row.to_row().iter().all(|value| value.finite()) { row } else { everywhere }
+/// What bounds need to know of a picture, one copy in each lane.
+struct BoundsRules<S: Simd, F: Real> {
+    simd: S,
+    alpha_min: F,
+    size: [Lanes<S, F>; 2],
+    half: [Lanes<S, F>; 2],
+    /// The opacity with which the extent of a row is [`EXTENT`].
+    reached: Lanes<S, F>,
+    limits: Option<LensLimits<Lanes<S, F>>>,
 }
 
-/// An ellipse in whitened coordinates: the disc of the radius `EXTENT`, scaled, with an additional column of its factor.
-struct Whitened<F> {
-    middle: [F; 2],
-    column: [F; 2],
-    scale: F,
+impl<S: Simd, F: Real> BoundsRules<S, F> {
+    #[inline(always)]
+    fn new(simd: S, spec: &RasterizeSpec, limits: Option<&LensLimits<F>>) -> Self {
+        let lanes = |value: f64| F::Lanes::<S>::splat(simd, F::of(value));
+        let size = [spec.intrinsics.width as f64, spec.intrinsics.height as f64];
+        let alpha_min = F::of(spec.options.alpha_min);
+        let reached = alpha_min * F::of((0.5 * EXTENT * EXTENT).exp());
+        // A closure would be left out of line, see `each!`.
+        #[allow(clippy::manual_map)]
+        let limits = match limits {
+            Some(limits) => Some(limits.lanes(simd)),
+            None => None,
+        };
+        Self {
+            simd,
+            alpha_min,
+            size: each!(size, |px| lanes(px)),
+            half: each!(size, |px| lanes(0.5 * px)),
+            reached: F::Lanes::<S>::splat(simd, if alpha_min > F::ZERO { reached } else { F::ONE }),
+            limits,
+        }
+    }
+
+    #[inline(always)]
+    fn lanes(&self, value: f64) -> Lanes<S, F> {
+        F::Lanes::<S>::splat(self.simd, F::of(value))
+    }
+
+    /// Returns the bounds of Gaussians from their packed ellipses and their rows of depth slopes. The row of a Gaussian that shows
+    /// nowhere in the picture has no opacity.
+    #[inline(always)]
+    fn bound(&self, given: &Ellipse<Lanes<S, F>>, row: &[Lanes<S, F>]) -> Ellipse<Lanes<S, F>> {
+        let (simd, zero, one) = (self.simd, self.lanes(0.0), self.lanes(1.0));
+        let least = F::Lanes::<S>::splat(simd, self.alpha_min);
+        let shows = given.opacity.simd_gt(zero) & given.opacity.simd_ge(least);
+        let (e, [slope_u, slope_v, thickness]) = self.own(given, [row[0], row[1], row[2]]);
+        let width_and_height = (self.half[0] + self.half[1]) * F::of(2.0);
+        let everywhere = Ellipse {
+            mean_px: self.half,
+            sigma_u: width_and_height,
+            shear: zero,
+            sigma_v: width_and_height,
+            depth: e.depth,
+            opacity: self.reached,
+        };
+        let mut limit = [F::ZERO; LANES];
+        given.opacity.store_slice(&mut limit);
+        for limit in &mut limit {
+            *limit = whitened_limit(*limit, self.alpha_min);
+        }
+        let tau = F::Lanes::<S>::from_slice(simd, &limit) * F::of(1.0 + SLACK[0]) + F::of(SLACK[1]);
+        let across = thickness * tau.sqrt();
+        let thin = one - across * across;
+        // Without a least alpha nothing has an end.
+        let bounded = thin.simd_gt(self.lanes(LEAST)) & least.simd_gt(zero);
+        let square = tau / thin;
+        let (whole, is_whole) = whole_ellipse::<S, F>(simd, [slope_u, slope_v], square);
+        let (found, known, hidden) = match &self.limits {
+            Some(limits) => {
+                let frame = LensFrame::of(row).expect("rows of a lens have its columns");
+                let bent = limits.bent(simd, &whole.row(simd, &e, self.reached), &e, &frame);
+                let known = bounded & is_whole & bent.known & finite::<S, F>(simd, &bent.row);
+                (bent.row, known, known & bent.missed)
+            }
+            None => {
+                let seen = InPicture::<S, F>::new(simd, &e, [slope_u, slope_v], self.half);
+                let (disc, is_known): (Whitened<Lanes<S, F>>, _) = seen.disc([slope_u, slope_v], square);
+                let hidden = seen.most.simd_le(zero) | (bounded & is_known & disc.scale.simd_lt(zero));
+                let smaller = is_known & (!is_whole | disc.area(simd).simd_lt(whole.area(simd)));
+                let found =
+                    select::<S, F>(smaller, &disc.row(simd, &e, self.reached), &whole.row(simd, &e, self.reached));
+                (found, bounded & (is_whole | is_known) & finite::<S, F>(simd, &found), hidden)
+            }
+        };
+        let mut bounds = select::<S, F>(known, &found, &everywhere);
+        bounds.opacity = hidden.select(zero, bounds.opacity);
+        select::<S, F>(shows, &bounds, given)
+    }
+
+    /// Returns ellipses and depth slopes about their centres.
+    #[inline(always)]
+    fn own(&self, e: &Ellipse<Lanes<S, F>>, slopes: [Lanes<S, F>; DEPTH_SLOPE]) -> Seen<Lanes<S, F>> {
+        if self.limits.is_some() {
+            return (*e, slopes);
+        }
+        let zero = self.lanes(0.0);
+        let away = each!([0, 1], |axis| e.mean_px[axis] - e.mean_px[axis].max(zero).min(self.size[axis]));
+        let beyond = !(away[0].simd_eq(zero) & away[1].simd_eq(zero));
+        if !beyond.any_true() {
+            return (*e, slopes);
+        }
+        let (moved, moved_slopes) = about_centre::<S, F>(self.simd, e, slopes, away);
+        (select::<S, F>(beyond, &moved, e), each!([0, 1, 2], |k| beyond.select(moved_slopes[k], slopes[k])))
+    }
 }
 
-impl<F: Real> Whitened<F> {
+/// Ellipses in whitened coordinates: the disc of the radius `EXTENT`, scaled, with an additional column of its factor.
+struct Whitened<L> {
+    middle: [L; 2],
+    column: [L; 2],
+    scale: L,
+}
+
+impl<L: Copy> Whitened<L> {
     /// Returns a number that grows with the area.
-    fn area(&self) -> F {
-        norm([F::ONE, self.column[0], self.column[1]]) * self.scale * self.scale
+    #[inline(always)]
+    fn area<S: Simd, F: Real<Lanes<S> = L>>(&self, simd: S) -> L
+    where
+        L: SimdFloat<S, Element = F>,
+    {
+        norm::<S, F>(simd, [L::splat(simd, F::ONE), self.column[0], self.column[1]]) * self.scale * self.scale
     }
 
-    /// Returns the row of the Gaussian `e` whose extent is this ellipse.
-    fn row(&self, e: &Ellipse<F>, opacity: F) -> Ellipse<F> {
+    /// Returns the rows of the Gaussians `e` whose extents are these ellipses.
+    #[inline(always)]
+    fn row<S: Simd, F: Real<Lanes<S> = L>>(&self, simd: S, e: &Ellipse<L>, opacity: L) -> Ellipse<L>
+    where
+        L: SimdFloat<S, Element = F>,
+    {
         let (shift, [g_u, g_v]) = (self.middle, self.column);
-        let wide = F::ONE + g_u * g_u;
+        let wide = L::splat(simd, F::ONE) + g_u * g_u;
         Ellipse {
             mean_px: [
                 e.mean_px[0] + e.sigma_u * shift[0],
@@ -150,62 +275,72 @@ impl<F: Real> Whitened<F> {
     }
 }
 
-/// Returns the visible region if it is an ellipse. `square` is `c²`.
-fn whole_ellipse<F: Real>(slope: [F; 2], square: F) -> Option<Whitened<F>> {
+/// Returns the visible regions, and whether each is an ellipse. `square` is `c²`.
+#[inline(always)]
+fn whole_ellipse<S: Simd, F: Real>(
+    simd: S,
+    slope: [Lanes<S, F>; 2],
+    square: Lanes<S, F>,
+) -> (Whitened<Lanes<S, F>>, MaskOf<S, F>) {
+    let lanes = |value: f64| F::Lanes::<S>::splat(simd, F::of(value));
+    let (zero, one) = (lanes(0.0), lanes(1.0));
     let c = square.sqrt();
-    let length = norm([slope[0], slope[1], F::ZERO]);
+    let length = norm::<S, F>(simd, [slope[0], slope[1], zero]);
     let eccentricity = c * length;
-    let rest = (F::ONE - eccentricity) * (F::ONE + eccentricity);
-    if !(rest > F::of(LEAST)) {
-        return None;
-    }
-    let along = if length > F::ZERO { eccentricity / length } else { F::ZERO };
-    Some(Whitened {
-        middle: slope.map(|slope| -(along * slope) * (c / rest)),
-        column: slope.map(|slope| along * slope / rest.sqrt()),
-        scale: c / (rest.sqrt() * F::of(EXTENT)),
-    })
+    let rest = (one - eccentricity) * (one + eccentricity);
+    let along = length.simd_gt(zero).select(eccentricity / length, zero);
+    let root = rest.sqrt();
+    let whole = Whitened {
+        middle: each!(slope, |slope| -(along * slope) * (c / rest)),
+        column: each!(slope, |slope| along * slope / root),
+        scale: c / (root * F::of(EXTENT)),
+    };
+    (whole, rest.simd_gt(lanes(LEAST)))
 }
 
-/// What the picture contains of a Gaussian's whitened plane.
-struct InPicture<F> {
+/// What the picture contains of Gaussians' whitened planes.
+struct InPicture<S: Simd, F: Real> {
     /// Bounds of `s`, widened for rounding.
-    least: F,
-    most: F,
+    least: Lanes<S, F>,
+    most: Lanes<S, F>,
     /// Bound of `|u| + |v|`, and of the terms of which `v` is the difference.
-    spread: F,
+    spread: Lanes<S, F>,
 }
 
-impl<F: Real> InPicture<F> {
+impl<S: Simd, F: Real> InPicture<S, F> {
     /// Evaluates the linear `s` at the middle of the picture and at its farthest corners. `half` is half the picture's size, px.
-    fn new(e: &Ellipse<F>, [slope_u, slope_v]: [F; 2], half: [F; 2]) -> Self {
+    #[inline(always)]
+    fn new(simd: S, e: &Ellipse<Lanes<S, F>>, [slope_u, slope_v]: [Lanes<S, F>; 2], half: [Lanes<S, F>; 2]) -> Self {
+        let lanes = |value: f64| F::Lanes::<S>::splat(simd, F::of(value));
+        let (zero, one) = (lanes(0.0), lanes(1.0));
         let [dx, dy] = [half[0] - e.mean_px[0], half[1] - e.mean_px[1]];
         let [far_x, far_y] = [dx.abs() + half[0], dy.abs() + half[1]];
         let [far_u, far_v] = [far_x / e.sigma_u, (far_y + e.shear.abs() * far_x) / e.sigma_v];
         let [by_u, by_v] = [slope_u / e.sigma_u, slope_v / e.sigma_v];
         let by_x = by_u - by_v * e.shear;
-        let middle = F::ONE - by_u * dx - by_v * (dy - e.shear * dx);
-        let terms = F::ONE + slope_u.abs() * far_u + slope_v.abs() * far_v;
-        let span = by_x.abs() * half[0] + by_v.abs() * half[1] + F::of(ROUNDING) * terms;
-        let (least, most) = ((middle - span).max_of(F::ZERO), middle + span);
+        let middle = one - by_u * dx - by_v * (dy - e.shear * dx);
+        let terms = one + slope_u.abs() * far_u + slope_v.abs() * far_v;
+        let span = by_x.abs() * half[0] + by_v.abs() * half[1] + terms * F::of(ROUNDING);
         let spread = far_u + far_v;
         // Beyond these limits `rasterize_rays` clamps.
-        let known = spread < F::of(WHITENED_MAX) && terms < F::of(WHITENED_MAX * WHITENED_MAX);
-        if known { Self { least, most, spread } } else { Self { least: F::ZERO, most: F::MAX, spread } }
+        let known = spread.simd_lt(lanes(WHITENED_MAX)) & terms.simd_lt(lanes(WHITENED_MAX * WHITENED_MAX));
+        let least = known.select((middle - span).max(zero), zero);
+        Self { least, most: known.select(middle + span, F::Lanes::<S>::splat(simd, F::MAX)), spread }
     }
 
-    /// Returns a disc that holds the part of the visible region in the picture; with a negative scale if there is none.
-    fn disc(&self, slope: [F; 2], square: F) -> Option<Whitened<F>> {
-        if !(self.most < F::MAX) {
-            return None;
-        }
+    /// Returns discs that hold the part of the visible region in the picture, with a negative scale if there is none, and whether each
+    /// is known.
+    #[inline(always)]
+    fn disc(&self, slope: [Lanes<S, F>; 2], square: Lanes<S, F>) -> (Whitened<Lanes<S, F>>, MaskOf<S, F>) {
+        let lanes = |value: F| F::Lanes::<S>::splat(self.most.token(), value);
+        let zero = lanes(F::ZERO);
         let (sum, product) = (self.least + self.most, self.least * self.most);
-        let middle = slope.map(|slope| F::of(-0.5) * square * sum * slope);
+        let middle = each!(slope, |slope| square * sum * slope * F::of(-0.5));
         let away = middle[0] * middle[0] + middle[1] * middle[1];
-        let slack = F::of(ROUNDING) * (away + square * (sum + product));
+        let slack = (away + square * (sum + product)) * F::of(ROUNDING);
         let radius = away + square * (sum - product) + slack;
-        let scale =
-            if radius < F::ZERO { -F::ONE } else { (radius.sqrt() + F::of(ROUNDING) * self.spread) / F::of(EXTENT) };
-        Some(Whitened { middle, column: [F::ZERO; 2], scale })
+        let scale = (radius.sqrt() + self.spread * F::of(ROUNDING)) * F::of(1.0 / EXTENT);
+        let scale = radius.simd_lt(zero).select(lanes(-F::ONE), scale);
+        (Whitened { middle, column: [zero; 2], scale }, self.most.simd_lt(lanes(F::MAX)))
     }
 }

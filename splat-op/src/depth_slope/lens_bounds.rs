@@ -1,11 +1,14 @@
-//! Bounds in the picture of a lens, in the CPU twin.
+//! Bounds in the picture of a lens, in the CPU twin, for eight Gaussians at a time.
 
 use std::f64::consts::FRAC_PI_2;
 
+use fearless_simd::prelude::*;
+
 use super::{DEPTH_SLOPE, EXTENT, ROUNDING};
 use crate::camera::{Intrinsics, PictureRays};
-use crate::linalg::norm;
 use crate::project::Ellipse;
+use crate::project::simd::{MaskOf, norm};
+use crate::simd::each;
 use crate::simd::real::Real;
 
 /// Columns of a lens in a row of depth slopes.
@@ -17,15 +20,18 @@ pub(crate) struct LensFrame<F> {
     pub by: [[F; 2]; 2],
 }
 
-impl<F: Real> LensFrame<F> {
+impl<F: Copy> LensFrame<F> {
     /// Reads the columns of a row; `None` for a pinhole, whose rows have none.
+    #[inline(always)]
     pub fn of(row: &[F]) -> Option<Self> {
         match row[DEPTH_SLOPE..] {
             [x, y, a, b, c, d] => Some(Self { centre: [x, y], by: [[a, b], [c, d]] }),
             _ => None,
         }
     }
+}
 
+impl<F: Real> LensFrame<F> {
     /// Returns an upper bound of the length of `G (t − t₀)` along an axis, px, for the rays of the picture.
     pub fn farthest(&self, limits: &LensLimits<F>, axis: usize) -> F {
         let far = |k: usize| (limits.high[k] - self.centre[k]).abs().max_of((self.centre[k] - limits.low[k]).abs());
@@ -33,7 +39,7 @@ impl<F: Real> LensFrame<F> {
     }
 }
 
-/// What bounds need to know of a lens and its picture; [`PictureRays`] has the same fields.
+/// What bounds need to know of a lens and its picture, as numbers or broadcast to all lanes; [`PictureRays`] has the same fields.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct LensLimits<F> {
     fisheye: bool,
@@ -43,10 +49,6 @@ pub(crate) struct LensLimits<F> {
     bend_px: F,
     bend_radius: F,
     stretch_px: F,
-}
-
-fn length<F: Real>([x, y]: [F; 2]) -> F {
-    norm([x, y, F::ZERO])
 }
 
 impl<F: Real> LensLimits<F> {
@@ -62,67 +64,111 @@ impl<F: Real> LensLimits<F> {
         }
     }
 
-    /// Returns a row that holds what the lens makes of `row`, the bounds of the Gaussian `e` without the lens's second derivative.
-    /// Its opacity is zero if it misses the picture. `None` if nothing is known.
-    pub fn bent(&self, row: &Ellipse<F>, e: &Ellipse<F>, frame: &LensFrame<F>) -> Option<Ellipse<F>> {
-        let ([[a, b], [c, d]], centre) = (frame.by, frame.centre);
-        let determinant = a * d - b * c;
-        let rounding = F::of(ROUNDING) * ((a * d).abs() + (b * c).abs()) / determinant.abs();
-        if !(rounding < F::of(1e-2)) {
-            return None;
+    #[inline(always)]
+    pub fn lanes<S: Simd>(&self, simd: S) -> LensLimits<F::Lanes<S>> {
+        let lanes = |value: F| F::Lanes::<S>::splat(simd, value);
+        LensLimits {
+            fisheye: self.fisheye,
+            low: each!(self.low, |value| lanes(value)),
+            high: each!(self.high, |value| lanes(value)),
+            farthest: lanes(self.farthest),
+            bend_px: lanes(self.bend_px),
+            bend_radius: lanes(self.bend_radius),
+            stretch_px: lanes(self.stretch_px),
         }
-        // The middle relative to the centre and the half-axes of the row, as slopes.
-        let slopes = |[x, y]: [F; 2]| [(d * x - b * y) / determinant, (a * y - c * x) / determinant];
-        let extent = F::of(EXTENT);
-        let middle = slopes([row.mean_px[0] - e.mean_px[0], row.mean_px[1] - e.mean_px[1]]);
-        let along = slopes([extent * row.sigma_u, extent * row.shear * row.sigma_u]);
-        let across = slopes([F::ZERO, extent * row.sigma_v]);
-        let farther = F::ONE + rounding;
-        let reach = (length(middle) + norm([length(along), length(across), F::ZERO])) * farther;
-        for k in 0..2 {
-            let half = (length([along[k], across[k]]) + middle[k].abs()) * rounding + length([along[k], across[k]]);
-            let slack = half + F::of(ROUNDING) * centre[k].abs();
-            let at = centre[k] + middle[k];
-            if at + slack < self.low[k] || at - slack > self.high[k] {
-                return Some(Ellipse { opacity: F::ZERO, ..*row });
-            }
-        }
-        let radius = length(centre);
-        if !(radius <= self.bend_radius) {
-            return None;
-        }
-        let half = F::of(0.5);
-        let bend = if self.fisheye {
-            let axis = if radius > F::ZERO { centre.map(|x| x / radius) } else { [F::ONE, F::ZERO] };
-            let outward = |v: [F; 2]| v[0] * axis[0] + v[1] * axis[1];
-            let aside = |v: [F; 2]| v[1] * axis[0] - v[0] * axis[1];
-            let h_r = (outward(middle).abs() + length([outward(along), outward(across)])) * farther;
-            let h_t = (aside(middle).abs() + length([aside(along), aside(across)])) * farther;
-            // The direction from the axis turns along the way to the farthest point.
-            let near = (radius - reach).max_of(F::of(1e-3));
-            let turn = (h_t / near).min_of(F::ONE);
-            let (h_r, h_t) = (h_r + h_t * turn, h_t + h_r * turn);
-            let shrinking = (F::of(FRAC_PI_2) / near).min_of(F::ONE);
-            let outward_bend = (F::of(2.0) / (near * near * near)).min_of(F::of(0.65));
-            let turning = (F::of(FRAC_PI_2) / (near * near)).min_of(F::of(0.3));
-            let of_angles = half * (outward_bend * h_r * h_r + turning * h_t * h_t) + turning * h_r * h_t;
-            half * self.bend_px * (shrinking * reach) * (shrinking * reach) + self.stretch_px * of_angles
-        } else {
-            let reach = reach.min_of(radius + self.farthest);
-            half * self.bend_px * reach * reach
-        };
-        let scale = a.abs() + b.abs() + c.abs() + d.abs();
-        Some(wider(row, (bend + F::of(ROUNDING) * scale * radius) / extent))
     }
 }
 
-/// Returns an ellipse that holds a disc of the radius `by`, px, around every point of `row`. Of the ellipses around the sum of an
+/// Rows that hold what a lens makes of Gaussians.
+pub(super) struct Bent<S: Simd, F: Real> {
+    pub row: Ellipse<F::Lanes<S>>,
+    /// Whether anything is known, and whether the Gaussian misses the picture.
+    pub known: MaskOf<S, F>,
+    pub missed: MaskOf<S, F>,
+}
+
+#[inline(always)]
+fn length<S: Simd, F: Real>(simd: S, [x, y]: [F::Lanes<S>; 2]) -> F::Lanes<S> {
+    norm::<S, F>(simd, [x, y, F::Lanes::<S>::splat(simd, F::ZERO)])
+}
+
+impl<L: Copy> LensLimits<L> {
+    /// Returns rows that hold what the lens makes of `row`, the bounds of the Gaussians `e` without the lens's second derivative.
+    #[inline(always)]
+    pub(super) fn bent<S: Simd, F: Real<Lanes<S> = L>>(
+        &self,
+        simd: S,
+        row: &Ellipse<L>,
+        e: &Ellipse<L>,
+        frame: &LensFrame<L>,
+    ) -> Bent<S, F>
+    where
+        L: SimdFloat<S, Element = F>,
+    {
+        let lanes = |value: f64| L::splat(simd, F::of(value));
+        let (zero, one) = (lanes(0.0), lanes(1.0));
+        let long = |v: [L; 2]| length::<S, F>(simd, v);
+        let ([[a, b], [c, d]], centre) = (frame.by, frame.centre);
+        let determinant = a * d - b * c;
+        let rounding = ((a * d).abs() + (b * c).abs()) / determinant.abs() * F::of(ROUNDING);
+        // The middle relative to the centre and the half-axes of the row, as slopes.
+        let slopes = |[x, y]: [L; 2]| [(d * x - b * y) / determinant, (a * y - c * x) / determinant];
+        let extent = F::of(EXTENT);
+        let middle = slopes([row.mean_px[0] - e.mean_px[0], row.mean_px[1] - e.mean_px[1]]);
+        let along = slopes([row.sigma_u * extent, row.shear * row.sigma_u * extent]);
+        let across = slopes([zero, row.sigma_v * extent]);
+        let farther = one + rounding;
+        let reach = (long(middle) + norm::<S, F>(simd, [long(along), long(across), zero])) * farther;
+        let mut missed = one.simd_lt(zero);
+        for k in 0..2 {
+            let half = long([along[k], across[k]]);
+            let slack = (half + middle[k].abs()) * rounding + half + centre[k].abs() * F::of(ROUNDING);
+            let at = centre[k] + middle[k];
+            missed |= (at + slack).simd_lt(self.low[k]) | (at - slack).simd_gt(self.high[k]);
+        }
+        let radius = long(centre);
+        let known = rounding.simd_lt(lanes(1e-2)) & (radius.simd_le(self.bend_radius) | missed);
+        let half = F::of(0.5);
+        let bend = if self.fisheye {
+            let is_off = radius.simd_gt(zero);
+            let axis = [is_off.select(centre[0] / radius, one), is_off.select(centre[1] / radius, zero)];
+            let outward = |v: [L; 2]| v[0] * axis[0] + v[1] * axis[1];
+            let aside = |v: [L; 2]| v[1] * axis[0] - v[0] * axis[1];
+            let h_r = (outward(middle).abs() + long([outward(along), outward(across)])) * farther;
+            let h_t = (aside(middle).abs() + long([aside(along), aside(across)])) * farther;
+            // The direction from the axis turns along the way to the farthest point.
+            let near = (radius - reach).max(lanes(1e-3));
+            let turn = (h_t / near).min(one);
+            let (h_r, h_t) = (h_r + h_t * turn, h_t + h_r * turn);
+            let shrinking = (lanes(FRAC_PI_2) / near).min(one);
+            let outward_bend = (lanes(2.0) / (near * near * near)).min(lanes(0.65));
+            let turning = (lanes(FRAC_PI_2) / (near * near)).min(lanes(0.3));
+            let of_angles = (outward_bend * h_r * h_r + turning * h_t * h_t) * half + turning * h_r * h_t;
+            let shrunk = shrinking * reach;
+            self.bend_px * shrunk * shrunk * half + self.stretch_px * of_angles
+        } else {
+            let reach = reach.min(radius + self.farthest);
+            self.bend_px * reach * reach * half
+        };
+        let scale = a.abs() + b.abs() + c.abs() + d.abs();
+        let by = (bend + scale * radius * F::of(ROUNDING)) / lanes(EXTENT);
+        let bent = wider::<S, F>(simd, row, by);
+        // A row that misses the picture stays as it is.
+        let sigma_u = missed.select(row.sigma_u, bent.sigma_u);
+        let shear = missed.select(row.shear, bent.shear);
+        let sigma_v = missed.select(row.sigma_v, bent.sigma_v);
+        Bent { row: Ellipse { sigma_u, shear, sigma_v, ..bent }, known, missed }
+    }
+}
+
+/// Returns ellipses that hold a disc of the radius `by`, px, around every point of `row`. Of the ellipses around the sum of an
 /// ellipse and a disc, it is the one with the least sum of squared half-axes.
-fn wider<F: Real>(row: &Ellipse<F>, by: F) -> Ellipse<F> {
+#[inline(always)]
+fn wider<S: Simd, F: Real>(simd: S, row: &Ellipse<F::Lanes<S>>, by: F::Lanes<S>) -> Ellipse<F::Lanes<S>> {
     let (u, x, v) = (row.sigma_u, row.shear * row.sigma_u, row.sigma_v);
     let squares = u * u + x * x + v * v;
-    let size = (F::of(0.5) * squares).sqrt();
-    let (more, extra) = (F::ONE + by / size, by * (by + size));
+    let size = (squares * F::of(0.5)).sqrt();
+    let (more, extra) = (F::Lanes::<S>::splat(simd, F::ONE) + by / size, by * (by + size));
     let square = more * u * u + extra;
     let determinant = more * more * (u * v) * (u * v) + more * extra * squares + extra * extra;
     Ellipse { sigma_u: square.sqrt(), shear: more * u * x / square, sigma_v: (determinant / square).sqrt(), ..*row }

@@ -98,10 +98,11 @@ mod lens_bounds;
 mod lens_bounds_kernel;
 #[cfg(test)]
 mod lens_tests;
+mod simd;
 #[cfg(test)]
 mod tests;
 
-pub(crate) use bounds::{beyond, bounding_ellipse, bounds_cpu};
+pub(crate) use bounds::{beyond, bounds_cpu};
 pub(crate) use lens_bounds::{LensFrame, LensLimits};
 #[cfg(feature = "cube")]
 pub(crate) use lens_bounds_kernel::LensFrame as LensFrameKernel;

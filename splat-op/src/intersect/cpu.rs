@@ -7,7 +7,7 @@ use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 
 use super::extent::{ExtentRules, ExtentScratch};
-use super::{Cut, IntersectionLists, tile_grid};
+use super::{Cut, IntersectionLists, PixelBox, tile_grid};
 use crate::camera::Intrinsics;
 use crate::dials::Culling;
 use crate::project::{COLUMNS, Ellipse};
@@ -42,6 +42,7 @@ pub(crate) fn intersect_cpu<F: Real>(packed: &[F], camera: &Intrinsics, cut: Cut
     // Stable: Gaussians at the same depth stay in the order of their indices.
     F::sort_by_key(&mut order);
     let tiles = concat(&found, |found| &found.tiles);
+    let boxes = concat(&found, |found| &found.boxes);
     drop(found);
 
     let sorters: Vec<Sorter> = order
@@ -61,12 +62,13 @@ pub(crate) fn intersect_cpu<F: Real>(packed: &[F], camera: &Intrinsics, cut: Cut
         visible,
         visible_start,
         intersection_of_visible: plain(intersection_of_visible),
+        boxes,
     }
 }
 
 /// Returns the number of Gaussians that each tile lists under [`Culling::Ellipse`], whatever culling makes the lists.
 pub(crate) fn needed_intersections<F: Real>(packed: &[F], camera: &Intrinsics, alpha_min: f64) -> Vec<u32> {
-    let found = find(packed, camera, Cut { alpha_min, culling: Culling::Ellipse });
+    let found = find(packed, camera, Cut { alpha_min, culling: Culling::Ellipse, boxes: false });
     let mut counts = vec![0; tile_grid(camera.width, camera.height).iter().product()];
     found.iter().flat_map(|found| &found.tiles).for_each(|&tile| counts[tile as usize] += 1);
     counts
@@ -93,6 +95,8 @@ struct ChunkIntersections<F: Real> {
     counts: Vec<u32>,
     /// Tile of each intersection.
     tiles: Vec<u32>,
+    /// Boxes of all Gaussians of the chunk, if they are asked for.
+    boxes: Vec<PixelBox>,
 }
 
 impl<F: Real> ChunkIntersections<F> {
@@ -104,9 +108,12 @@ impl<F: Real> ChunkIntersections<F> {
             depths: Vec::with_capacity(count),
             counts: Vec::with_capacity(count),
             tiles: Vec::with_capacity(4 * count),
+            boxes: Vec::new(),
         };
         for (first, rows) in (first..).step_by(BLOCK).zip(rows.chunks(BLOCK * COLUMNS)) {
-            let counts = dispatch!(Level::new(), simd => extent.emit(simd, rows, scratch, &mut found.tiles));
+            let counts = dispatch!(Level::new(), simd => {
+                extent.emit(simd, rows, scratch, (&mut found.tiles, &mut found.boxes))
+            });
             for ((gaussian, row), count) in (first..).zip(rows.chunks_exact(COLUMNS)).zip(counts) {
                 if count > 0 {
                     found.gaussians.push(gaussian);

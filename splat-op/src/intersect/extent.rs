@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use fearless_simd::prelude::*;
 
-use super::{Cut, TILE, tile_grid};
+use super::{Cut, PixelBox, TILE, tile_grid};
 use crate::camera::Intrinsics;
 use crate::dials::Culling;
 use crate::project::{COLUMNS, Ellipse};
@@ -42,6 +42,7 @@ pub(super) struct ExtentRules<F> {
     size: [F; 2],
     alpha_min: F,
     culling: Culling,
+    boxes: bool,
 }
 
 impl<F: Real> ExtentRules<F> {
@@ -51,18 +52,20 @@ impl<F: Real> ExtentRules<F> {
             size: [camera.width, camera.height].map(|px| F::of(px as f64)),
             alpha_min: F::of(cut.alpha_min),
             culling: cut.culling,
+            boxes: cut.boxes,
         }
     }
 
     /// Appends to `tiles` the tiles of up to [`BLOCK`] Gaussians, one Gaussian after another: the tiles whose rectangle
-    /// of pixel centres its ellipse, or box, meets. Returns each Gaussian's number of tiles.
+    /// of pixel centres its ellipse, or box, meets. Returns each Gaussian's number of tiles. Appends their boxes to `boxes` if they are
+    /// asked for.
     #[inline(always)]
     pub fn emit<S: Simd>(
         &self,
         simd: S,
         rows: &[F],
         scratch: &mut ExtentScratch<F>,
-        tiles: &mut Vec<u32>,
+        (tiles, boxes): (&mut Vec<u32>, &mut Vec<PixelBox>),
     ) -> [u32; BLOCK] {
         let count = rows.len() / COLUMNS;
         scratch.ellipses.read(rows);
@@ -78,6 +81,9 @@ impl<F: Real> ExtentRules<F> {
             let [mut top, mut end] = [[F::ZERO; LANES]; 2];
             eight.rows.0.store_slice(&mut top);
             eight.rows.1.store_slice(&mut end);
+            if self.boxes {
+                boxes.extend_from_slice(&eight.boxes()[..LANES.min(count - first)]);
+            }
             let rows: [Range<usize>; LANES] = std::array::from_fn(|lane| top[lane].index()..end[lane].index());
             scratch.spans.clear();
             for row in 0..rows.iter().map(Range::len).max().unwrap_or(0) {
@@ -127,8 +133,8 @@ struct Eight<S: Simd, F: Real> {
     mean: [F::Lanes<S>; 2],
     sigma_u: F::Lanes<S>,
     r: F::Lanes<S>,
-    /// Half the width of the box, px.
-    half_width: F::Lanes<S>,
+    /// Half the size of the box, px.
+    half: [F::Lanes<S>; 2],
     k: F::Lanes<S>,
     h: F::Lanes<S>,
     /// `1 / V`
@@ -182,7 +188,7 @@ impl<S: Simd, F: Real> Eight<S, F> {
             mean: [x, y],
             sigma_u,
             r,
-            half_width,
+            half: [half_width, half_height],
             k,
             h,
             inverse: lanes(F::ONE) / vertical,
@@ -192,11 +198,25 @@ impl<S: Simd, F: Real> Eight<S, F> {
         }
     }
 
+    /// Returns the boxes. No pixel of the picture is as far away as their limit.
+    #[inline(always)]
+    fn boxes(&self) -> [PixelBox; LANES] {
+        let limit = F::Lanes::<S>::splat(self.r.token(), F::of(PixelBox::EVERYWHERE.half[0].into()));
+        let mut found = [PixelBox::default(); LANES];
+        let [x, y, half_x, half_y] =
+            each!([self.mean[0], self.mean[1], self.half[0], self.half[1]], |value| value.max(-limit).min(limit));
+        for (lane, found) in found.iter_mut().enumerate() {
+            found.middle = [x[lane].f64() as f32, y[lane].f64() as f32];
+            found.half = [half_x[lane].f64() as f32, half_y[lane].f64() as f32];
+        }
+        found
+    }
+
     /// Returns the first tile of the box and the tile after its last, the same on every row of tiles.
     #[inline(always)]
     fn columns(&self, extent: &ExtentRules<F>) -> (F::Lanes<S>, F::Lanes<S>) {
         let x = self.mean[0];
-        tiles((x - self.half_width, x + self.half_width), self.margin, extent.size[0])
+        tiles((x - self.half[0], x + self.half[0]), self.margin, extent.size[0])
     }
 
     /// Returns the first tile, and the tile after the last, on the row of tiles `row` rows after each Gaussian's first.

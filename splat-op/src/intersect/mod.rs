@@ -48,20 +48,35 @@ pub(crate) fn tile_grid(width: usize, height: usize) -> [usize; 2] {
 pub(crate) struct Cut {
     pub alpha_min: f64,
     pub culling: Culling,
+    /// Whether the lists of the CPU hold the boxes of the Gaussians.
+    pub boxes: bool,
 }
 
 impl Cut {
     pub fn of(options: &RenderOptions) -> Self {
-        Self { alpha_min: options.alpha_min, culling: options.culling }
+        Self { alpha_min: options.alpha_min, culling: options.culling, boxes: options.along_rays() }
     }
 }
 
-/// Tests and the reference renderer cull by the ellipse.
+/// Tests and the reference renderer cull by the ellipse, and keep boxes.
 #[cfg(test)]
 impl From<f64> for Cut {
     fn from(alpha_min: f64) -> Self {
-        Self { alpha_min, culling: Culling::Ellipse }
+        Self { alpha_min, culling: Culling::Ellipse, boxes: true }
     }
+}
+
+/// Box around the pixels that may see a Gaussian, px.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct PixelBox {
+    pub middle: [f32; 2],
+    /// Half the size.
+    pub half: [f32; 2],
+}
+
+impl PixelBox {
+    /// A box around every picture.
+    pub const EVERYWHERE: Self = Self { middle: [0.0; 2], half: [1e30; 2] };
 }
 
 /// Lists of intersections of one view. An intersection is a pair of a tile and a Gaussian.
@@ -77,6 +92,8 @@ pub(crate) struct IntersectionLists {
     pub visible_start: Vec<u32>,
     /// `[H]`: places in `gaussian` of each visible Gaussian's intersections. Sums over a Gaussian's intersections run in this order.
     pub intersection_of_visible: Vec<u32>,
+    /// `[N]`, or empty: the boxes of all Gaussians, see [`Cut`].
+    pub boxes: Vec<PixelBox>,
 }
 
 /// Lists of one view, on the host or on the device where the view's stages run.

@@ -60,7 +60,11 @@ fn assert_nothing_is_missing<F: Real>(seed: u64) {
             [1.0 / 255.0, 1e-6, 0.3].into_iter().flat_map(|alpha_min| CULLINGS.map(|culling| (alpha_min, culling)));
         for (alpha_min, culling) in cuts {
             let packed = ellipses::<F>(&mut random, 150, size);
-            let lists = intersect_cpu(&packed, &Intrinsics::centred(size.0, size.1, 50.0), Cut { alpha_min, culling });
+            let lists = intersect_cpu(
+                &packed,
+                &Intrinsics::centred(size.0, size.1, 50.0),
+                Cut { alpha_min, culling, boxes: false },
+            );
             let [tiles_x, tiles_y] = tile_grid(size.0, size.1);
             let listed = listed(&lists, tiles_x * tiles_y, 150);
             let (mut needed, mut intersections) = (0, vec![vec![false; 150]; tiles_x * tiles_y]);
@@ -173,7 +177,8 @@ fn the_number_of_threads_changes_no_list() {
 fn lists_by_culling<F: Real>(packed: &[F], alpha_min: f64) -> [Vec<Vec<bool>>; 3] {
     let [tiles_x, tiles_y] = tile_grid(150, 120);
     CULLINGS.map(|culling| {
-        let lists = intersect_cpu(packed, &Intrinsics::centred(150, 120, 50.0), Cut { alpha_min, culling });
+        let lists =
+            intersect_cpu(packed, &Intrinsics::centred(150, 120, 50.0), Cut { alpha_min, culling, boxes: false });
         listed(&lists, tiles_x * tiles_y, packed.len() / COLUMNS)
     })
 }
@@ -214,7 +219,11 @@ fn a_box_is_as_long_as_its_needle_or_as_the_long_axis_of_an_opaque_one() {
         opacity: 0.5,
     };
     let rectangle = |alpha_min: f64, culling| {
-        let lists = intersect_cpu(&needle.to_row(), &Intrinsics::centred(150, 120, 50.0), Cut { alpha_min, culling });
+        let lists = intersect_cpu(
+            &needle.to_row(),
+            &Intrinsics::centred(150, 120, 50.0),
+            Cut { alpha_min, culling, boxes: false },
+        );
         let [tiles_x, _] = tile_grid(150, 120);
         let tiles = (0..lists.tile_start.len() - 1).filter(|&tile| lists.tile_start[tile] < lists.tile_start[tile + 1]);
         let tiles: Vec<[usize; 2]> = tiles.map(|tile| [tile % tiles_x, tile / tiles_x]).collect();

@@ -1,10 +1,11 @@
-//! The CPU twin of `project`: both passes, generic over the float, parallel over chunks of Gaussians.
+//! The CPU twin of `project`: both passes, generic over the float, parallel over chunks of Gaussians. `depth_slope` runs by the same
+//! loops.
 
 use fearless_simd::prelude::*;
 use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 
-use super::simd::{GaussiansSimd, ProjectCameraSimd, ProjectionTermsSimd};
+use super::simd::{GaussiansSimd, GradientsSimd, ProjectCameraSimd, ProjectionTermsSimd};
 use super::{COLUMNS, Ellipse, Geometry, ProjectSpec, WIDTHS};
 use crate::simd::lanes::{BLOCK, Columns};
 use crate::simd::real::{LANES, Real};
@@ -57,46 +58,54 @@ impl<F: Real> Parameters<F> {
     }
 }
 
-/// `[N, 7]` packed ellipses.
-pub(crate) fn project_cpu<F: Real>(inputs: Geometry<&[F]>, spec: &ProjectSpec) -> Vec<F> {
-    let lens = ProjectCameraSimd::new(inputs.cam_from_world, spec);
-    let mut packed = vec![F::ZERO; inputs.opacities.len() * COLUMNS];
-    packed.par_chunks_mut(CHUNK * COLUMNS).enumerate().for_each(|(chunk, rows)| {
-        let first = chunk * CHUNK;
-        match lens.bends() {
-            true => dispatch!(Level::new(), simd => project_chunk::<_, F, true>(simd, &inputs, &lens, first, rows)),
-            false => dispatch!(Level::new(), simd => project_chunk::<_, F, false>(simd, &inputs, &lens, first, rows)),
-        }
-    });
-    packed
+/// What is computed of each Gaussian: a row of `C` numbers, and its gradient. `BENDS` must equal `camera.bends()`.
+pub(crate) trait GaussianStage<const C: usize> {
+    /// Rows of eight Gaussians.
+    fn rows<S: Simd, F: Real, const BENDS: bool>(
+        simd: S,
+        g: &GaussiansSimd<F::Lanes<S>>,
+        camera: &ProjectCameraSimd<F::Lanes<S>>,
+    ) -> [F::Lanes<S>; C];
+
+    /// Gradients of eight Gaussians from those of their rows; zero if those are zero. Adds the pose's gradient, row by row, to `pose`.
+    fn gradients<S: Simd, F: Real, const BENDS: bool>(
+        simd: S,
+        g: &GaussiansSimd<F::Lanes<S>>,
+        camera: &ProjectCameraSimd<F::Lanes<S>>,
+        grad: &[F::Lanes<S>; C],
+        pose: Option<&mut [F::Lanes<S>; 12]>,
+    ) -> GradientsSimd<F::Lanes<S>>;
 }
 
-#[inline(always)]
-fn project_chunk<S: Simd, F: Real, const BENDS: bool>(
-    simd: S,
-    inputs: &Geometry<&[F]>,
-    lens: &ProjectCameraSimd<F>,
-    first: usize,
-    rows: &mut [F],
-) {
-    let lens = lens.lanes(simd);
-    let (mut parameters, mut ellipses) = (Parameters::new(), Columns::<F, COLUMNS>::new());
-    for (block, rows) in rows.chunks_mut(BLOCK * COLUMNS).enumerate() {
-        parameters.read(inputs, first + block * BLOCK);
-        for at in (0..rows.len() / COLUMNS).step_by(LANES) {
-            let eight = parameters.eight(simd, at);
-            let ellipse = ProjectionTermsSimd::<S, F>::new::<BENDS>(simd, &eight, &lens).ellipse(&lens, &eight);
-            for (column, value) in ellipse.to_row().into_iter().enumerate() {
-                ellipses.store(column, at, value);
-            }
-        }
-        ellipses.write(rows);
+/// Packed ellipses.
+struct Project;
+
+impl GaussianStage<COLUMNS> for Project {
+    #[inline(always)]
+    fn rows<S: Simd, F: Real, const BENDS: bool>(
+        simd: S,
+        g: &GaussiansSimd<F::Lanes<S>>,
+        camera: &ProjectCameraSimd<F::Lanes<S>>,
+    ) -> [F::Lanes<S>; COLUMNS] {
+        ProjectionTermsSimd::<S, F>::new::<BENDS>(simd, g, camera).ellipse(camera, g).to_row()
+    }
+
+    #[inline(always)]
+    fn gradients<S: Simd, F: Real, const BENDS: bool>(
+        simd: S,
+        g: &GaussiansSimd<F::Lanes<S>>,
+        camera: &ProjectCameraSimd<F::Lanes<S>>,
+        grad: &[F::Lanes<S>; COLUMNS],
+        pose: Option<&mut [F::Lanes<S>; 12]>,
+    ) -> GradientsSimd<F::Lanes<S>> {
+        let terms = ProjectionTermsSimd::<S, F>::new::<BENDS>(simd, g, camera);
+        terms.backward::<BENDS>(camera, g, &Ellipse::from_row(grad), pose)
     }
 }
 
-/// Gradients of zero for `count` Gaussians; those not needed, and that of the pose, are empty.
-pub(crate) fn zero_grads<F: Real>(count: usize, needs: Geometry<bool>) -> Geometry<Vec<F>> {
-    needs.zip(WIDTHS).map(|(needed, width)| vec![F::ZERO; if needed { count * width } else { 0 }])
+/// `[N, 7]` packed ellipses.
+pub(crate) fn project_cpu<F: Real>(inputs: Geometry<&[F]>, spec: &ProjectSpec) -> Vec<F> {
+    stage_rows::<F, Project, COLUMNS>(inputs, spec)
 }
 
 /// Gradients of the inputs from `grad`, the `[N, 7]` gradient of the packed ellipses.
@@ -106,9 +115,62 @@ pub(crate) fn project_backward_cpu<F: Real>(
     spec: &ProjectSpec,
     needs: Geometry<bool>,
 ) -> Geometry<Vec<F>> {
+    stage_gradients::<F, Project, COLUMNS>(inputs, grad, spec, needs)
+}
+
+/// `[N, C]` rows of a stage.
+pub(crate) fn stage_rows<F: Real, T: GaussianStage<C>, const C: usize>(
+    inputs: Geometry<&[F]>,
+    spec: &ProjectSpec,
+) -> Vec<F> {
+    let lens = ProjectCameraSimd::new(inputs.cam_from_world, spec);
+    let mut all = vec![F::ZERO; inputs.opacities.len() * C];
+    all.par_chunks_mut(CHUNK * C).enumerate().for_each(|(chunk, rows)| {
+        let first = chunk * CHUNK;
+        match lens.bends() {
+            true => {
+                dispatch!(Level::new(), simd => rows_of_chunk::<_, F, T, C, true>(simd, &inputs, &lens, first, rows))
+            }
+            false => {
+                dispatch!(Level::new(), simd => rows_of_chunk::<_, F, T, C, false>(simd, &inputs, &lens, first, rows))
+            }
+        }
+    });
+    all
+}
+
+#[inline(always)]
+fn rows_of_chunk<S: Simd, F: Real, T: GaussianStage<C>, const C: usize, const BENDS: bool>(
+    simd: S,
+    inputs: &Geometry<&[F]>,
+    lens: &ProjectCameraSimd<F>,
+    first: usize,
+    rows: &mut [F],
+) {
+    let lens = lens.lanes(simd);
+    let (mut parameters, mut found) = (Parameters::new(), Columns::<F, C>::new());
+    for (block, rows) in rows.chunks_mut(BLOCK * C).enumerate() {
+        parameters.read(inputs, first + block * BLOCK);
+        for at in (0..rows.len() / C).step_by(LANES) {
+            let eight = parameters.eight(simd, at);
+            for (column, value) in T::rows::<S, F, BENDS>(simd, &eight, &lens).into_iter().enumerate() {
+                found.store(column, at, value);
+            }
+        }
+        found.write(rows);
+    }
+}
+
+/// Gradients of the inputs of a stage from `grad`, the `[N, C]` gradient of its rows. Those not needed are empty.
+pub(crate) fn stage_gradients<F: Real, T: GaussianStage<C>, const C: usize>(
+    inputs: Geometry<&[F]>,
+    grad: &[F],
+    spec: &ProjectSpec,
+    needs: Geometry<bool>,
+) -> Geometry<Vec<F>> {
     let lens = ProjectCameraSimd::new(inputs.cam_from_world, spec);
     let count = inputs.opacities.len();
-    let mut grads = zero_grads(count, needs);
+    let mut grads = needs.zip(WIDTHS).map(|(needed, width)| vec![F::ZERO; if needed { count * width } else { 0 }]);
     let mut rows = grads.each_mut().zip(WIDTHS).map(|(rows, width)| rows.chunks_mut((CHUNK * width).max(1)));
     let chunks = (0..count.div_ceil(CHUNK)).map(|_| rows.each_mut().map(|rows| rows.next().unwrap_or_default()));
     let chunks: Vec<Geometry<&mut [F]>> = chunks.collect();
@@ -117,14 +179,14 @@ pub(crate) fn project_backward_cpu<F: Real>(
         .enumerate()
         .map(|(chunk, mut out)| {
             let first = chunk * CHUNK;
-            let grad = &grad[first * COLUMNS..count.min(first + CHUNK) * COLUMNS];
+            let grad = &grad[first * C..count.min(first + CHUNK) * C];
             let (part, pose) = ((first, grad), needs.cam_from_world);
             match lens.bends() {
                 true => dispatch!(Level::new(), simd => {
-                    backward_chunk::<_, F, true>(simd, &inputs, &lens, part, pose, &mut out)
+                    gradients_of_chunk::<_, F, T, C, true>(simd, &inputs, &lens, part, pose, &mut out)
                 }),
                 false => dispatch!(Level::new(), simd => {
-                    backward_chunk::<_, F, false>(simd, &inputs, &lens, part, pose, &mut out)
+                    gradients_of_chunk::<_, F, T, C, false>(simd, &inputs, &lens, part, pose, &mut out)
                 }),
             }
         })
@@ -158,10 +220,10 @@ fn write<F: Real>(
     mean2d.write(parts.mean2d);
 }
 
-/// Computes the gradients of the Gaussians from `first` on from those of their ellipses. Returns their share of the pose's gradient
+/// Computes the gradients of the Gaussians from `first` on from those of their rows. Returns their share of the pose's gradient
 /// if it is needed.
 #[inline(always)]
-fn backward_chunk<S: Simd, F: Real, const BENDS: bool>(
+fn gradients_of_chunk<S: Simd, F: Real, T: GaussianStage<C>, const C: usize, const BENDS: bool>(
     simd: S,
     inputs: &Geometry<&[F]>,
     lens: &ProjectCameraSimd<F>,
@@ -172,13 +234,13 @@ fn backward_chunk<S: Simd, F: Real, const BENDS: bool>(
     let lens = lens.lanes(simd);
     let mut pose = [F::Lanes::<S>::splat(simd, F::ZERO); 12];
     let (mut parameters, mut found) = (Parameters::new(), Parameters::new());
-    let (mut grads, mut mean2d) = (Columns::<F, COLUMNS>::new(), Columns::new());
-    for (block, grad) in grad.chunks(BLOCK * COLUMNS).enumerate() {
+    let (mut grads, mut mean2d) = (Columns::<F, C>::new(), Columns::new());
+    for (block, grad) in grad.chunks(BLOCK * C).enumerate() {
         // Most Gaussians of a large scene are out of view and have a gradient of exactly zero.
         if grad.iter().all(|value| *value == F::ZERO) {
             continue;
         }
-        let count = grad.len() / COLUMNS;
+        let count = grad.len() / C;
         // Values of a previous, longer block must not enter the pose's sum.
         if count < BLOCK {
             grads = Columns::new();
@@ -188,9 +250,7 @@ fn backward_chunk<S: Simd, F: Real, const BENDS: bool>(
         for at in (0..count).step_by(LANES) {
             let eight = parameters.eight(simd, at);
             let row = grads.all_lanes(simd, at);
-            let projection = ProjectionTermsSimd::<S, F>::new::<BENDS>(simd, &eight, &lens);
-            let one =
-                projection.backward::<BENDS>(&lens, &eight, &Ellipse::from_row(&row), needs_pose.then_some(&mut pose));
+            let one = T::gradients::<S, F, BENDS>(simd, &eight, &lens, &row, needs_pose.then_some(&mut pose));
             found.store::<S>(at, &one.parameters);
             for (axis, value) in one.mean2d.into_iter().enumerate() {
                 mean2d.store(axis, at, value);

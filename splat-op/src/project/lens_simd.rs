@@ -16,7 +16,7 @@ type Vector<S, F> = [<F as Real>::Lanes<S>; 3];
 
 /// A lens's planar map, as numbers or broadcast to all lanes.
 #[derive(Clone, Copy)]
-pub(super) struct DistortionSimd<L> {
+pub(crate) struct DistortionSimd<L> {
     model: CameraModel,
     radial: [L; 4],
     denominator: [L; 3],
@@ -170,7 +170,7 @@ enum FirstStep<S: Simd, F: Real> {
 }
 
 /// Projection of eight centres through a lens, with the intermediate values that the gradient needs.
-pub(super) struct LensProjectionSimd<S: Simd, F: Real> {
+pub(crate) struct LensProjectionSimd<S: Simd, F: Real> {
     first: FirstStep<S, F>,
     /// Whether each centre lies within the lens's domain.
     pub within: MaskOf<S, F>,
@@ -183,7 +183,7 @@ pub(super) struct LensProjectionSimd<S: Simd, F: Real> {
 }
 
 /// Gradients of the centre in the camera's frame and of `W R`.
-pub(super) struct LensProjectionGrad<L> {
+pub(crate) struct LensProjectionGrad<L> {
     pub mean_cam: [L; 3],
     pub rows: Mat3<L>,
 }

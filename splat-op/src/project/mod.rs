@@ -33,8 +33,7 @@ mod lens;
 pub(crate) mod lens_backward;
 #[cfg(feature = "cube")]
 pub(crate) mod lens_forward;
-pub(crate) mod lens_jacobian;
-mod lens_simd;
+pub(crate) mod lens_simd;
 pub(crate) mod simd;
 #[cfg(test)]
 mod tests;

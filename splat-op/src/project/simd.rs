@@ -23,7 +23,7 @@ pub(crate) struct ProjectCameraSimd<L> {
     pub blur_sigma: L,
     antialias: bool,
     /// `None` for a pinhole.
-    pub(super) distortion: Option<DistortionSimd<L>>,
+    pub distortion: Option<DistortionSimd<L>>,
 }
 
 impl<F: Real> ProjectCameraSimd<F> {
@@ -63,6 +63,8 @@ impl<F: Real> ProjectCameraSimd<F> {
             near: lanes(self.near),
             blur_sigma: lanes(self.blur_sigma),
             antialias: self.antialias,
+            // A closure would be left out of line, see `each!`.
+            #[allow(clippy::manual_map)]
             distortion: match &self.distortion {
                 Some(distortion) => Some(distortion.lanes(simd)),
                 None => None,
@@ -72,7 +74,7 @@ impl<F: Real> ProjectCameraSimd<F> {
 }
 
 /// Parameters, or their gradients.
-pub(super) struct GaussiansSimd<L> {
+pub(crate) struct GaussiansSimd<L> {
     pub mean: [L; 3],
     pub rotation: [L; 4],
     pub scale: [L; 3],
@@ -93,15 +95,15 @@ impl<L: Copy> GaussiansSimd<L> {
     }
 }
 
-type MaskOf<S, F> = <<F as Real>::Lanes<S> as SimdBase<S>>::Mask;
-type Vector<S, F> = [<F as Real>::Lanes<S>; 3];
+pub(crate) type MaskOf<S, F> = <<F as Real>::Lanes<S> as SimdBase<S>>::Mask;
+pub(crate) type Vector<S, F> = [<F as Real>::Lanes<S>; 3];
 
 /// Intermediate values of the forward pass that the backward pass needs.
-pub(super) struct ProjectionTermsSimd<S: Simd, F: Real> {
+pub(crate) struct ProjectionTermsSimd<S: Simd, F: Real> {
     simd: S,
     /// Whether each Gaussian is visible: finite, with a rotation, and in front of the near plane.
-    seen: MaskOf<S, F>,
-    mean_cam: Vector<S, F>,
+    pub seen: MaskOf<S, F>,
+    pub mean_cam: Vector<S, F>,
     /// `x/z, y/z`, or their distorted values with a lens; the slopes at which the Jacobian is evaluated; whether each slope is free
     /// (not clamped).
     ratio: [F::Lanes<S>; 2],
@@ -110,17 +112,17 @@ pub(super) struct ProjectionTermsSimd<S: Simd, F: Real> {
     quaternion: [F::Lanes<S>; 4],
     quaternion_length: F::Lanes<S>,
     world_from_gaussian: Mat3<F::Lanes<S>>,
-    cam_from_gaussian: Mat3<F::Lanes<S>>,
+    pub cam_from_gaussian: Mat3<F::Lanes<S>>,
     /// `j0, j1`: rows of `J W R`; `m0, m1`: those rows times the scales.
-    j: [Vector<S, F>; 2],
-    m: [Vector<S, F>; 2],
+    pub j: [Vector<S, F>; 2],
+    pub m: [Vector<S, F>; 2],
     /// `n = m0 / sigma_u`, `along = m1 / sigma_u`, `p = n × m1`.
-    n: Vector<S, F>,
-    along: Vector<S, F>,
-    p: Vector<S, F>,
-    sigma_u: F::Lanes<S>,
+    pub n: Vector<S, F>,
+    pub along: Vector<S, F>,
+    pub p: Vector<S, F>,
+    pub sigma_u: F::Lanes<S>,
     shear: F::Lanes<S>,
-    sigma_v: F::Lanes<S>,
+    pub sigma_v: F::Lanes<S>,
     /// Factor of the opacity, and whether it is free (not at its lower limit). Without anti-aliasing the factor is one.
     compensation: F::Lanes<S>,
     compensation_free: MaskOf<S, F>,
@@ -270,15 +272,21 @@ impl<S: Simd, F: Real> ProjectionTermsSimd<S, F> {
         ([grad_m0, grad_m1], grad.opacity * self.compensation)
     }
 
-    /// Gradients of the centre in the camera's frame and of `W R` from those of the rows of `J W R` and of the ellipse, for a
-    /// pinhole.
+    /// Gradients of the centre in the camera's frame and of `W R` from those of the rows of `J W R`, and of the centre and the depth
+    /// of the ellipse. `BENDS` as in [`Self::new`].
     #[inline(always)]
-    fn rows_backward(
+    pub fn rows_backward<const BENDS: bool>(
         &self,
         lens: &ProjectCameraSimd<F::Lanes<S>>,
         grad_j: [Vector<S, F>; 2],
         grad: &Ellipse<F::Lanes<S>>,
     ) -> LensProjectionGrad<F::Lanes<S>> {
+        if BENDS && let (Some(bent), Some(distortion)) = (&self.bent, &lens.distortion) {
+            let grad_seen_at = [grad.mean_px[0] * lens.focal[0], grad.mean_px[1] * lens.focal[1]];
+            let mut out = bent.backward(distortion, lens.focal, grad_j, grad_seen_at);
+            out.mean_cam[2] += grad.depth;
+            return out;
+        }
         let zero = self.lanes(F::ZERO);
         let inverse_z = self.lanes(F::ONE) / self.mean_cam[2];
         let mut out = LensProjectionGrad { mean_cam: [zero, zero, grad.depth], rows: [[zero; 3]; 3] };
@@ -299,7 +307,7 @@ impl<S: Simd, F: Real> ProjectionTermsSimd<S, F> {
     /// Gradients of the Gaussians from those of their ellipses; zero if those are zero. Adds the pose's gradient, row by row, to
     /// `pose`. `BENDS` as in [`Self::new`].
     #[inline(always)]
-    pub fn backward<const BENDS: bool>(
+    pub(super) fn backward<const BENDS: bool>(
         &self,
         lens: &ProjectCameraSimd<F::Lanes<S>>,
         g: &GaussiansSimd<F::Lanes<S>>,
@@ -307,39 +315,46 @@ impl<S: Simd, F: Real> ProjectionTermsSimd<S, F> {
         pose: Option<&mut [F::Lanes<S>; 12]>,
     ) -> GradientsSimd<F::Lanes<S>> {
         let zero = self.lanes(F::ZERO);
-        let mut takes_part = zero.simd_gt(zero);
-        for value in grad.to_row() {
-            takes_part |= !value.simd_eq(zero);
-        }
-        takes_part &= self.seen;
-
-        let (grad_m, grad_opacity) = self.factor_backward(lens, g.opacity, grad);
-        let grad_scale = add(hadamard(grad_m[0], self.j[0]), hadamard(grad_m[1], self.j[1]));
+        let takes_part = self.seen & any_not_zero::<S, F>(&grad.to_row());
+        let (grad_m, opacity) = self.factor_backward(lens, g.opacity, grad);
+        let scales = add(hadamard(grad_m[0], self.j[0]), hadamard(grad_m[1], self.j[1]));
         let grad_j = [hadamard(grad_m[0], g.scale), hadamard(grad_m[1], g.scale)];
-        let LensProjectionGrad { mean_cam: grad_cam, rows: grad_cam_from_gaussian } =
-            match (&self.bent, &lens.distortion) {
-                (Some(bent), Some(distortion)) if BENDS => {
-                    let grad_seen_at = [grad.mean_px[0] * lens.focal[0], grad.mean_px[1] * lens.focal[1]];
-                    let mut out = bent.backward(distortion, lens.focal, grad_j, grad_seen_at);
-                    out.mean_cam[2] += grad.depth;
-                    out
-                }
-                _ => self.rows_backward(lens, grad_j, grad),
-            };
+        let through = self.rows_backward::<BENDS>(lens, grad_j, grad);
+        GradientsSimd {
+            parameters: self.parameters_backward(lens, g, (takes_part, &through, scales, opacity), pose),
+            mean2d: each!(grad.mean_px, |value| takes_part.select(value, zero)),
+        }
+    }
 
+    /// Gradients of the Gaussians that take part from those of the centre in the camera's frame and of `W R`, of the scales and of the
+    /// opacity; zero for the others. Adds the pose's gradient, row by row, to `pose`.
+    #[inline(always)]
+    pub fn parameters_backward(
+        &self,
+        lens: &ProjectCameraSimd<F::Lanes<S>>,
+        g: &GaussiansSimd<F::Lanes<S>>,
+        (takes_part, through, scales, opacity): (
+            MaskOf<S, F>,
+            &LensProjectionGrad<F::Lanes<S>>,
+            Vector<S, F>,
+            F::Lanes<S>,
+        ),
+        pose: Option<&mut [F::Lanes<S>; 12]>,
+    ) -> GaussiansSimd<F::Lanes<S>> {
+        let zero = self.lanes(F::ZERO);
         // cam_from_gaussian = pose rotation · world_from_gaussian
         if let Some(pose) = pose {
             for (axis, pose) in pose.chunks_exact_mut(4).enumerate() {
-                let through_rotation = matvec(&self.world_from_gaussian, grad_cam_from_gaussian[axis]);
-                let row = add(through_rotation, scale(g.mean, grad_cam[axis]));
-                for (sum, value) in pose.iter_mut().zip(row.into_iter().chain([grad_cam[axis]])) {
+                let through_rotation = matvec(&self.world_from_gaussian, through.rows[axis]);
+                let row = add(through_rotation, scale(g.mean, through.mean_cam[axis]));
+                for (sum, value) in pose.iter_mut().zip(row.into_iter().chain([through.mean_cam[axis]])) {
                     *sum += takes_part.select(value, zero);
                 }
             }
         }
         let mut grad_world_from_gaussian = [[zero; 3]; 3];
         for column in 0..3 {
-            let of_camera = each!([0, 1, 2], |row| grad_cam_from_gaussian[row][column]);
+            let of_camera = each!([0, 1, 2], |row| through.rows[row][column]);
             let of_world = transposed_matvec(&lens.rotation, of_camera);
             for row in 0..3 {
                 grad_world_from_gaussian[row][column] = of_world[row];
@@ -347,14 +362,11 @@ impl<S: Simd, F: Real> ProjectionTermsSimd<S, F> {
         }
         let rotation = self.quaternion_backward(&grad_world_from_gaussian);
         let kept = |value: F::Lanes<S>| takes_part.select(value, zero);
-        GradientsSimd {
-            parameters: GaussiansSimd {
-                mean: each!(transposed_matvec(&lens.rotation, grad_cam), |value| kept(value)),
-                rotation: each!(rotation, |value| kept(value)),
-                scale: each!(grad_scale, |value| kept(value)),
-                opacity: kept(grad_opacity),
-            },
-            mean2d: each!(grad.mean_px, |value| kept(value)),
+        GaussiansSimd {
+            mean: each!(transposed_matvec(&lens.rotation, through.mean_cam), |value| kept(value)),
+            rotation: each!(rotation, |value| kept(value)),
+            scale: each!(scales, |value| kept(value)),
+            opacity: kept(opacity),
         }
     }
 
@@ -388,15 +400,26 @@ impl<S: Simd, F: Real> ProjectionTermsSimd<S, F> {
 }
 
 /// Gradients of eight Gaussians.
-pub(super) struct GradientsSimd<L> {
+pub(crate) struct GradientsSimd<L> {
     pub parameters: GaussiansSimd<L>,
     /// Gradients of the projected centres, per px.
     pub mean2d: [L; 2],
 }
 
+/// Whether any of some values is not zero, or not a number.
+#[inline(always)]
+pub(crate) fn any_not_zero<S: Simd, F: Real>(values: &[F::Lanes<S>]) -> MaskOf<S, F> {
+    let zero = F::Lanes::<S>::splat(values[0].token(), F::ZERO);
+    let mut any = !values[0].simd_eq(zero);
+    for value in &values[1..] {
+        any |= !value.simd_eq(zero);
+    }
+    any
+}
+
 /// Length of vectors, without intermediate overflow or underflow.
 #[inline(always)]
-pub(super) fn norm<S: Simd, F: Real>(simd: S, v: Vector<S, F>) -> F::Lanes<S> {
+pub(crate) fn norm<S: Simd, F: Real>(simd: S, v: Vector<S, F>) -> F::Lanes<S> {
     let lanes = |value: f64| F::Lanes::<S>::splat(simd, F::of(value));
     let squared = dot(v, v);
     // Within these bounds no square has overflowed, and squares that underflowed are negligible.

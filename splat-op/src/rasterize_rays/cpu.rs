@@ -8,7 +8,7 @@ use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 
 use super::RayLayers;
-use super::footprint::{RayBox, RayFootprint, RayRules};
+use super::footprint::{RayFootprint, RayRules};
 use super::lens::with_frames;
 use super::tile::{ColourSlots, RayTile, RayTileView, Reach, rasterize_tile};
 use super::tile_backward::{RayScratch, RayTileGrad, columns, rasterize_tile_backward};
@@ -57,25 +57,22 @@ struct PreparedRayView<'a, F: Clone> {
 }
 
 impl<'a, F: Real> PreparedRayView<'a, F> {
-    /// Returns the view, and the boxes of the Gaussians unless the footprints are given.
     fn new(
         inputs: &RayLayers<&'a [F]>,
         spec: &RasterizeSpec,
         intersections: &'a IntersectionLists,
         footprints: Option<&'a [RayFootprint<F>]>,
-    ) -> (Self, Vec<RayBox<F>>) {
+    ) -> Self {
         let rays = PictureRays::of(&spec.intrinsics);
-        let (footprints, boxes) = match footprints {
-            Some(footprints) => (Cow::Borrowed(footprints), Vec::new()),
+        let footprints = match footprints {
+            Some(footprints) => Cow::Borrowed(footprints),
             None => {
                 let gaussians = (0..inputs.projected.len() / COLUMNS).into_par_iter().with_min_len(CHUNK);
                 let lens = rays.as_ref().map(|rays| LensLimits::new(&spec.intrinsics, rays));
-                let found = gaussians.map(|i| RayFootprint::new(inputs, i, (spec, lens.as_ref())));
-                let (footprints, boxes): (Vec<_>, Vec<_>) = found.unzip();
-                (Cow::Owned(footprints), boxes)
+                Cow::Owned(gaussians.map(|i| RayFootprint::new(inputs, i, (spec, lens.as_ref()))).collect())
             }
         };
-        let view = Self {
+        Self {
             footprints,
             depth_slope: inputs.depth_slope,
             features: inputs.features,
@@ -86,8 +83,7 @@ impl<'a, F: Real> PreparedRayView<'a, F> {
                 depth: spec.options.depth,
             },
             rays,
-        };
-        (view, boxes)
+        }
     }
 
     fn view(&self, tile: usize) -> RayTileView<'_, F> {
@@ -136,13 +132,13 @@ pub(crate) fn rasterize_rays_cpu<F: Real>(
     intersections: &IntersectionLists,
     keep: bool,
 ) -> (Vec<F>, Option<RayTrace<F>>) {
-    let (prepared, boxes) = PreparedRayView::new(&inputs, spec, intersections, None);
+    let prepared = PreparedRayView::new(&inputs, spec, intersections, None);
     let buffers = || (RayTile::default(), ColourSlots::default());
     let (planes, seen) = picture(&prepared.size, inputs.background, buffers, |(tile, slots), index, planes| {
         let view = prepared.view(index);
         let seen = specialised!(spec, simd, EXACT, SORTED => {
             let rules = RayRules::new(simd, spec);
-            tile.read::<_, EXACT, SORTED>(&rules, &view, Reach::Boxes(&boxes));
+            tile.read::<_, EXACT, SORTED>(&rules, &view, Reach::Boxes(&intersections.boxes));
             rasterize_tile::<_, F, EXACT, SORTED>(simd, tile, &rules, planes, slots)
         });
         if keep { seen } else { Vec::new() }
@@ -168,7 +164,7 @@ pub(crate) fn rasterize_rays_backward_cpu<F: Real>(
             &rebuilt
         }
     };
-    let (prepared, _) = PreparedRayView::new(&inputs, spec, intersections, Some(&trace.footprints));
+    let prepared = PreparedRayView::new(&inputs, spec, intersections, Some(&trace.footprints));
     let size = prepared.size;
     let columns = columns(size.channels(), needs.mean2d_abs);
     let buffers = || (RayTile::default(), TilePlanes::default(), RayScratch::default());

@@ -4,13 +4,13 @@ use fearless_simd::prelude::*;
 
 use super::{D_MIN, RayLayers, WHITENED_MAX};
 use crate::camera::LEAST_NO_RAY;
-use crate::depth_slope::{LensFrame, LensLimits, beyond, bounding_ellipse, columns};
+use crate::depth_slope::{LensFrame, LensLimits, beyond, columns};
 use crate::dials::Exponential;
-use crate::intersect::extent::{half_extent, widened_limit};
+use crate::intersect::extent::widened_limit;
 use crate::options::{Order, Projection};
 use crate::project::{COLUMNS, Ellipse};
 use crate::rasterize::RasterizeSpec;
-use crate::rasterize::footprint::{TileWindow, WHITEN};
+use crate::rasterize::footprint::WHITEN;
 use crate::simd::each;
 use crate::simd::real::{EXP2_CONSTANTS, Real};
 
@@ -40,37 +40,20 @@ pub(super) struct RayFootprint<F> {
     pub least_key: F,
 }
 
-/// Middle and half the size, px, of the box around the pixels that may see a Gaussian.
-#[derive(Clone, Copy, Default)]
-pub(super) struct RayBox<F> {
-    middle: [F; 2],
-    half: [F; 2],
-}
-
 impl<F: Real> RayFootprint<F> {
     /// Reads the Gaussian `i`.
-    pub fn new(
-        inputs: &RayLayers<&[F]>,
-        i: usize,
-        (spec, lens): (&RasterizeSpec, Option<&LensLimits<F>>),
-    ) -> (Self, RayBox<F>) {
+    pub fn new(inputs: &RayLayers<&[F]>, i: usize, (spec, lens): (&RasterizeSpec, Option<&LensLimits<F>>)) -> Self {
         let row = &inputs.projected[i * COLUMNS..][..COLUMNS];
         let columns = columns(&spec.intrinsics);
         let slopes = &inputs.depth_slope[i * columns..][..columns];
         let (ellipse, alpha_min) = (Ellipse::from_row(row), F::of(spec.options.alpha_min));
-        // The bounds of a Gaussian that is not a number are the whole picture; it shows nowhere.
         if !(ellipse.opacity > F::ZERO && row.iter().chain(slopes).all(|value| value.finite())) {
-            return (Self { extent: -F::ONE, ..Self::default() }, RayBox::default());
+            return Self { extent: -F::ONE, ..Self::default() };
         }
-        let extent_of = |ellipse: &Ellipse<F>| half_extent(ellipse, widened_limit(ellipse.opacity, alpha_min));
-        let (extended, base_px, away) = match spec.options.projection {
-            Projection::RayMax => {
-                let (base, away) = beyond(ellipse.mean_px, &spec.intrinsics);
-                (bounding_ellipse(&ellipse, slopes, (spec, lens)), base, away)
-            }
-            Projection::Affine => (ellipse, ellipse.mean_px, [F::ZERO; 2]),
+        let (base_px, away) = match spec.options.projection {
+            Projection::RayMax => beyond(ellipse.mean_px, &spec.intrinsics),
+            Projection::Affine => (ellipse.mean_px, [F::ZERO; 2]),
         };
-        let window = RayBox { middle: extended.mean_px, half: extent_of(&extended) };
         // Limits at which no product of `u`, `v` and `s` overflows anywhere in the picture.
         let widest = F::of(WHITENED_MAX);
         let size = [spec.intrinsics.width, spec.intrinsics.height].map(|px| F::of(px as f64));
@@ -109,7 +92,7 @@ impl<F: Real> RayFootprint<F> {
         if spec.options.order != Order::CentreDepth {
             footprint.least_key = footprint.bound_of_keys(spec.options.projection, lens.is_some());
         }
-        (footprint, window)
+        footprint
     }
 
     /// Returns a lower bound of the sort keys `λ z` where the Gaussian shows.
@@ -163,14 +146,6 @@ impl<F: Real> RayFootprint<F> {
     /// The inverse of [`Self::per_px`].
     pub fn per_whitened(&self, [x, y]: [F; 2]) -> [F; 2] {
         [(x + self.shear * y) / self.inverse_u, y / self.inverse_v]
-    }
-}
-
-impl<F: Real> RayBox<F> {
-    /// Returns the part of the tile at `origin` px that may see the Gaussian.
-    #[inline(always)]
-    pub fn window(&self, origin: [F; 2]) -> TileWindow {
-        TileWindow::of(self.middle, self.half, origin)
     }
 }
 

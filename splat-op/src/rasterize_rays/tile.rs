@@ -2,12 +2,12 @@
 
 use fearless_simd::prelude::*;
 
-use super::footprint::{RayBox, RayFootprint, RayPixels, RayRules};
+use super::footprint::{RayFootprint, RayPixels, RayRules};
 use super::order::LayerSlots;
 use crate::camera::NO_RAY;
 use crate::depth_slope::{DEPTH_SLOPE, LENS_FRAME, LensFrame};
-use crate::intersect::{TILE, TILE_PIXELS};
-use crate::rasterize::footprint::{ROWS, WIDTH};
+use crate::intersect::{PixelBox, TILE, TILE_PIXELS};
+use crate::rasterize::footprint::{ROWS, TileWindow, WIDTH};
 use crate::rasterize::tile::{
     BLOCK, BLOCK_ROW, Plane, centres, in_block_order, in_blocks, in_rows, lanes, len, open_transmittance, pixel_rows,
     store,
@@ -104,9 +104,9 @@ impl<F: Copy> RayTileView<'_, F> {
 
 /// Which blocks may see which Gaussians of a tile.
 #[derive(Clone, Copy)]
-pub(super) enum Reach<'a, F> {
+pub(super) enum Reach<'a> {
     /// By the boxes of all Gaussians.
-    Boxes(&'a [RayBox<F>]),
+    Boxes(&'a [PixelBox]),
     /// By place in the tile's list, a bit for each block that sees the Gaussian.
     Blocks(&'a [u16]),
 }
@@ -121,7 +121,7 @@ impl<F: Real> RayTile<F> {
         &mut self,
         rules: &RayRules<S, F>,
         view: &RayTileView<F>,
-        reach: Reach<F>,
+        reach: Reach,
     ) {
         let corner = view.origin.map(|px| F::of(px as f64));
         self.x = centres(corner[0]);
@@ -154,7 +154,7 @@ impl<F: Real> RayTile<F> {
         if SORTED {
             self.sort::<S, EXACT>(rules);
         }
-        self.list_by_block(corner, view, reach);
+        self.list_by_block(view, reach);
         self.channels = view.channels;
         self.features.clear();
         for &place in &self.places {
@@ -186,7 +186,8 @@ impl<F: Real> RayTile<F> {
         }
     }
 
-    fn list_by_block(&mut self, corner: [F; 2], view: &RayTileView<F>, reach: Reach<F>) {
+    fn list_by_block(&mut self, view: &RayTileView<F>, reach: Reach) {
+        let corner = view.origin.map(|px| px as f32);
         let (lists, ends) = (&mut self.lists, &mut self.ends);
         lists.iter_mut().for_each(|list| list.resize(self.places.len(), 0));
         *ends = [0; BLOCKS];
@@ -197,7 +198,9 @@ impl<F: Real> RayTile<F> {
         for (i, &place) in self.places.iter().enumerate() {
             match reach {
                 Reach::Boxes(boxes) => {
-                    let window = boxes[view.gaussian(place)].window(corner);
+                    // Lists of another projection may have none.
+                    let found = boxes.get(view.gaussian(place)).unwrap_or(&PixelBox::EVERYWHERE);
+                    let window = TileWindow::of(found.middle, found.half, corner);
                     for row in window.first_row / ROWS..window.end_row / ROWS {
                         for column in window.first_column..window.end_column {
                             list(row * (TILE / WIDTH) + column, i);

@@ -31,8 +31,8 @@ const FEWEST_COMPARED: usize = 500;
 const FEW_POINTS: &str = "too few points are visible in several photographs";
 
 /// Times per step: a constant part, ms, and a part per megapixel, ms.
-const EXPOSURE_MS: (f64, f64) = (0.05, 3.7);
-const GRID_MS: (f64, f64) = (0.25, 8.3);
+const EXPOSURE_MS: (f64, f64) = (0.11, 1.6);
+const GRID_MS: (f64, f64) = (0.3, 5.8);
 
 /// Decides on the degree of the spherical harmonics instead of an effect. Missing harmonics cost more than idle ones, so
 /// the threshold is close above the share that scenes without view-dependent colour show (`docs/EFFECTS.md`).
