@@ -147,8 +147,7 @@ impl<S: Simd, F: Real> BoundsRules<S, F> {
         let size = [spec.intrinsics.width as f64, spec.intrinsics.height as f64];
         let alpha_min = F::of(spec.options.alpha_min);
         let reached = alpha_min * F::of((0.5 * EXTENT * EXTENT).exp());
-        // A closure would be left out of line, see `each!`.
-        #[allow(clippy::manual_map)]
+        #[allow(clippy::manual_map, reason = "a closure may be left out of line, without vector instructions")]
         let limits = match limits {
             Some(limits) => Some(limits.lanes(simd)),
             None => None,

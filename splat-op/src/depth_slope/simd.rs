@@ -179,6 +179,6 @@ impl<S: Simd, F: Real> DepthSlopeSimd<S, F> {
             let of_lens = lens.backward(distortion, camera.focal, of_jacobian, [zero; 2]);
             through.mean_cam = add(through.mean_cam, of_lens.mean_cam);
         }
-        projection.parameters_backward(camera, g, (takes_part, &through, scales, zero), pose)
+        projection.parameters_backward(camera, g, takes_part, &through, (scales, zero), pose)
     }
 }

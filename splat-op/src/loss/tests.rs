@@ -82,7 +82,7 @@ fn moments_are_double_sums() {
                 }
             }
             let by_definition = |inputs: &[Vec<f64>]| moments_of(&inputs[0], size).to_vec();
-            let reference = PerturbedReference::new(&[photograph.clone()], by_definition);
+            let reference = PerturbedReference::new(std::slice::from_ref(&photograph), by_definition);
             for (i, narrow) in moments_cpu(&to_f32(&photograph), PlaneSize { width, height }).iter().enumerate() {
                 reference.check(&format!("{size:?}"), i, narrow, &vec![Some(0); narrow.len()]);
             }

@@ -63,8 +63,7 @@ impl<F: Real> ProjectCameraSimd<F> {
             near: lanes(self.near),
             blur_sigma: lanes(self.blur_sigma),
             antialias: self.antialias,
-            // A closure would be left out of line, see `each!`.
-            #[allow(clippy::manual_map)]
+            #[allow(clippy::manual_map, reason = "a closure may be left out of line, without vector instructions")]
             distortion: match &self.distortion {
                 Some(distortion) => Some(distortion.lanes(simd)),
                 None => None,
@@ -321,7 +320,7 @@ impl<S: Simd, F: Real> ProjectionTermsSimd<S, F> {
         let grad_j = [hadamard(grad_m[0], g.scale), hadamard(grad_m[1], g.scale)];
         let through = self.rows_backward::<BENDS>(lens, grad_j, grad);
         GradientsSimd {
-            parameters: self.parameters_backward(lens, g, (takes_part, &through, scales, opacity), pose),
+            parameters: self.parameters_backward(lens, g, takes_part, &through, (scales, opacity), pose),
             mean2d: each!(grad.mean_px, |value| takes_part.select(value, zero)),
         }
     }
@@ -333,12 +332,9 @@ impl<S: Simd, F: Real> ProjectionTermsSimd<S, F> {
         &self,
         lens: &ProjectCameraSimd<F::Lanes<S>>,
         g: &GaussiansSimd<F::Lanes<S>>,
-        (takes_part, through, scales, opacity): (
-            MaskOf<S, F>,
-            &LensProjectionGrad<F::Lanes<S>>,
-            Vector<S, F>,
-            F::Lanes<S>,
-        ),
+        takes_part: MaskOf<S, F>,
+        through: &LensProjectionGrad<F::Lanes<S>>,
+        (scales, opacity): (Vector<S, F>, F::Lanes<S>),
         pose: Option<&mut [F::Lanes<S>; 12]>,
     ) -> GaussiansSimd<F::Lanes<S>> {
         let zero = self.lanes(F::ZERO);

@@ -13,6 +13,7 @@ use super::tile::{Plane, Thresholds, TileTrace, in_block_order, rasterize_tile};
 pub(crate) use super::tile_backward::MOMENTS;
 use super::tile_backward::{TileGrad, TileScratch, rasterize_tile_backward};
 use super::{Layers, PlaneParts, RasterizeSpec};
+use crate::depth_slope::DEPTH_SLOPE;
 use crate::intersect::{IntersectionLists, TILE, TILE_PIXELS, tile_grid};
 use crate::project::{COLUMNS, Ellipse};
 use crate::simd::real::Real;
@@ -343,6 +344,7 @@ pub(crate) fn gather<F: Real>(
             match columns {
                 RGB_COLUMNS => add_rows_of::<F, RGB_COLUMNS>(rows, own, &mut sum),
                 RGBD_COLUMNS => add_rows_of::<F, RGBD_COLUMNS>(rows, own, &mut sum),
+                RAY_RGB_COLUMNS => add_rows_of::<F, RAY_RGB_COLUMNS>(rows, own, &mut sum),
                 _ => add_rows(rows, own, &mut sum),
             }
             let (moments, colours) = sum.split_at(MOMENTS);
@@ -381,6 +383,9 @@ const RGB_COLUMNS: usize = MOMENTS + 3;
 
 /// Number of columns of the sums for three channels and depth.
 const RGBD_COLUMNS: usize = RGB_COLUMNS + 1;
+
+/// Number of columns of the sums for three channels along rays.
+const RAY_RGB_COLUMNS: usize = RGB_COLUMNS + DEPTH_SLOPE;
 
 /// Adds rows of `intersection_sums` to `sum`.
 #[inline(always)]

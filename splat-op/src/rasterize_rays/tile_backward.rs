@@ -279,8 +279,8 @@ fn add_rows<S: Simd, F: Real, const EXACT: bool>(
             let inverse = if EXACT { Some(lanes::<S, F>(simd, values, 2 * vector)) } else { None };
             let layer = rules.layer::<EXACT, false>(splat, &tile.pixels(simd, place), inverse);
             let plane = |channel: usize| lanes::<S, F>(simd, &grad.planes.planes[channel], place);
-            let seen = if grad.depth { weight * plane(tile.channels) } else { zero };
-            fixed.add::<EXACT>(splat.0, &layer, [h, seen], grad.absolute);
+            let seen = if grad.depth { Some(weight * plane(tile.channels)) } else { None };
+            fixed.add::<EXACT>(splat.0, &layer, (h, seen), grad.absolute);
             for channel in 0..TOGETHER.min(tile.channels) {
                 features[channel] = plane(channel).mul_add(weight, features[channel]);
             }
@@ -342,14 +342,14 @@ impl<S: Simd, F: Real> RaySums<S, F> {
         }
     }
 
-    /// Adds the gradients of a Gaussian at a vector of pixels, from `h` and from the gradient of the layer's depth. The module's
-    /// documentation has the formulas.
+    /// Adds the gradients of a Gaussian at a vector of pixels, from `h` and from the gradient of the layer's depth, if there is one. The
+    /// module's documentation has the formulas.
     #[inline(always)]
     fn add<const EXACT: bool>(
         &mut self,
         splat: &RayFootprint<F>,
         layer: &RayLayerSimd<S, F>,
-        [h, seen]: [F::Block<S>; 2],
+        (h, seen): (F::Block<S>, Option<F::Block<S>>),
         absolute: bool,
     ) {
         let lanes = |value: F| F::Block::<S>::splat(h.token(), value);
@@ -357,13 +357,12 @@ impl<S: Simd, F: Real> RaySums<S, F> {
         // Negative gradients of `u` and `v`; gradients of `α`, `β` and `γ`.
         let (mut p, mut q, mut centre) = (h * u, h * v, [lanes(F::ZERO); 3]);
         if EXACT {
-            let of_lambda = seen * lanes(splat.depth);
-            let phi = lanes(splat.thick) * inverse;
             let [slope_u, slope_v] = each!(splat.depth_slope, |value| lanes(value));
             let across;
             if splat.is_beyond() {
                 let [apart_u, apart_v, apart_s] = apart;
-                let (near, far) = (h * lambda, of_lambda * phi);
+                let of_lambda = seen.unwrap_or(lanes(F::ZERO)) * lanes(splat.depth);
+                let (near, far) = (h * lambda, of_lambda * lanes(splat.thick) * inverse);
                 let along_s = of_lambda * along;
                 across = near.mul_add(apart_s, far * apart_s - lambda * along_s);
                 p = across * slope_u - near.mul_add(apart_u, far * (-lambda).mul_add(u, apart_u));
@@ -372,17 +371,29 @@ impl<S: Simd, F: Real> RaySums<S, F> {
                 centre = [far * u - h * apart_u, far * v - h * apart_v, along_s - h * apart_s];
             } else {
                 let twice = exponent * lanes(F::of(2.0 * std::f64::consts::LN_2));
-                let kappa = twice * phi - lambda * lambda;
-                let radial = (h * lambda + (of_lambda + of_lambda) * phi) * lambda;
-                across = h * twice * lambda + of_lambda * kappa;
+                let (near, of_thickness) = (h * lambda, h * twice);
+                let radial;
+                if let Some(seen) = seen {
+                    let of_lambda = seen * lanes(splat.depth);
+                    let phi = lanes(splat.thick) * inverse;
+                    let kappa = twice * phi - lambda * lambda;
+                    radial = (near + (of_lambda + of_lambda) * phi) * lambda;
+                    across = near * twice + of_lambda * kappa;
+                    self.slopes[2] -= twice * (of_lambda + of_lambda) * lambda;
+                } else {
+                    radial = near * lambda;
+                    across = near * twice;
+                }
                 p = radial.mul_add(u, across * slope_u);
                 q = radial.mul_add(v, across * slope_v);
-                self.slopes[2] += twice * (h * twice - (of_lambda + of_lambda) * lambda);
+                self.slopes[2] = twice.mul_add(of_thickness, self.slopes[2]);
             }
             self.slopes[0] = across.mul_add(u, self.slopes[0]);
             self.slopes[1] = across.mul_add(v, self.slopes[1]);
-            self.depth = seen.mul_add(lambda, self.depth);
-        } else {
+            if let Some(seen) = seen {
+                self.depth = seen.mul_add(lambda, self.depth);
+            }
+        } else if let Some(seen) = seen {
             self.depth += seen;
         }
         self.moments[0] += h;
