@@ -9,6 +9,7 @@ use splat_model::density::{Adaptive, AdaptiveConfig, Observed, Strategy, Strateg
 use splat_model::gaussians::{Gaussians, RowsError};
 use splat_model::loss::{DEFAULT_LAMBDA, Truth, photometric};
 use splat_model::optim::{Adam, LearningRates, MomentBits};
+use splat_model::state::State;
 use splat_model::trainer::Guard;
 use splat_op::{Camera, Extras, SplatError, render_view};
 
@@ -78,6 +79,11 @@ impl Step {
         self.scene.step(gradients, &Adam::default(), &rates(), self.step, verdict.as_ref());
         self.guard.read(false).expect(SOUND);
         Ok(loss)
+    }
+
+    /// Saves the scene and its moments, as a checkpoint does.
+    pub fn save(&self) -> State {
+        self.scene.save()
     }
 
     /// Refines the scene once as `gradual` does where all Gaussians wait to become two: a fifth of them do, the most that a refinement takes.

@@ -7,13 +7,13 @@ mod file;
 
 use std::collections::BTreeMap;
 
-use burn::tensor::{DType, Device, Int, Tensor, TensorData};
+use burn::tensor::kind::Basic;
+use burn::tensor::{DType, Device, Element, Int, Tensor, TensorData};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use thiserror::Error;
 
 pub use self::file::FileError;
-use crate::gaussians::values_of;
 
 /// An entry of a state that is missing, wrong or left over.
 #[derive(Debug, Error)]
@@ -97,14 +97,13 @@ impl State {
     /// Saves a tensor of f32; reading it waits for the device.
     pub fn put<const D: usize>(&mut self, name: &str, tensor: Tensor<D>) {
         let shape = tensor.dims().to_vec();
-        self.arrays.insert(name.to_owned(), Array { shape, values: Values::F32(values_of(tensor)) });
+        self.arrays.insert(name.to_owned(), Array { shape, values: Values::F32(elements(&tensor.cast(DType::F32))) });
     }
 
     /// Saves a tensor of i32, bit for bit; reading it waits for the device.
     pub fn put_words(&mut self, name: &str, tensor: Tensor<2, Int>) {
         let shape = tensor.dims().to_vec();
-        let words = tensor.into_data().try_into_vec().expect("words are created as i32");
-        self.arrays.insert(name.to_owned(), Array { shape, values: Values::I32(words) });
+        self.arrays.insert(name.to_owned(), Array { shape, values: Values::I32(elements(&tensor)) });
     }
 
     /// Removes and returns the tensor of that name, on `device`, not tracked.
@@ -239,6 +238,21 @@ impl State {
     fn missing(&self, name: &str) -> StateError {
         StateError::Missing { name: self.full(name) }
     }
+}
+
+/// Numbers that are copied at a time.
+const AT_ONCE: usize = 1 << 20;
+
+/// Copies all elements of a tensor, row-major. Burn copies data that the tensor keeps twice, so it is asked for a part at a time.
+fn elements<const D: usize, K: Basic, E: Element>(tensor: &Tensor<D, K>) -> Vec<E> {
+    let count = tensor.shape().num_elements();
+    let flat: Tensor<1, K> = tensor.clone().flatten(0, D - 1);
+    let mut all = Vec::with_capacity(count);
+    for first in (0..count).step_by(AT_ONCE) {
+        let part = flat.clone().narrow(0, first, AT_ONCE.min(count - first)).into_data();
+        all.extend_from_slice(part.as_slice().expect("the caller names the type of the elements"));
+    }
+    all
 }
 
 /// Removes the entries below `name` and returns them without that prefix.

@@ -24,10 +24,14 @@ impl Trainer {
         };
         self.density.start(&mut rows);
         rows.sh_degree = scene.sh_degree.min(self.config.sh_degree);
-        rows.sh_rest = vec![0.0; rows.rest_per_row() * rows.len()];
+        rows.sh_rest.reserve_exact(rows.rest_per_row() * (rows.len() + scene.len()));
+        rows.sh_rest.resize(rows.rest_per_row() * rows.len(), 0.0);
+        rows.reserve_exact(scene.len());
         (0..scene.len()).for_each(|row| rows.push(scene, row));
-        let gaussians = Gaussians::from_rows(&rows, &self.device.clone().autodiff())?;
-        self.scene = Trained::with_bits(gaussians, self.config.moment_bits);
+        let device = self.device.clone().autodiff();
+        // The initial Gaussians are gone before the others have moments.
+        self.scene = Trained::new(Gaussians::from_own_rows(GaussianRows::default(), &device)?);
+        self.scene = Trained::with_bits(Gaussians::from_own_rows(rows, &device)?, self.config.moment_bits);
         Ok(self)
     }
 }
