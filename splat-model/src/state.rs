@@ -265,6 +265,7 @@ fn split_off<T>(entries: &mut BTreeMap<String, T>, name: &str) -> BTreeMap<Strin
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::gaussians::values_of;
 
     #[test]
     fn what_is_put_is_taken_once() {
