@@ -268,6 +268,18 @@ mod tests {
     use crate::gaussians::values_of;
 
     #[test]
+    fn a_tensor_of_several_parts_is_put_whole() {
+        let count = 2 * AT_ONCE + 3;
+        let words = Tensor::<1, Int>::arange(0..count as i64, &Device::flex()).cast(DType::I32).reshape([count, 1]);
+        let mut state = State::default();
+        state.put("values", words.clone().float());
+        state.put_words("words", words);
+        // All of them are below 2²⁴, and so exact.
+        assert_eq!(state.arrays["values"].values, Values::F32((0..count).map(|i| i as f32).collect()));
+        assert_eq!(state.arrays["words"].values, Values::I32((0..count).map(|i| i as i32).collect()));
+    }
+
+    #[test]
     fn what_is_put_is_taken_once() {
         let device = Device::flex();
         let mut state = State::default();
