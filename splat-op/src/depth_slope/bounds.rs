@@ -200,8 +200,8 @@ impl<S: Simd, F: Real> BoundsRules<S, F> {
             Some(limits) => {
                 let frame = LensFrame::of(row).expect("rows of a lens have its columns");
                 let bent = limits.bent(simd, &whole.row(simd, &e, self.reached), &e, &frame);
-                let known = bounded & is_whole & bent.known & finite::<S, F>(simd, &bent.row);
-                (bent.row, known, known & bent.missed)
+                let known = bounded & is_whole & bent.known;
+                (bent.row, known & finite::<S, F>(simd, &bent.row), known & bent.missed)
             }
             None => {
                 let seen = InPicture::<S, F>::new(simd, &e, [slope_u, slope_v], self.half);
@@ -213,8 +213,8 @@ impl<S: Simd, F: Real> BoundsRules<S, F> {
                 (found, bounded & (is_whole | is_known) & finite::<S, F>(simd, &found), hidden)
             }
         };
-        let mut bounds = select::<S, F>(known, &found, &everywhere);
-        bounds.opacity = hidden.select(zero, bounds.opacity);
+        let bounds = select::<S, F>(known, &found, &everywhere);
+        let bounds = select::<S, F>(hidden, &Ellipse { opacity: zero, ..*given }, &bounds);
         select::<S, F>(shows, &bounds, given)
     }
 

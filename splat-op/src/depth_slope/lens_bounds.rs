@@ -152,12 +152,7 @@ impl<L: Copy> LensLimits<L> {
         };
         let scale = a.abs() + b.abs() + c.abs() + d.abs();
         let by = (bend + scale * radius * F::of(ROUNDING)) / lanes(EXTENT);
-        let bent = wider::<S, F>(simd, row, by);
-        // A row that misses the picture stays as it is.
-        let sigma_u = missed.select(row.sigma_u, bent.sigma_u);
-        let shear = missed.select(row.shear, bent.shear);
-        let sigma_v = missed.select(row.sigma_v, bent.sigma_v);
-        Bent { row: Ellipse { sigma_u, shear, sigma_v, ..bent }, known, missed }
+        Bent { row: wider::<S, F>(simd, row, by), known, missed }
     }
 }
 
