@@ -1,11 +1,13 @@
 //! Bounds in the picture of a lens, in the CPU twin, for eight Gaussians at a time.
 
 use std::f64::consts::FRAC_PI_2;
+use std::ops::Div;
 
 use fearless_simd::prelude::*;
 
 use super::{DEPTH_SLOPE, EXTENT, ROUNDING};
 use crate::camera::{Intrinsics, PictureRays};
+use crate::linalg::Entry;
 use crate::project::Ellipse;
 use crate::project::simd::{MaskOf, norm};
 use crate::simd::each;
@@ -92,6 +94,22 @@ fn length<S: Simd, F: Real>(simd: S, [x, y]: [F::Lanes<S>; 2]) -> F::Lanes<S> {
     norm::<S, F>(simd, [x, y, F::Lanes::<S>::splat(simd, F::ZERO)])
 }
 
+/// Returns `m⁻¹ v`.
+#[inline(always)]
+fn solved<L: Entry + Div<Output = L>>([[a, b], [c, d]]: [[L; 2]; 2], determinant: L, [x, y]: [L; 2]) -> [L; 2] {
+    [(d * x - b * y) / determinant, (a * y - c * x) / determinant]
+}
+
+#[inline(always)]
+fn dot2<L: Entry>(a: [L; 2], b: [L; 2]) -> L {
+    a[0] * b[0] + a[1] * b[1]
+}
+
+#[inline(always)]
+fn cross2<L: Entry>(a: [L; 2], b: [L; 2]) -> L {
+    a[0] * b[1] - a[1] * b[0]
+}
+
 impl<L: Copy> LensLimits<L> {
     /// Returns rows that hold what the lens makes of `row`, the bounds of the Gaussians `e` without the lens's second derivative.
     #[inline(always)]
@@ -107,35 +125,35 @@ impl<L: Copy> LensLimits<L> {
     {
         let lanes = |value: f64| L::splat(simd, F::of(value));
         let (zero, one) = (lanes(0.0), lanes(1.0));
-        let long = |v: [L; 2]| length::<S, F>(simd, v);
         let ([[a, b], [c, d]], centre) = (frame.by, frame.centre);
         let determinant = a * d - b * c;
         let rounding = ((a * d).abs() + (b * c).abs()) / determinant.abs() * F::of(ROUNDING);
         // The middle relative to the centre and the half-axes of the row, as slopes.
-        let slopes = |[x, y]: [L; 2]| [(d * x - b * y) / determinant, (a * y - c * x) / determinant];
         let extent = F::of(EXTENT);
-        let middle = slopes([row.mean_px[0] - e.mean_px[0], row.mean_px[1] - e.mean_px[1]]);
-        let along = slopes([row.sigma_u * extent, row.shear * row.sigma_u * extent]);
-        let across = slopes([zero, row.sigma_v * extent]);
+        let middle = solved(frame.by, determinant, [row.mean_px[0] - e.mean_px[0], row.mean_px[1] - e.mean_px[1]]);
+        let along = solved(frame.by, determinant, [row.sigma_u * extent, row.shear * row.sigma_u * extent]);
+        let across = solved(frame.by, determinant, [zero, row.sigma_v * extent]);
         let farther = one + rounding;
-        let reach = (long(middle) + norm::<S, F>(simd, [long(along), long(across), zero])) * farther;
+        let reach = (length::<S, F>(simd, middle)
+            + norm::<S, F>(simd, [length::<S, F>(simd, along), length::<S, F>(simd, across), zero]))
+            * farther;
         let mut missed = one.simd_lt(zero);
         for k in 0..2 {
-            let half = long([along[k], across[k]]);
+            let half = length::<S, F>(simd, [along[k], across[k]]);
             let slack = (half + middle[k].abs()) * rounding + half + centre[k].abs() * F::of(ROUNDING);
             let at = centre[k] + middle[k];
             missed |= (at + slack).simd_lt(self.low[k]) | (at - slack).simd_gt(self.high[k]);
         }
-        let radius = long(centre);
+        let radius = length::<S, F>(simd, centre);
         let known = rounding.simd_lt(lanes(1e-2)) & (radius.simd_le(self.bend_radius) | missed);
         let half = F::of(0.5);
         let bend = if self.fisheye {
             let is_off = radius.simd_gt(zero);
             let axis = [is_off.select(centre[0] / radius, one), is_off.select(centre[1] / radius, zero)];
-            let outward = |v: [L; 2]| v[0] * axis[0] + v[1] * axis[1];
-            let aside = |v: [L; 2]| v[1] * axis[0] - v[0] * axis[1];
-            let h_r = (outward(middle).abs() + long([outward(along), outward(across)])) * farther;
-            let h_t = (aside(middle).abs() + long([aside(along), aside(across)])) * farther;
+            let h_r =
+                (dot2(axis, middle).abs() + length::<S, F>(simd, [dot2(axis, along), dot2(axis, across)])) * farther;
+            let h_t = (cross2(axis, middle).abs() + length::<S, F>(simd, [cross2(axis, along), cross2(axis, across)]))
+                * farther;
             // The direction from the axis turns along the way to the farthest point.
             let near = (radius - reach).max(lanes(1e-3));
             let turn = (h_t / near).min(one);
