@@ -5,7 +5,7 @@ use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 
 use super::lens_bounds::{LensFrame, LensLimits};
-use super::{DEPTH_SLOPE, EXTENT, LEAST, LENS_FRAME, ROUNDING, SLACK};
+use super::{DEPTH_SLOPE, EXTENT, LEAST, LENS_COLUMNS, ROUNDING, SLACK};
 use crate::camera::{CameraModel, Intrinsics, PictureRays};
 use crate::intersect::extent::whitened_limit;
 use crate::linalg::{cross, dot, scale};
@@ -25,23 +25,29 @@ type Lanes<S, F> = <F as Real>::Lanes<S>;
 /// Returns rows `[N, 7]` for `intersect`, from packed ellipses `[N, 7]` and depth slopes `[N, 3]`, with a lens `[N, 9]`. Culled
 /// Gaussians stay culled.
 pub(crate) fn bounds_cpu<F: Real>(packed: &[F], depth_slopes: &[F], spec: &RasterizeSpec) -> Vec<F> {
-    const BENT: usize = DEPTH_SLOPE + LENS_FRAME;
-    let mut bounds = vec![F::ZERO; packed.len()];
-    let rays = PictureRays::of(&spec.intrinsics);
-    let limits = rays.as_ref().map(|rays| LensLimits::new(&spec.intrinsics, rays));
-    let chunks = (bounds.par_chunks_mut(CHUNK * COLUMNS), packed.par_chunks(CHUNK * COLUMNS));
-    match &limits {
-        Some(limits) => (chunks.0, chunks.1, depth_slopes.par_chunks(CHUNK * BENT)).into_par_iter().for_each(
-            |(out, rows, slopes)| {
-                dispatch!(Level::new(), simd => chunk::<_, F, BENT>(simd, out, rows, slopes, (spec, Some(limits))));
-            },
-        ),
-        None => (chunks.0, chunks.1, depth_slopes.par_chunks(CHUNK * DEPTH_SLOPE)).into_par_iter().for_each(
-            |(out, rows, slopes)| {
-                dispatch!(Level::new(), simd => chunk::<_, F, DEPTH_SLOPE>(simd, out, rows, slopes, (spec, None)));
-            },
-        ),
+    match PictureRays::of(&spec.intrinsics) {
+        None => by_chunks::<F, DEPTH_SLOPE>(packed, depth_slopes, (spec, None)),
+        Some(rays) => {
+            let limits = LensLimits::new(&spec.intrinsics, &rays);
+            by_chunks::<F, LENS_COLUMNS>(packed, depth_slopes, (spec, Some(&limits)))
+        }
     }
+}
+
+fn by_chunks<F: Real, const C: usize>(
+    packed: &[F],
+    depth_slopes: &[F],
+    picture: (&RasterizeSpec, Option<&LensLimits<F>>),
+) -> Vec<F> {
+    let mut bounds = vec![F::ZERO; packed.len()];
+    let chunks = (
+        bounds.par_chunks_mut(CHUNK * COLUMNS),
+        packed.par_chunks(CHUNK * COLUMNS),
+        depth_slopes.par_chunks(CHUNK * C),
+    );
+    chunks.into_par_iter().for_each(|(out, rows, slopes)| {
+        dispatch!(Level::new(), simd => chunk::<_, F, C>(simd, out, rows, slopes, picture));
+    });
     bounds
 }
 

@@ -3,14 +3,11 @@
 use fearless_simd::prelude::*;
 
 use super::simd::DepthSlopeSimd;
-use super::{DEPTH_SLOPE, LENS_FRAME, columns};
+use super::{DEPTH_SLOPE, LENS_COLUMNS, columns};
 use crate::project::cpu::{GaussianStage, stage_gradients, stage_rows};
 use crate::project::simd::{GaussiansSimd, GradientsSimd, ProjectCameraSimd};
 use crate::project::{Geometry, ProjectSpec};
 use crate::simd::real::Real;
-
-/// Number of columns with those of a lens.
-const BENT: usize = DEPTH_SLOPE + LENS_FRAME;
 
 /// Rows of depth slopes.
 struct DepthSlope;
@@ -44,8 +41,8 @@ impl<const C: usize> GaussianStage<C> for DepthSlope {
 /// Returns the depth slopes and thicknesses and, with a lens, its columns: `[N, 3 (+ 6)]`.
 pub(crate) fn depth_slope_cpu<F: Real>(inputs: Geometry<&[F]>, spec: &ProjectSpec) -> Vec<F> {
     match columns(&spec.intrinsics) {
-        BENT => stage_rows::<F, DepthSlope, BENT>(inputs, spec),
-        _ => stage_rows::<F, DepthSlope, DEPTH_SLOPE>(inputs, spec),
+        LENS_COLUMNS => stage_rows::<F, DepthSlope, LENS_COLUMNS, true>(inputs, spec),
+        _ => stage_rows::<F, DepthSlope, DEPTH_SLOPE, false>(inputs, spec),
     }
 }
 
@@ -57,7 +54,7 @@ pub(crate) fn depth_slope_backward_cpu<F: Real>(
     needs: Geometry<bool>,
 ) -> Geometry<Vec<F>> {
     match columns(&spec.intrinsics) {
-        BENT => stage_gradients::<F, DepthSlope, BENT>(inputs, grad, spec, needs),
-        _ => stage_gradients::<F, DepthSlope, DEPTH_SLOPE>(inputs, grad, spec, needs),
+        LENS_COLUMNS => stage_gradients::<F, DepthSlope, LENS_COLUMNS, true>(inputs, grad, spec, needs),
+        _ => stage_gradients::<F, DepthSlope, DEPTH_SLOPE, false>(inputs, grad, spec, needs),
     }
 }

@@ -115,9 +115,12 @@ pub(crate) const DEPTH_SLOPE: usize = 3;
 /// Number of columns of a lens: the slopes of the centre, and `G` row by row.
 pub(crate) const LENS_FRAME: usize = 6;
 
+/// Number of columns of the output with a lens.
+pub(crate) const LENS_COLUMNS: usize = DEPTH_SLOPE + LENS_FRAME;
+
 /// Number of columns of the output.
 pub(crate) fn columns(camera: &Intrinsics) -> usize {
-    DEPTH_SLOPE + if camera.model == CameraModel::Pinhole { 0 } else { LENS_FRAME }
+    if camera.model == CameraModel::Pinhole { DEPTH_SLOPE } else { LENS_COLUMNS }
 }
 
 /// Largest thickness. With the camera a billionth of a standard deviation from the centre, the Gaussian is one to the last digit

@@ -34,7 +34,7 @@ pub(super) struct DepthSlopeSimd<S: Simd, F: Real> {
 }
 
 impl<S: Simd, F: Real> DepthSlopeSimd<S, F> {
-    /// `BENDS` must equal `camera.bends()`; it keeps lenses out of the code for pinholes.
+    /// `BENDS` says whether the camera has a lens; it keeps lenses out of the code for pinholes.
     #[inline(always)]
     pub fn new<const BENDS: bool>(
         simd: S,

@@ -7,6 +7,7 @@ use rayon::prelude::*;
 
 use super::simd::{GaussiansSimd, GradientsSimd, ProjectCameraSimd, ProjectionTermsSimd};
 use super::{COLUMNS, Ellipse, Geometry, ProjectSpec, WIDTHS};
+use crate::camera::CameraModel;
 use crate::simd::lanes::{BLOCK, Columns};
 use crate::simd::real::{LANES, Real};
 
@@ -58,7 +59,8 @@ impl<F: Real> Parameters<F> {
     }
 }
 
-/// What is computed of each Gaussian: a row of `C` numbers, and its gradient. `BENDS` must equal `camera.bends()`.
+/// What is computed of each Gaussian: a row of `C` numbers, and its gradient. `BENDS` says whether the camera has a lens; it keeps
+/// lenses out of the code for pinholes.
 pub(crate) trait GaussianStage<const C: usize> {
     /// Rows of eight Gaussians.
     fn rows<S: Simd, F: Real, const BENDS: bool>(
@@ -105,7 +107,10 @@ impl GaussianStage<COLUMNS> for Project {
 
 /// `[N, 7]` packed ellipses.
 pub(crate) fn project_cpu<F: Real>(inputs: Geometry<&[F]>, spec: &ProjectSpec) -> Vec<F> {
-    stage_rows::<F, Project, COLUMNS>(inputs, spec)
+    match spec.intrinsics.model {
+        CameraModel::Pinhole => stage_rows::<F, Project, COLUMNS, false>(inputs, spec),
+        _ => stage_rows::<F, Project, COLUMNS, true>(inputs, spec),
+    }
 }
 
 /// Gradients of the inputs from `grad`, the `[N, 7]` gradient of the packed ellipses.
@@ -115,11 +120,14 @@ pub(crate) fn project_backward_cpu<F: Real>(
     spec: &ProjectSpec,
     needs: Geometry<bool>,
 ) -> Geometry<Vec<F>> {
-    stage_gradients::<F, Project, COLUMNS>(inputs, grad, spec, needs)
+    match spec.intrinsics.model {
+        CameraModel::Pinhole => stage_gradients::<F, Project, COLUMNS, false>(inputs, grad, spec, needs),
+        _ => stage_gradients::<F, Project, COLUMNS, true>(inputs, grad, spec, needs),
+    }
 }
 
 /// `[N, C]` rows of a stage.
-pub(crate) fn stage_rows<F: Real, T: GaussianStage<C>, const C: usize>(
+pub(crate) fn stage_rows<F: Real, T: GaussianStage<C>, const C: usize, const BENDS: bool>(
     inputs: Geometry<&[F]>,
     spec: &ProjectSpec,
 ) -> Vec<F> {
@@ -127,14 +135,7 @@ pub(crate) fn stage_rows<F: Real, T: GaussianStage<C>, const C: usize>(
     let mut all = vec![F::ZERO; inputs.opacities.len() * C];
     all.par_chunks_mut(CHUNK * C).enumerate().for_each(|(chunk, rows)| {
         let first = chunk * CHUNK;
-        match lens.bends() {
-            true => {
-                dispatch!(Level::new(), simd => rows_of_chunk::<_, F, T, C, true>(simd, &inputs, &lens, first, rows))
-            }
-            false => {
-                dispatch!(Level::new(), simd => rows_of_chunk::<_, F, T, C, false>(simd, &inputs, &lens, first, rows))
-            }
-        }
+        dispatch!(Level::new(), simd => rows_of_chunk::<_, F, T, C, BENDS>(simd, &inputs, &lens, first, rows));
     });
     all
 }
@@ -162,7 +163,7 @@ fn rows_of_chunk<S: Simd, F: Real, T: GaussianStage<C>, const C: usize, const BE
 }
 
 /// Gradients of the inputs of a stage from `grad`, the `[N, C]` gradient of its rows. Those not needed are empty.
-pub(crate) fn stage_gradients<F: Real, T: GaussianStage<C>, const C: usize>(
+pub(crate) fn stage_gradients<F: Real, T: GaussianStage<C>, const C: usize, const BENDS: bool>(
     inputs: Geometry<&[F]>,
     grad: &[F],
     spec: &ProjectSpec,
@@ -181,14 +182,9 @@ pub(crate) fn stage_gradients<F: Real, T: GaussianStage<C>, const C: usize>(
             let first = chunk * CHUNK;
             let grad = &grad[first * C..count.min(first + CHUNK) * C];
             let (part, pose) = ((first, grad), needs.cam_from_world);
-            match lens.bends() {
-                true => dispatch!(Level::new(), simd => {
-                    gradients_of_chunk::<_, F, T, C, true>(simd, &inputs, &lens, part, pose, &mut out)
-                }),
-                false => dispatch!(Level::new(), simd => {
-                    gradients_of_chunk::<_, F, T, C, false>(simd, &inputs, &lens, part, pose, &mut out)
-                }),
-            }
+            dispatch!(Level::new(), simd => {
+                gradients_of_chunk::<_, F, T, C, BENDS>(simd, &inputs, &lens, part, pose, &mut out)
+            })
         })
         .collect();
     if needs.cam_from_world {

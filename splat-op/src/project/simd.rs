@@ -27,11 +27,6 @@ pub(crate) struct ProjectCameraSimd<L> {
 }
 
 impl<F: Real> ProjectCameraSimd<F> {
-    /// Whether the camera is not a pinhole.
-    pub fn bends(&self) -> bool {
-        self.distortion.is_some()
-    }
-
     pub fn new(cam_from_world: &[F], spec: &ProjectSpec) -> Self {
         let (camera, options) = (&spec.intrinsics, &spec.options);
         let limits = camera.slope_limits(options.jacobian_margin);
@@ -130,7 +125,7 @@ pub(crate) struct ProjectionTermsSimd<S: Simd, F: Real> {
 }
 
 impl<S: Simd, F: Real> ProjectionTermsSimd<S, F> {
-    /// Projects eight Gaussians. `BENDS` must equal `lens.bends()`; it keeps lenses out of the code for pinholes.
+    /// Projects eight Gaussians. `BENDS` says whether the camera has a lens; it keeps lenses out of the code for pinholes.
     #[inline(always)]
     pub fn new<const BENDS: bool>(
         simd: S,

@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use super::RayLayers;
-use crate::depth_slope::{DEPTH_SLOPE, LENS_FRAME, LensFrame};
+use crate::depth_slope::{DEPTH_SLOPE, LENS_COLUMNS, LensFrame};
 use crate::options::Projection;
 use crate::project::{COLUMNS, Ellipse};
 use crate::rasterize::RasterizeSpec;
@@ -20,12 +20,11 @@ pub(super) fn with_frames<F: Real>(
     grad_slopes: &[F],
     spec: &RasterizeSpec,
 ) -> Vec<F> {
-    const ROW: usize = DEPTH_SLOPE + LENS_FRAME;
-    let mut out = vec![F::ZERO; grad_slopes.len() / DEPTH_SLOPE * ROW];
+    let mut out = vec![F::ZERO; grad_slopes.len() / DEPTH_SLOPE * LENS_COLUMNS];
     if spec.options.projection == Projection::Affine {
         return out;
     }
-    out.par_chunks_mut(ROW).with_min_len(CHUNK).enumerate().for_each(|(i, out)| {
+    out.par_chunks_mut(LENS_COLUMNS).with_min_len(CHUNK).enumerate().for_each(|(i, out)| {
         let grad = &grad_projected[i * COLUMNS..][..COLUMNS];
         let of_slopes = &grad_slopes[i * DEPTH_SLOPE..][..DEPTH_SLOPE];
         out[..DEPTH_SLOPE].copy_from_slice(of_slopes);
@@ -33,7 +32,7 @@ pub(super) fn with_frames<F: Real>(
             return;
         }
         let e = Ellipse::from_row(&inputs.projected[i * COLUMNS..]);
-        let row = &inputs.depth_slope[i * ROW..][..ROW];
+        let row = &inputs.depth_slope[i * LENS_COLUMNS..][..LENS_COLUMNS];
         let Some(frame) = LensFrame::of(row) else { return };
         // Σ U u, Σ U v, Σ V u, Σ V v
         let (uu, vv) = (-(e.sigma_u * grad[2]), -(e.sigma_v * grad[4]));

@@ -5,7 +5,7 @@ use fearless_simd::prelude::*;
 use super::footprint::{RayFootprint, RayPixels, RayRules};
 use super::order::LayerSlots;
 use crate::camera::NO_RAY;
-use crate::depth_slope::{DEPTH_SLOPE, LENS_FRAME, LensFrame};
+use crate::depth_slope::{LENS_COLUMNS, LensFrame};
 use crate::intersect::{PixelBox, TILE, TILE_PIXELS};
 use crate::rasterize::footprint::{ROWS, TileWindow, WIDTH};
 use crate::rasterize::tile::{
@@ -16,9 +16,6 @@ use crate::simd::real::Real;
 
 /// Number of blocks in a tile.
 const BLOCKS: usize = TILE_PIXELS / BLOCK;
-
-/// Number of columns of depth slopes with a lens.
-const LENS_COLUMNS: usize = DEPTH_SLOPE + LENS_FRAME;
 
 /// The place, in the order of blocks, of the pixel on row 7 of column 7.
 const MIDDLE: usize = in_block_order(7 * TILE / WIDTH) * WIDTH + 7;
