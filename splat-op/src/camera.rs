@@ -14,7 +14,7 @@ use glam::DAffine3;
 use crate::error::SplatError;
 
 pub use self::lens::Projector;
-pub(crate) use self::rays::{LEAST_NO_RAY, NO_RAY, PictureRays};
+pub(crate) use self::rays::{LEAST_NO_RAY, PictureRays};
 
 /// Largest width or height of a picture that is accepted, px.
 pub const MAX_SIDE_PX: usize = 32_768;

@@ -11,7 +11,7 @@ use super::lens::FAR;
 use super::{CameraModel, Intrinsics};
 
 /// Slope of a pixel without a ray.
-pub(crate) const NO_RAY: f64 = 1e30;
+const NO_RAY: f64 = 1e30;
 
 /// Slopes from here on are those of pixels without a ray.
 pub(crate) const LEAST_NO_RAY: f64 = 1e29;

@@ -3,7 +3,7 @@
 
 use fearless_simd::prelude::*;
 
-use super::footprint::{Column, Footprint, FootprintSimd, ROWS, WIDTH};
+use super::footprint::{Column, Footprint, FootprintSimd, ROWS, TileBlocks, TileWindow, WIDTH};
 use crate::intersect::{TILE, TILE_PIXELS};
 use crate::simd::real::{EXP2_CONSTANTS, Real};
 
@@ -361,7 +361,7 @@ pub(super) fn rasterize_tile<S: Simd, F: Real, const C: usize, const LONG: bool,
 ) {
     let channels = if C == 0 { view.channels } else { C };
     let corner = view.corner();
-    let x = centres(corner[0]);
+    let (x, blocks) = (centres(corner[0]), TileBlocks::new(corner));
     let mut transmittance = Transmittances::new(view.open_transmittance());
     let mut open = view.size[0] * view.size[1];
     let (sums, final_transmittance) = planes.as_chunks_mut::<TILE_PIXELS>().0.split_at_mut(channels);
@@ -385,7 +385,8 @@ pub(super) fn rasterize_tile<S: Simd, F: Real, const C: usize, const LONG: bool,
         let colour = if C == 0 { view.colour(gaussian) } else { &near.colours[i % CHECKPOINT_EVERY] };
         let colour_lanes = colour_lanes::<S, F, C>(simd, colour);
         let mut reached = 0;
-        let window = splat.footprint.window(corner);
+        let footprint = &splat.footprint;
+        let window = TileWindow::around(blocks.met(simd, footprint.mean_px, footprint.half));
         for part in (window.first_column * BLOCK..window.end_column * BLOCK).step_by(len::<S, F>()) {
             let column = splat.column(lanes(simd, &x, part));
             for row in (window.first_row..window.end_row).step_by(ROWS) {

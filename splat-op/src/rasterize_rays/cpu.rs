@@ -10,7 +10,8 @@ use rayon::prelude::*;
 use super::RayLayers;
 use super::footprint::{RayFootprint, RayRules};
 use super::lens::with_frames;
-use super::tile::{ColourSlots, RayTile, RayTileView, Reach, rasterize_tile};
+use super::reach::Reach;
+use super::tile::{ColourSlots, RayTile, RayTileView, rasterize_tile};
 use super::tile_backward::{RayScratch, RayTileGrad, columns, rasterize_tile_backward};
 use crate::camera::PictureRays;
 use crate::depth_slope::{DEPTH_SLOPE, LensLimits};
@@ -138,7 +139,7 @@ pub(crate) fn rasterize_rays_cpu<F: Real>(
         let view = prepared.view(index);
         let seen = specialised!(spec, simd, EXACT, SORTED => {
             let rules = RayRules::new(simd, spec);
-            tile.read::<_, EXACT, SORTED>(&rules, &view, Reach::Boxes(&intersections.boxes));
+            tile.read::<_, SORTED>(simd, &view, Reach::Boxes(&intersections.boxes));
             rasterize_tile::<_, F, EXACT, SORTED>(simd, tile, &rules, planes, slots)
         });
         if keep { seen } else { Vec::new() }
@@ -175,7 +176,7 @@ pub(crate) fn rasterize_rays_backward_cpu<F: Real>(
         let grad = RayTileGrad { planes, depth: size.depth, absolute: needs.mean2d_abs };
         let transmittance = specialised!(spec, simd, EXACT, SORTED => {
             let rules = RayRules::new(simd, spec);
-            tile.read::<_, EXACT, SORTED>(&rules, &view, Reach::Blocks(&trace.seen[index]));
+            tile.read::<_, SORTED>(simd, &view, Reach::Blocks(&trace.seen[index]));
             rasterize_tile_backward::<_, F, EXACT, SORTED>(simd, tile, &rules, &grad, rows, scratch)
         });
         planes.background_gradient(&transmittance, if needs.background { size.features } else { 0 })

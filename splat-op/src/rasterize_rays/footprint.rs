@@ -3,7 +3,6 @@
 use fearless_simd::prelude::*;
 
 use super::{D_MIN, RayLayers, WHITENED_MAX};
-use crate::camera::LEAST_NO_RAY;
 use crate::depth_slope::{LensFrame, LensLimits, beyond, columns};
 use crate::dials::Exponential;
 use crate::intersect::extent::widened_limit;
@@ -36,6 +35,8 @@ pub(super) struct RayFootprint<F> {
     pub gamma: F,
     /// Whether the centre lies beyond the picture along x and y.
     pub beyond: [bool; 2],
+    /// Whether a sort key may overflow.
+    unbounded: bool,
     /// With the order of each pixel: no pixel that sees the Gaussian has a smaller sort key.
     pub least_key: F,
 }
@@ -87,6 +88,8 @@ impl<F: Real> RayFootprint<F> {
             centre,
             gamma: F::ONE - depth_slope[0] * centre[0] - depth_slope[1] * centre[1],
             beyond: away.map(|away| away != F::ZERO),
+            // From the centre `λ` is at most `1/√D`.
+            unbounded: away != [F::ZERO; 2] || !(ellipse.depth.abs() < F::MAX * F::of(0.5 * D_MIN.sqrt())),
             least_key: -F::MAX,
         };
         if spec.options.order != Order::CentreDepth {
@@ -120,6 +123,23 @@ impl<F: Real> RayFootprint<F> {
             }
         };
         if self.depth > F::ZERO { least * self.depth } else { -F::MAX }
+    }
+
+    /// Returns the sort key `λ z` at a pixel whose centre is at `px`, and with a lens `frame` whose ray has the slopes `slopes`.
+    #[inline(always)]
+    pub fn key(&self, px: [F; 2], lens: Option<(&LensFrame<F>, [F; 2])>) -> F {
+        let [dx, dy] = match lens {
+            Some((frame, slopes)) => {
+                let [x, y] = [slopes[0] - frame.centre[0], slopes[1] - frame.centre[1]];
+                [frame.by[0][0] * x + frame.by[0][1] * y, frame.by[1][0] * x + frame.by[1][1] * y]
+            }
+            None => [px[0] - self.base_px[0], px[1] - self.base_px[1]],
+        };
+        let (u, v) = (dx * self.inverse_u, (dy - self.shear * dx) * self.inverse_v);
+        let s = F::ONE - self.depth_slope[0] * u - self.depth_slope[1] * v;
+        let d = s * s + self.thick * (u * u + v * v);
+        let product = self.gamma * s + self.thick * (self.centre[0] * u + self.centre[1] * v);
+        product / d.max_of(F::of(D_MIN)) * self.depth
     }
 
     /// Whether the centre is not the origin.
@@ -161,8 +181,6 @@ pub(super) struct RayRules<S: Simd, F: Real> {
     nearest: F::Block<S>,
     d_min: F::Block<S>,
     farthest: F::Block<S>,
-    /// Slopes up to this one are those of rays.
-    widest: F::Block<S>,
     pub alpha_max: F::Block<S>,
     /// A value below zero disables the threshold.
     pub transmittance_min: F::Block<S>,
@@ -216,7 +234,6 @@ impl<S: Simd, F: Real> RayRules<S, F> {
             nearest: lanes(D_MIN.sqrt()),
             d_min: lanes(D_MIN),
             farthest: F::Block::<S>::splat(simd, F::MAX),
-            widest: lanes(LEAST_NO_RAY),
             alpha_max: lanes(options.alpha_max),
             // A threshold of zero omits nothing, not even layers behind an alpha of one.
             transmittance_min: lanes(if options.transmittance_min > 0.0 { options.transmittance_min } else { -1.0 }),
@@ -236,21 +253,24 @@ impl<S: Simd, F: Real> RayRules<S, F> {
     ) -> RayLayerSimd<S, F> {
         let simd = self.simd;
         let lanes = |value: F| F::Block::<S>::splat(simd, value);
-        let dx = pixels.x - lanes(splat.base_px[0]);
-        let dy = pixels.y - lanes(splat.base_px[1]);
-        let (mut u, mut v, mut square) = splat.whiten::<S>(dx, dy);
-        let mut met = (u, v, square);
-        if let (Some([x, y]), Some(frame)) = (pixels.slopes.filter(|_| EXACT || KEYED), frame) {
-            // A pixel without a ray is hidden below; zero keeps its numbers finite.
-            let sees = x.abs().simd_lt(self.widest);
-            let x = sees.select(x - lanes(frame.centre[0]), self.zero);
-            let y = sees.select(y - lanes(frame.centre[1]), self.zero);
-            let [dx, dy] = each!(frame.by, |[by_x, by_y]| lanes(by_x).mul_add(x, y * lanes(by_y)));
-            met = splat.whiten::<S>(dx, dy);
-            if EXACT {
-                (u, v, square) = met;
+        // Offsets of the pixel's ray, by which the projection of a lens is exact, and of its position.
+        let ray = match (pixels.slopes, frame) {
+            (Some([x, y]), Some(frame)) if EXACT || KEYED => {
+                let (x, y) = (x - lanes(frame.centre[0]), y - lanes(frame.centre[1]));
+                Some(each!(frame.by, |[by_x, by_y]| lanes(by_x).mul_add(x, y * lanes(by_y))))
             }
-        }
+            _ => None,
+        };
+        let own = || [pixels.x - lanes(splat.base_px[0]), pixels.y - lanes(splat.base_px[1])];
+        let [dx, dy] = match ray {
+            Some(ray) if EXACT => ray,
+            _ => own(),
+        };
+        let (u, v, square) = splat.whiten::<S>(dx, dy);
+        let met = match ray {
+            Some([dx, dy]) if !EXACT => splat.whiten::<S>(dx, dy),
+            _ => (u, v, square),
+        };
         let (mut lambda, mut inverse, mut key, mut along) = (self.zero, self.zero, self.zero, self.zero);
         let mut apart = [self.zero; 3];
         let mut exponent = square * self.half_log2_e;
@@ -290,10 +310,9 @@ impl<S: Simd, F: Real> RayRules<S, F> {
             if EXACT {
                 near = exponent.simd_le(lanes(splat.extent)) & sound;
             }
-            near &= key.abs().simd_le(self.farthest);
-        }
-        if let Some([x, _]) = pixels.slopes {
-            near &= x.abs().simd_lt(self.widest);
+            if splat.unbounded {
+                near &= key.abs().simd_le(self.farthest);
+            }
         }
         let power = if self.library {
             F::exp2_library(exponent)

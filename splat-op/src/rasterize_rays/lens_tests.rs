@@ -2,7 +2,7 @@
 
 use super::RayLayers;
 use super::cpu::{rasterize_rays_backward_cpu, rasterize_rays_cpu};
-use crate::camera::{CameraModel, Intrinsics, NO_RAY, PictureRays};
+use crate::camera::{CameraModel, Intrinsics, LEAST_NO_RAY, PictureRays};
 use crate::depth_slope::cpu::depth_slope_cpu;
 use crate::depth_slope::{DEPTH_SLOPE, LENS_FRAME, bounds_cpu};
 use crate::intersect::IntersectionLists;
@@ -106,7 +106,7 @@ impl StageInputs {
         let (width, options) = (self.spec.intrinsics.width, &self.spec.options);
         let e = Ellipse::from_row(&self.inputs[0][i * COLUMNS..]);
         let t = &self.inputs[1][i * ROW..][..ROW];
-        if slopes[0] == NO_RAY || e.opacity == 0.0 {
+        if slopes[0] > LEAST_NO_RAY || e.opacity == 0.0 {
             return [0.0, 0.0, 0.0];
         }
         let whiten = |dx: f64, dy: f64| (dx / e.sigma_u, (dy - e.shear * dx) / e.sigma_v);

@@ -96,6 +96,7 @@ mod lens_kernel;
 #[cfg(test)]
 mod lens_tests;
 mod order;
+mod reach;
 #[cfg(test)]
 mod tests;
 mod tile;

@@ -15,9 +15,11 @@ pub(super) type Mask<S, F> = <<F as Real>::Block<S> as SimdBase<S>>::Mask;
 pub(super) struct LayerSlots<F, const PARTS: usize> {
     values: Vec<F>,
     count: usize,
+    /// Number of slots in order, from the first on.
+    sorted: usize,
     /// Number of slots that layers have passed on their way.
     steps: usize,
-    /// Whether layers were appended without regard to their order; see [`Self::finish`].
+    /// Whether layers stay without order until [`Self::finish`].
     unsorted: bool,
 }
 
@@ -26,8 +28,14 @@ pub(super) struct LayerSlots<F, const PARTS: usize> {
 const STEPS: usize = 64;
 
 impl<F: Real, const PARTS: usize> LayerSlots<F, PARTS> {
-    pub fn clear(&mut self) {
-        (self.count, self.steps, self.unsorted) = (0, 0, false);
+    /// Removes all layers and makes room for as many as `layers`.
+    pub fn clear<S: Simd>(&mut self, layers: usize) {
+        (self.count, self.sorted, self.steps, self.unsorted) = (0, 0, 0, false);
+        // The slot behind the last is written too.
+        let needed = (layers + 1) * PARTS * len::<S, F>();
+        if self.values.len() < needed {
+            self.values.resize(2 * needed, F::ZERO);
+        }
     }
 
     /// Number of slots.
@@ -37,7 +45,7 @@ impl<F: Real, const PARTS: usize> LayerSlots<F, PARTS> {
 
     /// Number of slots that are known to be in order.
     pub fn sorted(&self) -> usize {
-        if self.unsorted { 0 } else { self.count }
+        if self.unsorted { 0 } else { self.sorted }
     }
 
     #[inline(always)]
@@ -70,34 +78,44 @@ impl<F: Real, const PARTS: usize> LayerSlots<F, PARTS> {
         store(value, &mut self.values, (slot * PARTS + part) * len::<S, F>());
     }
 
-    /// Appends a layer if it shows anywhere. A branch on that would be mispredicted too often.
+    /// Appends a layer, with an alpha above zero where it `shows`, if it shows anywhere. A branch on that would be mispredicted too
+    /// often. It is in order after [`Self::sort`].
     #[inline(always)]
     pub fn push<S: Simd>(&mut self, layer: [F::Block<S>; PARTS], shows: Mask<S, F>) {
-        let needed = (self.count + 1) * PARTS * len::<S, F>();
-        if self.values.len() < needed {
-            self.values.resize(2 * needed, F::ZERO);
-        }
         self.put::<S>(self.count, layer);
         self.count += usize::from(shows.any_true());
     }
 
-    /// Inserts a layer, where `shows`, behind the layers with keys that are not larger. Layers come in the order of their centres,
-    /// which is nearly that of each pixel, so that the way is short. The layers are in order after [`Self::finish`].
+    /// Brings the layers that were appended behind the layers with keys that are not larger. Layers come in the order of their centres,
+    /// which is nearly that of each pixel, so that the way is short.
+    ///
+    /// Some are appended before any is sorted: whether a layer moves is often mispredicted, and is known sooner from a stored key.
     #[inline(always)]
-    pub fn insert<S: Simd>(&mut self, mut layer: [F::Block<S>; PARTS], shows: Mask<S, F>) {
-        let simd = layer[0].token();
-        let mut at = self.count;
-        let last = if at > 0 { self.key(simd, at - 1) } else { F::Block::<S>::splat(simd, -F::MAX) };
-        layer[0] = shows.select(layer[0], last);
-        let mut moves = layer[0].simd_lt(last);
-        self.push::<S>(layer, shows);
-        if !moves.any_true() {
-            return;
+    pub fn sort<S: Simd>(&mut self, simd: S) {
+        let lowest = F::Block::<S>::splat(simd, -F::MAX);
+        // The largest key so far, which the slot before has.
+        let mut last = if self.sorted > 0 { self.key(simd, self.sorted - 1) } else { lowest };
+        while self.sorted < self.count && !self.unsorted {
+            let at = self.sorted;
+            let shows = self.part::<S>(simd, at, 1).simd_gt(F::Block::<S>::splat(simd, F::ZERO));
+            let key = shows.select(self.key(simd, at), last);
+            self.put_part::<S>(at, 0, key);
+            let moves = key.simd_lt(last);
+            if moves.any_true() {
+                self.unsorted = self.steps > STEPS * at;
+                if !self.unsorted {
+                    self.bring_forward::<S>(simd, at, moves);
+                }
+            }
+            last = last.max(key);
+            self.sorted += 1;
         }
-        self.unsorted |= self.steps > STEPS * at;
-        if self.unsorted {
-            return;
-        }
+    }
+
+    /// Brings the layer at `from` to its place in the lanes where it `moves`.
+    #[inline(always)]
+    fn bring_forward<S: Simd>(&mut self, simd: S, from: usize, mut moves: Mask<S, F>) {
+        let (mut at, layer) = (from, self.get::<S>(simd, from));
         // What belongs in the slot `at`: the layer where it moves, and elsewhere what was there.
         let mut own = layer;
         while at > 0 && moves.any_true() {
@@ -118,12 +136,17 @@ impl<F: Real, const PARTS: usize> LayerSlots<F, PARTS> {
         self.put::<S>(at, own);
     }
 
-    /// Ends the insertions: sorts the layers of each lane, stably, if some were only appended.
-    pub fn finish<S: Simd>(&mut self) {
-        if !self.unsorted {
-            return;
+    /// Ends the insertions: sorts the rest, and all layers of each lane, stably, if too many slots were passed.
+    #[inline(always)]
+    pub fn finish<S: Simd>(&mut self, simd: S) {
+        self.sort::<S>(simd);
+        if self.unsorted {
+            self.sort_lanes(len::<S, F>());
         }
-        let lanes = len::<S, F>();
+    }
+
+    /// Sorts the layers of each of so many lanes.
+    fn sort_lanes(&mut self, lanes: usize) {
         let (mut order, mut column) = (Vec::new(), Vec::new());
         for lane in 0..lanes {
             let at = |slot: usize, part: usize| (slot * PARTS + part) * lanes + lane;
@@ -185,20 +208,24 @@ mod tests {
 
     const LAYERS: usize = 700;
 
-    /// Inserts layers with these keys, `[layer][lane]`, of which a lane sees those with a positive one. Returns the layers of each
+    /// Sorts layers with these keys, `[layer][lane]`, of which a lane sees those with a positive one. Returns the layers of each
     /// lane, front to back, and the number of steps.
     #[inline(always)]
     fn inserted<S: Simd>(simd: S, keys: &[Vec<f32>]) -> (Vec<Vec<usize>>, usize) {
         let mut slots = LayerSlots::<f32, 3>::default();
+        slots.clear::<S>(keys.len());
         let zero = <f32 as Real>::Block::<S>::splat(simd, 0.0);
         for (i, keys) in keys.iter().enumerate() {
             let key = <f32 as Real>::Block::<S>::from_slice(simd, keys);
             let shows = key.simd_gt(zero);
             let alpha = shows.select(<f32 as Real>::Block::<S>::splat(simd, 0.5), zero);
             let id = <f32 as Real>::Block::<S>::splat(simd, f32::from_index(i));
-            slots.insert::<S>([key, alpha, id], shows);
+            slots.push::<S>([key, alpha, id], shows);
+            if i % 7 == 0 {
+                slots.sort::<S>(simd);
+            }
         }
-        slots.finish::<S>();
+        slots.finish::<S>(simd);
         let mut found = vec![Vec::new(); len::<S, f32>()];
         for slot in 0..slots.count() {
             let [_, alpha, id] = slots.get::<S>(simd, slot);

@@ -4,18 +4,15 @@ use fearless_simd::prelude::*;
 
 use super::footprint::{RayFootprint, RayPixels, RayRules};
 use super::order::LayerSlots;
-use crate::camera::NO_RAY;
+use super::reach::{BlockLists, Reach};
+use crate::camera::LEAST_NO_RAY;
 use crate::depth_slope::{LENS_COLUMNS, LensFrame};
 use crate::intersect::{PixelBox, TILE, TILE_PIXELS};
-use crate::rasterize::footprint::{ROWS, TileWindow, WIDTH};
+use crate::rasterize::footprint::{TileBlocks, WIDTH};
 use crate::rasterize::tile::{
-    BLOCK, BLOCK_ROW, Plane, centres, in_block_order, in_blocks, in_rows, lanes, len, open_transmittance, pixel_rows,
-    store,
+    BLOCK, BLOCK_ROW, Plane, centres, in_block_order, in_rows, lanes, len, open_transmittance, pixel_rows, store,
 };
 use crate::simd::real::Real;
-
-/// Number of blocks in a tile.
-const BLOCKS: usize = TILE_PIXELS / BLOCK;
 
 /// The place, in the order of blocks, of the pixel on row 7 of column 7.
 const MIDDLE: usize = in_block_order(7 * TILE / WIDTH) * WIDTH + 7;
@@ -34,10 +31,8 @@ pub(super) struct RayTile<F: Real> {
     pub channels: usize,
     /// The values of each Gaussian that are summed at a time.
     pub values: Vec<[F; TOGETHER]>,
-    /// For each block, the Gaussians that it may see, as indices in `near`.
-    lists: [Vec<u32>; BLOCKS],
-    /// Number of Gaussians in each of `lists`.
-    ends: [usize; BLOCKS],
+    /// The Gaussians that each block may see, as indices in `near`.
+    lists: BlockLists,
     /// Keys at the middle of the tile.
     keys: Vec<(F::SortKey, u32)>,
     x: [F; BLOCK_ROW],
@@ -46,7 +41,7 @@ pub(super) struct RayTile<F: Real> {
     rows: Plane<F>,
     /// Slopes of the pixels' rays, if the camera has a lens.
     slopes: Option<Box<[Plane<F>; 2]>>,
-    /// One inside the picture, less than zero outside.
+    /// One where a pixel is in the picture and has a ray, elsewhere less than zero.
     pub open: Plane<F>,
 }
 
@@ -59,8 +54,7 @@ impl<F: Real> Default for RayTile<F> {
             features: Vec::new(),
             channels: 0,
             values: Vec::new(),
-            lists: Default::default(),
-            ends: [0; BLOCKS],
+            lists: BlockLists::default(),
             keys: Vec::new(),
             x: [F::ZERO; BLOCK_ROW],
             top: F::ZERO,
@@ -99,40 +93,22 @@ impl<F: Copy> RayTileView<'_, F> {
     }
 }
 
-/// Which blocks may see which Gaussians of a tile.
-#[derive(Clone, Copy)]
-pub(super) enum Reach<'a> {
-    /// By the boxes of all Gaussians.
-    Boxes(&'a [PixelBox]),
-    /// By place in the tile's list, a bit for each block that sees the Gaussian.
-    Blocks(&'a [u16]),
-}
-
 impl<F: Real> RayTile<F> {
     /// Copies the Gaussians of a tile that some block may see.
     ///
     /// With `SORTED` their layers come in the order of their keys in the middle of the tile, from which the order of a pixel differs
     /// less than from the order of their centres.
     #[inline(always)]
-    pub fn read<S: Simd, const EXACT: bool, const SORTED: bool>(
-        &mut self,
-        rules: &RayRules<S, F>,
-        view: &RayTileView<F>,
-        reach: Reach,
-    ) {
+    pub fn read<S: Simd, const SORTED: bool>(&mut self, simd: S, view: &RayTileView<F>, reach: Reach) {
         let corner = view.origin.map(|px| F::of(px as f64));
         self.x = centres(corner[0]);
         self.top = corner[1] + F::of(0.5);
         self.open = open_transmittance(view.size);
-        self.slopes = view.rays.map(|(width, rays)| {
-            let mut slopes = Box::new([[F::of(NO_RAY); TILE_PIXELS]; 2]);
-            for (row, column) in (0..view.size[1]).flat_map(|row| (0..view.size[0]).map(move |column| (row, column))) {
-                let slope = rays[(view.origin[1] + row) * width + view.origin[0] + column];
-                (0..2).for_each(|axis| slopes[axis][row * TILE + column] = F::of(slope[axis]));
-            }
-            slopes.iter_mut().for_each(|plane| *plane = in_blocks(plane));
-            slopes
-        });
+        if let Some((width, rays)) = view.rays {
+            self.read_slopes(view, width, rays);
+        } else {
+            self.slopes = None;
+        }
         self.places.clear();
         match reach {
             Reach::Boxes(_) => self.places.extend(0..view.gaussians.len() as u32),
@@ -145,13 +121,27 @@ impl<F: Real> RayTile<F> {
         self.near.extend(self.places.iter().map(|&place| view.footprints[view.gaussian(place)]));
         self.frames.clear();
         if view.rays.is_some() {
-            let row = |place: &u32| &view.depth_slope[view.gaussian(*place) * LENS_COLUMNS..][..LENS_COLUMNS];
-            self.frames.extend(self.places.iter().map(|place| LensFrame::of(row(place)).unwrap_or_default()));
+            for place in &self.places {
+                let row = &view.depth_slope[view.gaussian(*place) * LENS_COLUMNS..][..LENS_COLUMNS];
+                self.frames.push(LensFrame::of(row).unwrap_or_default());
+            }
         }
         if SORTED {
-            self.sort::<S, EXACT>(rules);
+            self.sort();
         }
-        self.list_by_block(view, reach);
+        self.lists.blocks.clear();
+        match reach {
+            Reach::Boxes(boxes) => {
+                let blocks = TileBlocks::new(view.origin.map(|px| px as f32));
+                for place in &self.places {
+                    // Lists of another projection may have none.
+                    let found = boxes.get(view.gaussian(*place)).unwrap_or(&PixelBox::EVERYWHERE);
+                    self.lists.blocks.push(blocks.met(simd, found.middle, found.half));
+                }
+            }
+            Reach::Blocks(seen) => self.lists.blocks.extend(self.places.iter().map(|&place| seen[place as usize])),
+        }
+        self.lists.fill();
         self.channels = view.channels;
         self.features.clear();
         for &place in &self.places {
@@ -160,52 +150,44 @@ impl<F: Real> RayTile<F> {
         }
     }
 
+    /// Reads the slopes of the pixels' rays. A pixel without a ray sees nothing, like one outside the picture.
+    #[inline(always)]
+    fn read_slopes(&mut self, view: &RayTileView<F>, width: usize, rays: &[[f64; 2]]) {
+        let planes = self.slopes.get_or_insert_with(|| Box::new([[F::ZERO; TILE_PIXELS]; 2]));
+        for row in 0..view.size[1] {
+            let rays = &rays[(view.origin[1] + row) * width + view.origin[0]..][..view.size[0]];
+            for (half, rays) in rays.chunks(WIDTH).enumerate() {
+                let first = in_block_order(row * (TILE / WIDTH) + half) * WIDTH;
+                for (at, slope) in (first..).zip(rays) {
+                    let sees = slope[0] < LEAST_NO_RAY;
+                    planes[0][at] = F::of(if sees { slope[0] } else { 0.0 });
+                    planes[1][at] = F::of(if sees { slope[1] } else { 0.0 });
+                    self.open[at] = if sees { self.open[at] } else { -F::ONE };
+                }
+            }
+        }
+    }
+
     /// Sorts `near` by the keys in the middle of the tile, stably.
     #[inline(always)]
-    fn sort<S: Simd, const EXACT: bool>(&mut self, rules: &RayRules<S, F>) {
-        let middle = (MIDDLE - MIDDLE % len::<S, F>(), MIDDLE % len::<S, F>());
-        let pixels = self.pixels(rules.zero.token(), middle.0);
+    fn sort(&mut self) {
+        let middle = [self.x[MIDDLE % BLOCK_ROW], self.rows[MIDDLE] + self.top];
+        let slopes = self.slopes.as_ref().map(|slopes| slopes.each_ref().map(|plane| plane[MIDDLE]));
         self.keys.clear();
-        for i in 0..self.near.len() as u32 {
-            let key = rules.layer::<EXACT, true>(self.splat(i), &pixels, None).key[middle.1];
+        for (i, splat) in self.near.iter().enumerate() {
+            let key = splat.key(middle, self.frames.get(i).zip(slopes));
             // Keys below zero are behind all others: the camera's other side.
-            self.keys.push((key.sort_key(), i));
+            self.keys.push((key.sort_key(), i as u32));
         }
         if self.keys.is_sorted_by_key(|(key, _)| *key) {
             return;
         }
-        self.keys.sort_by_key(|(key, _)| *key);
+        F::sort_by_key(&mut self.keys);
         let order = || self.keys.iter().map(|&(_, i)| i as usize);
         self.places = order().map(|i| self.places[i]).collect();
         self.near = order().map(|i| self.near[i]).collect();
         if !self.frames.is_empty() {
             self.frames = order().map(|i| self.frames[i]).collect();
-        }
-    }
-
-    fn list_by_block(&mut self, view: &RayTileView<F>, reach: Reach) {
-        let corner = view.origin.map(|px| px as f32);
-        let (lists, ends) = (&mut self.lists, &mut self.ends);
-        lists.iter_mut().for_each(|list| list.resize(self.places.len(), 0));
-        *ends = [0; BLOCKS];
-        let mut list = |block: usize, i: usize| {
-            lists[block][ends[block]] = i as u32;
-            ends[block] += 1;
-        };
-        for (i, &place) in self.places.iter().enumerate() {
-            match reach {
-                Reach::Boxes(boxes) => {
-                    // Lists of another projection may have none.
-                    let found = boxes.get(view.gaussian(place)).unwrap_or(&PixelBox::EVERYWHERE);
-                    let window = TileWindow::of(found.middle, found.half, corner);
-                    for row in window.first_row / ROWS..window.end_row / ROWS {
-                        for column in window.first_column..window.end_column {
-                            list(row * (TILE / WIDTH) + column, i);
-                        }
-                    }
-                }
-                Reach::Blocks(seen) => each_bit(seen[place as usize].into(), |block| list(block, i)),
-            }
         }
     }
 
@@ -236,7 +218,7 @@ impl<F: Real> RayTile<F> {
     /// Returns the Gaussians that the vector of pixels at `place` may see, as indices in `near`.
     #[inline(always)]
     pub fn list(&self, place: usize) -> &[u32] {
-        &self.lists[place / BLOCK][..self.ends[place / BLOCK]]
+        self.lists.list(place)
     }
 
     /// Returns a Gaussian of `near` with its columns of a lens.
@@ -248,15 +230,6 @@ impl<F: Real> RayTile<F> {
     #[inline(always)]
     pub fn feature(&self, i: u32) -> &[F] {
         &self.features[i as usize * self.channels..][..self.channels]
-    }
-}
-
-/// Calls `f` with the number of each bit that is set, in ascending order.
-#[inline(always)]
-fn each_bit(mut bits: u32, mut f: impl FnMut(usize)) {
-    while bits != 0 {
-        f(bits.trailing_zeros() as usize);
-        bits &= bits - 1;
     }
 }
 
@@ -324,7 +297,7 @@ fn sum<S: Simd, F: Real, const EXACT: bool, const SORTED: bool>(
     let pixels = tile.pixels(simd, place);
     let mut sums = [rules.zero; TOGETHER + 1];
     let mut open = Open::<S, F>::new(lanes(simd, &tile.open, place));
-    slots.clear();
+    slots.clear::<S>(if SORTED { tile.list(place).len() } else { 0 });
     // With `SORTED`: the transmittances, whatever the order, and once all pixels are finished the largest key that finishes one.
     let (mut left, mut last_key, mut checked) = (open.transmittance, F::MAX, 0);
     for &i in tile.list(place) {
@@ -340,18 +313,21 @@ fn sum<S: Simd, F: Real, const EXACT: bool, const SORTED: bool>(
             *value = F::Block::<S>::splat(simd, of_gaussian);
         }
         if SORTED {
-            slots.insert::<S>(slot, layer.shows);
+            slots.push::<S>(slot, layer.shows);
             left = (-layer.alpha).mul_add(left, left);
-            if slots.count() >= checked + BETWEEN && !left.simd_gt(rules.transmittance_min).any_true() {
-                last_key = last_key.min_of(key_of_finish(open.transmittance, rules, slots));
+            if slots.count() >= checked + BETWEEN {
+                slots.sort::<S>(simd);
                 checked = slots.count();
+                if !left.simd_gt(rules.transmittance_min).any_true() {
+                    last_key = last_key.min_of(key_of_finish(open.transmittance, rules, slots));
+                }
             }
         } else if open.add(slot, &mut sums, depth, rules) {
             break;
         }
     }
     if SORTED {
-        slots.finish::<S>();
+        slots.finish::<S>(simd);
         for slot in 0..slots.count() {
             if open.add(slots.get::<S>(simd, slot), &mut sums, depth, rules) {
                 break;
@@ -361,7 +337,7 @@ fn sum<S: Simd, F: Real, const EXACT: bool, const SORTED: bool>(
     (sums, open.transmittance.abs())
 }
 
-/// Number of slots between two looks for the key that finishes all pixels.
+/// Number of slots that are sorted at a time, before a look for the key that finishes all pixels.
 const BETWEEN: usize = 16;
 
 /// Returns the largest of the keys that finish the pixels, or the largest number if some pixel is not finished. Layers that come later only

@@ -112,7 +112,7 @@ fn layers<S: Simd, F: Real, const EXACT: bool, const SORTED: bool>(
         seen_by[i as usize] |= 1 << (place / vector);
     }
     if SORTED {
-        slots.clear();
+        slots.clear::<S>(list.len());
         for ((pair, &i), values) in list.iter().enumerate().zip(pairs.chunks_exact_mut(parts * vector)) {
             let layer = rules.layer::<EXACT, SORTED>(tile.splat(i), &pixels, None);
             store(zero, values, 0);
@@ -121,9 +121,9 @@ fn layers<S: Simd, F: Real, const EXACT: bool, const SORTED: bool>(
                 store(layer.inverse, values, 2 * vector);
             }
             let id = F::Block::<S>::splat(simd, F::from_index(pair));
-            slots.insert::<S>([layer.key, layer.alpha, along.of(tile, i, layer.key), id], layer.shows);
+            slots.push::<S>([layer.key, layer.alpha, along.of(tile, i, layer.key), id], layer.shows);
         }
-        slots.finish::<S>();
+        slots.finish::<S>(simd);
         for slot in 0..slots.count() {
             let ([weight, alpha], _) = open.pass(slots.part::<S>(simd, slot, 1), rules);
             slots.put_part::<S>(slot, 0, weight);
