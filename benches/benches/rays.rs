@@ -1,16 +1,18 @@
 //! Times frames with each projection and order, forwards and backwards, beside the plain frame of the same scene, by a pinhole
 //! and through a lens.
 //!
-//! `cargo bench --workspace --bench rays -- small` takes any of the scenes of `stages`, by default `small`.
+//! `cargo bench --workspace --bench rays -- small` takes any of the scenes of `stages`, by default `small`, and a device, by default
+//! `flex`: `gpu` for the first graphics card.
 
 use std::error::Error;
 use std::time::Duration;
 
-use burn::tensor::{Device, Tensor};
+use burn::tensor::Tensor;
 use splat_benches::job::{Job, JobSize, OPTIONS};
 use splat_benches::measure::{Prepare, time};
 use splat_benches::passes::{backward, forward, leaves};
 use splat_op::{Camera, CameraModel, Extras, Order, Projection, RenderOptions, Splats, render_view};
+use splat_train::device::DeviceName;
 
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
@@ -22,8 +24,19 @@ const BUDGET: Duration = Duration::from_secs(40);
 const LENS: (CameraModel, [f64; 8]) = (CameraModel::OpenCv, [-0.12, 0.03, 0.004, -0.006, 0.0, 0.0, 0.0, 0.0]);
 
 fn main() -> Result<(), Box<dyn Error>> {
-    let device = Device::flex();
-    for size in JobSize::from_arguments(&[JobSize::Small])? {
+    let (mut name, mut sizes) = (DeviceName::Flex, Vec::<JobSize>::new());
+    // Cargo passes `--bench`.
+    for word in std::env::args().skip(1).filter(|word| word != "--bench") {
+        match word.parse() {
+            Ok(size) => sizes.push(size),
+            Err(()) => name = word.parse()?,
+        }
+    }
+    if sizes.is_empty() {
+        sizes = vec![JobSize::Small];
+    }
+    let (device, name) = name.resolve()?;
+    for size in sizes {
         let job = Job::new(size)?;
         let (splats, camera) = (job.gaussians(&device).splats(), job.camera(&device));
         let choices = [
@@ -33,7 +46,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             ("ray max, per-pixel sort", OPTIONS.with_projection(Projection::RayMax).with_order(Order::PerPixelSort)),
         ];
         println!(
-            "\n{size}, {} × {}, {} threads",
+            "\n{size}, {} × {}, {name}, {} threads",
             job.intrinsics.width,
             job.intrinsics.height,
             rayon::current_num_threads()

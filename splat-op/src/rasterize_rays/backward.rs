@@ -10,7 +10,8 @@
 
 use cubecl::prelude::*;
 
-use super::layer::{CHUNK, RayFrame, RayGaussian, RayInputs, RayPixel, Walk};
+use super::layer::{RayFrame, RayGaussian, RayInputs, RayPixel, beyond};
+use super::walk::front_to_back;
 use crate::depth_slope::DEPTH_SLOPE;
 use crate::intersect::TILE_PIXELS;
 use crate::intersect::forward::TileLists;
@@ -57,35 +58,12 @@ pub(super) fn rasterize_rays_walk_kernel(
             table[at] = 0u32;
             table[at + 1] = 0u32;
         }
+        let ray = RayPixel::of(pixel, &inputs);
+        let front = front_to_back(&inputs, first, places, &ray, pixel.inside, table, own, &view, true);
         if pixel.inside {
-            let ray = RayPixel::of(pixel, &inputs);
-            let mut transmittance = 1.0f32;
-            // The place of the last layer plus one; zero for no layer. Number of layers.
-            let mut link = 0u32;
-            let mut layers = 0u32;
-            let mut walk = Walk::new();
-            let mut open = true;
-            while open {
-                let count = walk.advance(&inputs, first, places, &ray, &view);
-                for i in 0..count {
-                    if open {
-                        let alpha = walk.alphas[i as usize];
-                        let behind = fma(-alpha, transmittance, transmittance);
-                        open = behind > view.frame.transmittance_min;
-                        if open {
-                            let place = walk.places[i as usize];
-                            let at = own + place as usize * comptime!(2 * TILE_PIXELS);
-                            table[at] = u32::reinterpret(transmittance);
-                            table[at + 1] = link;
-                            link = place + 1;
-                            layers += 1u32;
-                            transmittance = behind;
-                        }
-                    }
-                }
-                open = open && count == comptime!(CHUNK as u32);
-            }
-            left[pixel.index] = transmittance;
+            left[pixel.index] = front.transmittance();
+            let mut link = front.link();
+            let mut layers = front.layers();
 
             // Contribution of everything behind the layer, as the gradient weighs it: g·R.
             let mut behind = 0.0f32;
@@ -156,7 +134,9 @@ pub(super) fn rasterize_rays_sums_kernel(
     if row < end_row - first_row {
         let tile = tile_of(&inputs.lists, view.first_tile, view.end_tile, place);
         let origin = tile_origin(tile, &view.frame);
-        let footprint = RayGaussian::load(&inputs, inputs.lists.gaussian(place) as usize, &view);
+        let gaussian = inputs.lists.gaussian(place) as usize;
+        let footprint = RayGaussian::load(&inputs, gaussian, &view);
+        let (beyond_x, beyond_y) = beyond(&inputs, gaussian, &view);
         let plane = (view.frame.width * view.frame.height) as usize;
         let features = comptime!(view.shape.features);
         let columns = comptime!(row_len(view.shape, absolute));
@@ -186,7 +166,7 @@ pub(super) fn rasterize_rays_sums_kernel(
                 if comptime!(view.exact) {
                     let (lambda, apart_u, apart_v, apart_s) =
                         (layer.lambda, layer.apart_u, layer.apart_v, layer.apart_s);
-                    let of_lambda = seen * footprint.ellipse.depth;
+                    let of_lambda = seen * footprint.depth;
                     let (near, far, along_s) = (h * lambda, of_lambda * layer.phi, of_lambda * layer.along);
                     // Gradient of s.
                     // As `fma`, so that no compiler rounds otherwise where the sums of absolute values read these too.
@@ -216,20 +196,21 @@ pub(super) fn rasterize_rays_sums_kernel(
                 if comptime!(absolute) {
                     let (origin_x, origin_y) = footprint.per_px(p, q);
                     let (centre_x, centre_y) = footprint.per_px(centre_u, centre_v);
-                    sums[9] += select(footprint.beyond_x, centre_x, origin_x).abs();
-                    sums[10] += select(footprint.beyond_y, centre_y, origin_y).abs();
+                    sums[9] += select(beyond_x, centre_x, origin_x).abs();
+                    sums[10] += select(beyond_y, centre_y, origin_y).abs();
                 }
             }
         }
-        if comptime!(view.exact) && (footprint.beyond_x || footprint.beyond_y) {
+        if comptime!(view.exact) && (beyond_x || beyond_y) {
             // Along an axis on which the centre lies beyond the picture, the origin stays and the centre moves relative to it.
             let (moved_u, moved_v, of_gamma) = (sums[12], sums[13], sums[14]);
             let (origin_x, origin_y) = footprint.per_px(sums[1], sums[2]);
             let (centre_x, centre_y) = footprint.per_px(moved_u, moved_v);
-            let x = select(footprint.beyond_x, centre_x, origin_x);
-            let y = select(footprint.beyond_y, centre_y, origin_y);
-            sums[1] = (x + footprint.ellipse.shear * y) * footprint.ellipse.sigma_u;
-            sums[2] = y * footprint.ellipse.sigma_v;
+            let x = select(beyond_x, centre_x, origin_x);
+            let y = select(beyond_y, centre_y, origin_y);
+            let (of_u, of_v) = footprint.per_whitened(x, y);
+            sums[1] = of_u;
+            sums[2] = of_v;
             sums[3] -= moved_u * footprint.alpha;
             sums[4] -= moved_v * footprint.alpha;
             sums[5] -= moved_v * footprint.beta;

@@ -68,6 +68,7 @@ pub(crate) fn launch_rasterize_rays(
             CubeDim::new_1d(TILE_PIXELS as u32),
             inputs.arg(lists, &rays),
             planes.arg(),
+            Buffer::<u32>::new(gpu, 1).arg(),
             view(spec, shape, (0, tiles)),
         );
     }

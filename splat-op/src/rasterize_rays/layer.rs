@@ -1,5 +1,4 @@
-//! A Gaussian at a pixel, and the next layers of a pixel. The kernels of both passes share this code, so that both see the same
-//! layers.
+//! A Gaussian at a pixel. The kernels of both passes share this code, so that both see the same layers.
 
 use cubecl::prelude::*;
 
@@ -10,9 +9,6 @@ use crate::gpu::math::{Vec2, Vec3, finite, within};
 use crate::intersect::forward::TileLists;
 use crate::project::forward::PackedEllipse;
 use crate::rasterize::layer::{KernelShape, RasterFrame, TilePixel};
-
-/// Number of layers that a unit finds in one pass through the tile's list and sorts in its registers.
-pub(super) const CHUNK: usize = 16;
 
 /// The buffers that a launch reads.
 #[derive(CubeType, CubeLaunch)]
@@ -52,12 +48,13 @@ pub(super) struct RayPixel {
 
 #[cube]
 impl RayPixel {
-    /// Reads the ray of a pixel inside the picture.
+    /// Reads the ray of a pixel. One outside the picture has an arbitrary ray.
     pub fn of(pixel: TilePixel, inputs: &RayInputs) -> RayPixel {
         #[comptime]
         match &inputs.rays {
             ComptimeOption::Some(rays) => {
-                let ray = Vec2::new(rays[2 * pixel.index], rays[2 * pixel.index + 1]);
+                let at = select(pixel.inside, 2 * pixel.index, 0usize);
+                let ray = Vec2::new(rays[at], rays[at + 1]);
                 RayPixel { pixel, ray: ComptimeOption::new_Some(ray) }
             }
             ComptimeOption::None => RayPixel { pixel, ray: ComptimeOption::new_None() },
@@ -65,24 +62,31 @@ impl RayPixel {
     }
 }
 
-/// A Gaussian as pixels evaluate it: its packed ellipse, its depth slope, its centre relative to the origin of the whitened
+/// A Gaussian as pixels evaluate it: its whitening, its depth slope, its centre relative to the origin of the whitened
 /// coordinates, and the columns of a lens.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub(super) struct RayGaussian {
-    pub ellipse: PackedEllipse,
+    /// Origin of the whitened coordinates, px.
+    pub base_x: f32,
+    pub base_y: f32,
+    pub inverse_u: f32,
+    pub inverse_v: f32,
+    pub shear: f32,
+    pub opacity: f32,
+    pub depth: f32,
     pub depth_slope_u: f32,
     pub depth_slope_v: f32,
     pub thickness: f32,
-    /// Origin, px, and whether the centre lies beyond the picture along each axis.
-    pub base_x: f32,
-    pub base_y: f32,
-    pub beyond_x: bool,
-    pub beyond_y: bool,
     pub alpha: f32,
     pub beta: f32,
     pub gamma: f32,
     frame: ComptimeOption<LensFrame>,
+}
+
+/// Number of values of a [`RayGaussian`], with a lens or without.
+pub(super) const fn shared_len(bends: bool) -> usize {
+    13 + if bends { LENS_FRAME } else { 0 }
 }
 
 /// Whitened coordinates.
@@ -94,10 +98,10 @@ struct Whitened {
 }
 
 #[cube]
-fn whiten(e: &PackedEllipse, dx: f32, dy: f32) -> Whitened {
+fn whiten(dx: f32, dy: f32, inverse_u: f32, inverse_v: f32, shear: f32) -> Whitened {
     let widest = comptime!(WHITENED_MAX as f32);
-    let u = within(dx / e.sigma_u, -widest, widest);
-    let v = within((dy - e.shear * dx) / e.sigma_v, -widest, widest);
+    let u = within(dx * inverse_u, -widest, widest);
+    let v = within(fma(-shear, dx, dy) * inverse_v, -widest, widest);
     Whitened { u, v }
 }
 
@@ -109,6 +113,40 @@ fn frame_of(inputs: &RayInputs, gaussian: usize) -> ComptimeOption<LensFrame> {
         ComptimeOption::Some(_rays) => ComptimeOption::new_Some(LensFrame::load(&inputs.depth_slopes, gaussian)),
         ComptimeOption::None => ComptimeOption::new_None(),
     }
+}
+
+/// Returns the columns of a lens that begin at `at` of a shared list, if there is one.
+#[cube]
+fn stored_frame(from: &Shared<[f32]>, at: usize, inputs: &RayInputs) -> ComptimeOption<LensFrame> {
+    #[comptime]
+    match &inputs.rays {
+        ComptimeOption::Some(_rays) => ComptimeOption::new_Some(LensFrame {
+            centre: Vec2::new(from[at], from[at + 1]),
+            x: Vec2::new(from[at + 2], from[at + 3]),
+            y: Vec2::new(from[at + 4], from[at + 5]),
+        }),
+        ComptimeOption::None => ComptimeOption::new_None(),
+    }
+}
+
+/// Returns the point of the picture next to a centre, px, with a lens and with the affine projection the centre itself.
+#[cube]
+fn base_of(x: f32, y: f32, inputs: &RayInputs, view: &RayFrame) -> (f32, f32) {
+    let mut base_x = x;
+    let mut base_y = y;
+    if comptime!(view.exact && inputs.rays.is_none()) {
+        base_x = within(x, 0.0, f32::cast_from(view.frame.width));
+        base_y = within(y, 0.0, f32::cast_from(view.frame.height));
+    }
+    (base_x, base_y)
+}
+
+/// Returns whether a centre lies beyond the picture along x and y.
+#[cube]
+pub(super) fn beyond(inputs: &RayInputs, gaussian: usize, view: &RayFrame) -> (bool, bool) {
+    let e = PackedEllipse::load(&inputs.projected, gaussian);
+    let (base_x, base_y) = base_of(e.x, e.y, inputs, view);
+    (e.x != base_x, e.y != base_y)
 }
 
 /// A Gaussian evaluated at a pixel, with the names of the module's documentation. Alpha is zero where the Gaussian is not
@@ -134,42 +172,99 @@ pub(super) struct RayLayer {
 
 #[cube]
 impl RayGaussian {
+    /// Reads a Gaussian. Its reciprocals are limited, so that no product with an offset is undefined.
     pub fn load(inputs: &RayInputs, gaussian: usize, view: &RayFrame) -> RayGaussian {
-        let widest = comptime!(WHITENED_MAX as f32);
         let at = gaussian * comptime!(DEPTH_SLOPE + if inputs.rays.is_some() { LENS_FRAME } else { 0 });
-        let mut e = PackedEllipse::load(&inputs.projected, gaussian);
-        // Clamping takes NaN for a number.
-        e.opacity = select(Vec3::new(e.x, e.y, e.shear).is_finite(), e.opacity, 0.0);
+        let e = PackedEllipse::load(&inputs.projected, gaussian);
+        let (base_x, base_y) = base_of(e.x, e.y, inputs, view);
+        let widest = comptime!(WHITENED_MAX as f32);
+        let inverse_u = min(1.0 / e.sigma_u, widest);
+        let inverse_v = min(1.0 / e.sigma_v, widest);
+        let centre = whiten(e.x - base_x, e.y - base_y, inverse_u, inverse_v, e.shear);
         let (depth_slope_u, depth_slope_v) = (inputs.depth_slopes[at], inputs.depth_slopes[at + 1]);
-        let mut base_x = e.x;
-        let mut base_y = e.y;
-        if comptime!(view.exact && inputs.rays.is_none()) {
-            base_x = within(e.x, 0.0, f32::cast_from(view.frame.width));
-            base_y = within(e.y, 0.0, f32::cast_from(view.frame.height));
-        }
-        let (away_x, away_y) = (e.x - base_x, e.y - base_y);
-        let alpha = within(away_x / e.sigma_u, -widest, widest);
-        let beta = within((away_y - e.shear * away_x) / e.sigma_v, -widest, widest);
         RayGaussian {
-            ellipse: e,
+            base_x,
+            base_y,
+            inverse_u,
+            inverse_v,
+            shear: e.shear,
+            // Clamping takes NaN for a number.
+            opacity: select(Vec3::new(e.x, e.y, e.shear).is_finite(), e.opacity, 0.0),
+            depth: e.depth,
             depth_slope_u,
             depth_slope_v,
             thickness: inputs.depth_slopes[at + 2],
-            base_x,
-            base_y,
-            beyond_x: away_x != 0.0,
-            beyond_y: away_y != 0.0,
-            alpha,
-            beta,
-            gamma: 1.0 - (depth_slope_u * alpha + depth_slope_v * beta),
+            alpha: centre.u,
+            beta: centre.v,
+            gamma: 1.0 - (depth_slope_u * centre.u + depth_slope_v * centre.v),
             frame: frame_of(inputs, gaussian),
         }
     }
 
+    /// Stores a Gaussian as entry `index` of a shared list.
+    pub fn store(&self, to: &mut Shared<[f32]>, index: usize, inputs: &RayInputs) {
+        let at = index * comptime!(shared_len(inputs.rays.is_some()));
+        to[at] = self.base_x;
+        to[at + 1] = self.base_y;
+        to[at + 2] = self.inverse_u;
+        to[at + 3] = self.inverse_v;
+        to[at + 4] = self.shear;
+        to[at + 5] = self.opacity;
+        to[at + 6] = self.depth;
+        to[at + 7] = self.depth_slope_u;
+        to[at + 8] = self.depth_slope_v;
+        to[at + 9] = self.thickness;
+        to[at + 10] = self.alpha;
+        to[at + 11] = self.beta;
+        to[at + 12] = self.gamma;
+        #[comptime]
+        match self.frame {
+            ComptimeOption::Some(frame) => {
+                to[at + 13] = frame.centre.x;
+                to[at + 14] = frame.centre.y;
+                to[at + 15] = frame.x.x;
+                to[at + 16] = frame.x.y;
+                to[at + 17] = frame.y.x;
+                to[at + 18] = frame.y.y;
+            }
+            ComptimeOption::None => {}
+        }
+    }
+
+    /// The inverse of [`Self::store`].
+    pub fn stored(from: &Shared<[f32]>, index: usize, inputs: &RayInputs) -> RayGaussian {
+        let at = index * comptime!(shared_len(inputs.rays.is_some()));
+        RayGaussian {
+            base_x: from[at],
+            base_y: from[at + 1],
+            inverse_u: from[at + 2],
+            inverse_v: from[at + 3],
+            shear: from[at + 4],
+            opacity: from[at + 5],
+            depth: from[at + 6],
+            depth_slope_u: from[at + 7],
+            depth_slope_v: from[at + 8],
+            thickness: from[at + 9],
+            alpha: from[at + 10],
+            beta: from[at + 11],
+            gamma: from[at + 12],
+            frame: stored_frame(from, at + 13, inputs),
+        }
+    }
+
+    fn whitened(&self, dx: f32, dy: f32) -> Whitened {
+        whiten(dx, dy, self.inverse_u, self.inverse_v, self.shear)
+    }
+
     /// Returns the negative gradient of a position, px, from that of its whitened coordinates.
     pub fn per_px(&self, u: f32, v: f32) -> (f32, f32) {
-        let per_v = v / self.ellipse.sigma_v;
-        (u / self.ellipse.sigma_u - self.ellipse.shear * per_v, per_v)
+        let per_v = v * self.inverse_v;
+        (fma(-self.shear, per_v, u * self.inverse_u), per_v)
+    }
+
+    /// The inverse of [`Self::per_px`].
+    pub fn per_whitened(&self, x: f32, y: f32) -> (f32, f32) {
+        (fma(self.shear, y, x) / self.inverse_u, y / self.inverse_v)
     }
 
     /// Returns the whitened coordinates of a pixel's ray, and whether there is a ray. For a pinhole the pixel's own coordinates are
@@ -181,7 +276,7 @@ impl RayGaussian {
                 let ray = pixel.ray.unwrap();
                 let t = Vec2::new(ray.x - frame.centre.x, ray.y - frame.centre.y);
                 let sees = ray.x.abs() < comptime!(LEAST_NO_RAY as f32);
-                (whiten(&self.ellipse, frame.x.dot(t), frame.y.dot(t)), sees)
+                (self.whitened(frame.x.dot(t), frame.y.dot(t)), sees)
             }
             ComptimeOption::None => (own, true.runtime()),
         }
@@ -189,8 +284,8 @@ impl RayGaussian {
 
     pub fn at(&self, at: &RayPixel, view: &RayFrame) -> RayLayer {
         let farthest = comptime!((WHITENED_MAX * WHITENED_MAX) as f32);
-        let (e, pixel) = (self.ellipse, at.pixel);
-        let own = whiten(&e, pixel.x - self.base_x, (pixel.top + pixel.row) - self.base_y);
+        let pixel = at.pixel;
+        let own = self.whitened(pixel.x - self.base_x, (pixel.top + pixel.row) - self.base_y);
         let (ray, sees) = self.ray(at, own);
         let ray_square = ray.u * ray.u + ray.v * ray.v;
         let (mut u, mut v, mut square) = (ray.u, ray.v, ray_square);
@@ -215,9 +310,9 @@ impl RayGaussian {
             exponent = 0.5 * (apart_u * apart_u + apart_v * apart_v + thick * apart_s * apart_s);
             seen = sees && product > 0.0 && sound;
         }
-        let whole = e.opacity * (-exponent).exp();
+        let whole = self.opacity * (-exponent).exp();
         let alpha = min(whole, view.frame.alpha_max);
-        let key = lambda * e.depth;
+        let key = lambda * self.depth;
         // `min` and comparisons may let NaN pass, and a NaN among the keys has no place in their order.
         let known = finite(whole) && finite(key);
         RayLayer {
@@ -237,130 +332,10 @@ impl RayGaussian {
 
     /// Returns the depth of a layer, scene units.
     pub fn depth_of(&self, layer: &RayLayer, view: &RayFrame) -> f32 {
-        let mut depth = self.ellipse.depth;
+        let mut depth = self.depth;
         if comptime!(view.exact) {
             depth = layer.key;
         }
         depth
-    }
-}
-
-/// Iterates over the layers of a pixel front to back, some at a time.
-#[derive(CubeType)]
-pub(super) struct Walk {
-    /// Sort keys of the current layers, front to back.
-    keys: Array<f32>,
-    pub gaussians: Array<u32>,
-    /// Places in the tile's list.
-    pub places: Array<u32>,
-    pub alphas: Array<f32>,
-    /// Progress: whether the walk has begun, the place of the last layer, and the next place of the list, or with the per-pixel
-    /// sort the number of layers found. `last_key` is the key of the last layer.
-    come_to: Array<u32>,
-    last_key: Array<f32>,
-}
-
-/// Whether a layer is in front of another.
-#[cube]
-fn in_front(key: f32, place: u32, other_key: f32, other: u32) -> bool {
-    key < other_key || (key == other_key && place < other)
-}
-
-#[cube]
-impl Walk {
-    pub fn new() -> Walk {
-        let mut come_to = Array::<u32>::new(3usize);
-        come_to[0] = 0u32;
-        come_to[1] = 0u32;
-        come_to[2] = 0u32;
-        let mut last_key = Array::<f32>::new(1usize);
-        last_key[0] = 0.0f32;
-        Walk {
-            keys: Array::<f32>::new(comptime!(CHUNK)),
-            gaussians: Array::<u32>::new(comptime!(CHUNK)),
-            places: Array::<u32>::new(comptime!(CHUNK)),
-            alphas: Array::<f32>::new(comptime!(CHUNK)),
-            come_to,
-            last_key,
-        }
-    }
-
-    fn put(&mut self, at: u32, key: f32, gaussian: u32, place: u32, alpha: f32) {
-        self.keys[at as usize] = key;
-        self.gaussians[at as usize] = gaussian;
-        self.places[at as usize] = place;
-        self.alphas[at as usize] = alpha;
-    }
-
-    /// Finds the next layers in a list of `places` places that begins at `first`. Returns their number, which is less than
-    /// [`CHUNK`] at the end. No list and no keys make the walk endless: it ends at the last place or, with the per-pixel sort, when
-    /// it has found as many layers as there are places.
-    pub fn advance(&mut self, inputs: &RayInputs, first: u32, places: u32, pixel: &RayPixel, view: &RayFrame) -> u32 {
-        let mut count = 0u32;
-        // With the per-pixel sort, the next layers may lie anywhere in the list.
-        let mut place = 0u32;
-        if comptime!(!view.per_pixel) {
-            place = self.come_to[2];
-        }
-        let mut going = self.come_to[2] < places;
-        while going {
-            let gaussian = inputs.lists.gaussian(first + place);
-            let layer = RayGaussian::load(inputs, gaussian as usize, view).at(pixel, view);
-            if layer.alpha > 0.0 {
-                if comptime!(view.per_pixel) {
-                    let begun = self.come_to[0] != 0;
-                    let behind = in_front(self.last_key[0], self.come_to[1], layer.key, place);
-                    if !begun || behind {
-                        count = self.insert(count, layer.key, gaussian, place, layer.alpha);
-                    }
-                } else {
-                    self.put(count, layer.key, gaussian, place, layer.alpha);
-                    count += 1;
-                }
-            }
-            place += 1;
-            going = place < places;
-            if comptime!(!view.per_pixel) {
-                going = going && count < comptime!(CHUNK as u32);
-            }
-        }
-        if count > 0 {
-            self.come_to[0] = 1u32;
-            self.come_to[1] = self.places[(count - 1) as usize];
-            self.last_key[0] = self.keys[(count - 1) as usize];
-        }
-        if comptime!(view.per_pixel) {
-            self.come_to[2] += count;
-        } else {
-            self.come_to[2] = place;
-        }
-        count
-    }
-
-    /// Inserts a layer into `count` sorted layers and returns the new number. If there is no room, the last layer is dropped.
-    fn insert(&mut self, count: u32, key: f32, gaussian: u32, place: u32, alpha: f32) -> u32 {
-        let full = count == comptime!(CHUNK as u32);
-        let mut room = true;
-        let mut at = count;
-        if full {
-            at = count - 1;
-            room = in_front(key, place, self.keys[at as usize], self.places[at as usize]);
-        }
-        if room {
-            let mut moving = at > 0;
-            while moving {
-                let other = at - 1;
-                moving = in_front(key, place, self.keys[other as usize], self.places[other as usize]);
-                if moving {
-                    let (other_key, other_gaussian) = (self.keys[other as usize], self.gaussians[other as usize]);
-                    let (other_place, other_alpha) = (self.places[other as usize], self.alphas[other as usize]);
-                    self.put(at, other_key, other_gaussian, other_place, other_alpha);
-                    at = other;
-                    moving = at > 0;
-                }
-            }
-            self.put(at, key, gaussian, place, alpha);
-        }
-        select(full, count, count + 1)
     }
 }

@@ -101,6 +101,8 @@ mod reach;
 mod tests;
 mod tile;
 mod tile_backward;
+#[cfg(feature = "cube")]
+mod walk;
 
 use crate::record::record;
 
