@@ -70,9 +70,9 @@ pub(super) struct RayGaussian {
     /// Origin of the whitened coordinates, px.
     pub base_x: f32,
     pub base_y: f32,
-    pub inverse_u: f32,
-    pub inverse_v: f32,
+    pub sigma_u: f32,
     pub shear: f32,
+    pub sigma_v: f32,
     pub opacity: f32,
     pub depth: f32,
     pub depth_slope_u: f32,
@@ -98,10 +98,11 @@ struct Whitened {
 }
 
 #[cube]
-fn whiten(dx: f32, dy: f32, inverse_u: f32, inverse_v: f32, shear: f32) -> Whitened {
+fn whiten(dx: f32, dy: f32, sigma_u: f32, shear: f32, sigma_v: f32) -> Whitened {
     let widest = comptime!(WHITENED_MAX as f32);
-    let u = within(dx * inverse_u, -widest, widest);
-    let v = within(fma(-shear, dx, dy) * inverse_v, -widest, widest);
+    // Divided by each pixel: the rounding of a reciprocal would be the same in all of them.
+    let u = within(dx / sigma_u, -widest, widest);
+    let v = within((dy - shear * dx) / sigma_v, -widest, widest);
     Whitened { u, v }
 }
 
@@ -172,22 +173,18 @@ pub(super) struct RayLayer {
 
 #[cube]
 impl RayGaussian {
-    /// Reads a Gaussian. Its reciprocals are limited, so that no product with an offset is undefined.
     pub fn load(inputs: &RayInputs, gaussian: usize, view: &RayFrame) -> RayGaussian {
         let at = gaussian * comptime!(DEPTH_SLOPE + if inputs.rays.is_some() { LENS_FRAME } else { 0 });
         let e = PackedEllipse::load(&inputs.projected, gaussian);
         let (base_x, base_y) = base_of(e.x, e.y, inputs, view);
-        let widest = comptime!(WHITENED_MAX as f32);
-        let inverse_u = min(1.0 / e.sigma_u, widest);
-        let inverse_v = min(1.0 / e.sigma_v, widest);
-        let centre = whiten(e.x - base_x, e.y - base_y, inverse_u, inverse_v, e.shear);
+        let centre = whiten(e.x - base_x, e.y - base_y, e.sigma_u, e.shear, e.sigma_v);
         let (depth_slope_u, depth_slope_v) = (inputs.depth_slopes[at], inputs.depth_slopes[at + 1]);
         RayGaussian {
             base_x,
             base_y,
-            inverse_u,
-            inverse_v,
+            sigma_u: e.sigma_u,
             shear: e.shear,
+            sigma_v: e.sigma_v,
             // Clamping takes NaN for a number.
             opacity: select(Vec3::new(e.x, e.y, e.shear).is_finite(), e.opacity, 0.0),
             depth: e.depth,
@@ -206,9 +203,9 @@ impl RayGaussian {
         let at = index * comptime!(shared_len(inputs.rays.is_some()));
         to[at] = self.base_x;
         to[at + 1] = self.base_y;
-        to[at + 2] = self.inverse_u;
-        to[at + 3] = self.inverse_v;
-        to[at + 4] = self.shear;
+        to[at + 2] = self.sigma_u;
+        to[at + 3] = self.shear;
+        to[at + 4] = self.sigma_v;
         to[at + 5] = self.opacity;
         to[at + 6] = self.depth;
         to[at + 7] = self.depth_slope_u;
@@ -237,9 +234,9 @@ impl RayGaussian {
         RayGaussian {
             base_x: from[at],
             base_y: from[at + 1],
-            inverse_u: from[at + 2],
-            inverse_v: from[at + 3],
-            shear: from[at + 4],
+            sigma_u: from[at + 2],
+            shear: from[at + 3],
+            sigma_v: from[at + 4],
             opacity: from[at + 5],
             depth: from[at + 6],
             depth_slope_u: from[at + 7],
@@ -253,18 +250,18 @@ impl RayGaussian {
     }
 
     fn whitened(&self, dx: f32, dy: f32) -> Whitened {
-        whiten(dx, dy, self.inverse_u, self.inverse_v, self.shear)
+        whiten(dx, dy, self.sigma_u, self.shear, self.sigma_v)
     }
 
     /// Returns the negative gradient of a position, px, from that of its whitened coordinates.
     pub fn per_px(&self, u: f32, v: f32) -> (f32, f32) {
-        let per_v = v * self.inverse_v;
-        (fma(-self.shear, per_v, u * self.inverse_u), per_v)
+        let per_v = v / self.sigma_v;
+        (u / self.sigma_u - self.shear * per_v, per_v)
     }
 
     /// The inverse of [`Self::per_px`].
     pub fn per_whitened(&self, x: f32, y: f32) -> (f32, f32) {
-        (fma(self.shear, y, x) / self.inverse_u, y / self.inverse_v)
+        ((x + self.shear * y) * self.sigma_u, y * self.sigma_v)
     }
 
     /// Returns the whitened coordinates of a pixel's ray, and whether there is a ray. For a pinhole the pixel's own coordinates are
