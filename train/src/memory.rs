@@ -1,8 +1,37 @@
-//! The memory that is held during a measurement.
+//! The program's allocator, and the memory that is held during a measurement.
 
 use std::alloc::{GlobalAlloc, Layout};
 use std::sync::atomic::{AtomicBool, AtomicI64, Ordering::Relaxed};
 use std::sync::{Mutex, PoisonError};
+
+#[cfg(not(target_os = "linux"))]
+pub use mimalloc::MiMalloc as Fast;
+#[cfg(target_os = "linux")]
+pub use tikv_jemallocator::Jemalloc as Fast;
+
+/// Options of jemalloc. Freed memory goes back to the system within a second. All blocks come from one arena, so that a step has the large
+/// blocks of the step before, and threads use what others freed.
+#[cfg(target_os = "linux")]
+pub const OPTIONS: &[u8; 68] = b"narenas:1,oversize_threshold:0,dirty_decay_ms:1000,muzzy_decay_ms:0\0";
+
+/// Makes [`Fast`](crate::memory::Fast) the allocator of a program, alone or in a wrapper (`allocator!(Counted<Fast>, Counted(Fast))`). It keeps
+/// freed blocks for a while. A step allocates and frees tensors of megabytes; the system's allocator returns such blocks to the kernel
+/// each time and has them cleared on the next use.
+#[macro_export]
+macro_rules! allocator {
+    () => {
+        $crate::allocator!($crate::memory::Fast, $crate::memory::Fast);
+    };
+    ($type:ty, $value:expr) => {
+        #[global_allocator]
+        static ALLOCATOR: $type = $value;
+
+        // SAFETY: jemalloc reads a string under this name, which ends with a zero.
+        #[cfg(target_os = "linux")]
+        #[unsafe(export_name = "_rjem_malloc_conf")]
+        static OPTIONS: &[u8; $crate::memory::OPTIONS.len()] = $crate::memory::OPTIONS;
+    };
+}
 
 /// Whether bytes are counted. Otherwise the counter costs an allocation one load of this flag.
 static COUNTS: AtomicBool = AtomicBool::new(false);
