@@ -11,8 +11,7 @@ use splat_benches::measure::{Prepare, time};
 use splat_benches::passes::{backward, forward, leaf};
 use splat_op::{SplatError, bilateral, colour_map, depth_miss, environment};
 
-#[global_allocator]
-static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+splat_train::allocator!();
 
 /// Time budget for all operations.
 const BUDGET: Duration = Duration::from_secs(20);

@@ -2,6 +2,8 @@
 //!
 //! `cargo bench --workspace --bench formats -- scene.ply` takes a scene and repeats it, each time at another place and with other harmonics, until
 //! there are a million splats. Without one, the splats are random, which no format can compress as it compresses a trained scene.
+//!
+//! `… -- --write 10000000 "$PWD/ten.ply"` writes a PLY of so many random splats instead, and keeps it.
 
 use std::error::Error;
 use std::fs;
@@ -10,11 +12,11 @@ use std::time::Instant;
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use splat_benches::random::{self, RandomScene};
 use splat_model::formats::{self, Format, QuantisationError, SceneFile};
 use splat_model::gaussians::GaussianRows;
 
-#[global_allocator]
-static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+splat_train::allocator!();
 
 /// Number of splats.
 const SPLATS: usize = 1_000_000;
@@ -23,10 +25,15 @@ const SPLATS: usize = 1_000_000;
 const NOISE: f32 = 0.2;
 
 fn main() -> Result<(), Box<dyn Error>> {
-    let given = std::env::args().skip(1).find(|word| !word.starts_with("--"));
-    let rows = match given {
+    let words: Vec<String> = std::env::args().skip(1).filter(|word| word != "--bench").collect();
+    if let [write, count, path] = &words[..]
+        && write == "--write"
+    {
+        return Ok(random::write(Path::new(path), count.parse()?)?);
+    }
+    let rows = match words.first() {
         Some(path) => repeated(&formats::read(Path::new(&path))?.0.rows),
-        None => repeated(&random(SPLATS / 20)),
+        None => repeated(&RandomScene::default().next_rows(SPLATS / 20)),
     };
     let scene = SceneFile { rows, ..SceneFile::default() };
     println!("{} splats of degree {}, {} threads", SPLATS, scene.rows.sh_degree, rayon::current_num_threads());
@@ -64,22 +71,6 @@ fn repeated(scene: &GaussianRows) -> GaussianRows {
     }
     for harmonic in &mut rows.sh_rest {
         *harmonic *= 1.0 + NOISE * random.random_range(-1.7..1.7);
-    }
-    rows
-}
-
-/// Splats of degree 3 in a cube.
-fn random(count: usize) -> GaussianRows {
-    let mut random = ChaCha8Rng::seed_from_u64(2);
-    let mut of = |low: f32, high: f32| random.random_range(low..high);
-    let mut rows = GaussianRows { sh_degree: 3, ..GaussianRows::default() };
-    for _ in 0..count {
-        rows.means.push([of(-4.0, 4.0), of(-4.0, 4.0), of(-4.0, 4.0)]);
-        rows.rotations.push([of(0.1, 1.0), of(-1.0, 1.0), of(-1.0, 1.0), of(-1.0, 1.0)]);
-        rows.log_scales.push([of(-6.0, -3.0), of(-6.0, -3.0), of(-7.0, -4.0)]);
-        rows.logit_opacities.push(of(-4.0, 5.0));
-        rows.sh_dc.push([of(-1.5, 1.5), of(-1.5, 1.5), of(-1.5, 1.5)]);
-        rows.sh_rest.extend((0..45).map(|_| of(-0.2, 0.2)));
     }
     rows
 }

@@ -14,8 +14,7 @@ use splat_benches::passes::{backward, forward, leaves};
 use splat_op::{Camera, CameraModel, Extras, Order, Projection, RenderOptions, Splats, render_view};
 use splat_train::device::DeviceName;
 
-#[global_allocator]
-static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+splat_train::allocator!();
 
 /// Time budget for all frames of one scene.
 const BUDGET: Duration = Duration::from_secs(40);

@@ -15,8 +15,7 @@ use splat_benches::passes::passes;
 use splat_benches::{SyntheticView, share_apart, values};
 use splat_op::{Colour, Extras, evaluate_sh, intersect, project};
 
-#[global_allocator]
-static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+splat_train::allocator!();
 
 /// Time budget for all passes of one size.
 const BUDGET: Duration = Duration::from_secs(30);

@@ -20,8 +20,7 @@ use splat_benches::passes::whole_step;
 use splat_benches::pieces::Pieces;
 use splat_model::loss::Truth;
 
-#[global_allocator]
-static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+splat_train::allocator!();
 
 /// Time budget for one size.
 const BUDGET: Duration = Duration::from_secs(15);

@@ -9,6 +9,7 @@ mod load;
 pub mod measure;
 pub mod passes;
 pub mod pieces;
+pub mod random;
 mod scene;
 pub mod step;
 

@@ -3,16 +3,13 @@
 use std::process::ExitCode;
 
 use clap::Parser;
-use splat_train::memory::{Counted, LargeFromSystem};
+use splat_train::memory::{Counted, Fast};
 use splat_train::options::Cli;
 use splat_train::ranks;
 use splat_train::train::Interrupted;
 
-/// Allocator that keeps freed blocks, except large ones. A step allocates and frees tensors of megabytes; the system's allocator returns
-/// such blocks to the kernel each time and has them cleared on the next use. The outer wrapper counts bytes while
-/// `splat pareto` measures the memory of a pass.
-#[global_allocator]
-static ALLOCATOR: Counted<LargeFromSystem<mimalloc::MiMalloc>> = Counted(LargeFromSystem(mimalloc::MiMalloc));
+// The wrapper counts bytes while `splat pareto` measures the memory of a pass.
+splat_train::allocator!(Counted<Fast>, Counted(Fast));
 
 /// Silences GPU drivers, which look for a Wayland display: its library prints an error where nobody is logged in to a
 /// desktop and this variable is unset or empty.

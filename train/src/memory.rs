@@ -1,48 +1,36 @@
-//! The program's allocator: where large blocks come from, and the memory that is held during a measurement.
+//! The program's allocator, and the memory that is held during a measurement.
 
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::ptr;
+use std::alloc::{GlobalAlloc, Layout};
 use std::sync::atomic::{AtomicBool, AtomicI64, Ordering::Relaxed};
 use std::sync::{Mutex, PoisonError};
 
-/// Bytes from which a block is large. The tensors of a step of a million splats of degree 3 are smaller, so that each step uses the
-/// blocks of the step before.
-const LARGE: usize = 256 << 20;
+#[cfg(not(target_os = "linux"))]
+pub use mimalloc::MiMalloc as Fast;
+#[cfg(target_os = "linux")]
+pub use tikv_jemallocator::Jemalloc as Fast;
 
-/// An allocator that takes large blocks from the system, and others from `A`. The system has the memory of a large block back at once
-/// when it is freed, where allocators such as mimalloc keep it for a while. A large scene would need memory for both: a
-/// step frees blocks of gigabytes and allocates others of another size.
-pub struct LargeFromSystem<A>(pub A);
+/// Options of jemalloc. Freed memory goes back to the system within a second. All blocks come from one arena, so that a step has the large
+/// blocks of the step before, and threads use what others freed.
+#[cfg(target_os = "linux")]
+pub const OPTIONS: &[u8; 68] = b"narenas:1,oversize_threshold:0,dirty_decay_ms:1000,muzzy_decay_ms:0\0";
 
-// SAFETY: every call is forwarded to the allocator that the block's size belongs to, which is the one that allocated the block.
-unsafe impl<A: GlobalAlloc> GlobalAlloc for LargeFromSystem<A> {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        unsafe { if layout.size() >= LARGE { System.alloc(layout) } else { self.0.alloc(layout) } }
-    }
+/// Makes [`Fast`](crate::memory::Fast) the allocator of a program, alone or in a wrapper (`allocator!(Counted<Fast>, Counted(Fast))`). It keeps
+/// freed blocks for a while. A step allocates and frees tensors of megabytes; the system's allocator returns such blocks to the kernel
+/// each time and has them cleared on the next use.
+#[macro_export]
+macro_rules! allocator {
+    () => {
+        $crate::allocator!($crate::memory::Fast, $crate::memory::Fast);
+    };
+    ($type:ty, $value:expr) => {
+        #[global_allocator]
+        static ALLOCATOR: $type = $value;
 
-    unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
-        unsafe { if layout.size() >= LARGE { System.alloc_zeroed(layout) } else { self.0.alloc_zeroed(layout) } }
-    }
-
-    unsafe fn dealloc(&self, block: *mut u8, layout: Layout) {
-        unsafe { if layout.size() >= LARGE { System.dealloc(block, layout) } else { self.0.dealloc(block, layout) } }
-    }
-
-    unsafe fn realloc(&self, block: *mut u8, layout: Layout, size: usize) -> *mut u8 {
-        match (layout.size() >= LARGE, size >= LARGE) {
-            (true, true) => unsafe { System.realloc(block, layout, size) },
-            (false, false) => unsafe { self.0.realloc(block, layout, size) },
-            _ => unsafe {
-                // The caller guarantees that `size` fits the alignment.
-                let moved = self.alloc(Layout::from_size_align_unchecked(size, layout.align()));
-                if !moved.is_null() {
-                    ptr::copy_nonoverlapping(block, moved, size.min(layout.size()));
-                    self.dealloc(block, layout);
-                }
-                moved
-            },
-        }
-    }
+        // SAFETY: jemalloc reads a string under this name, which ends with a zero.
+        #[cfg(target_os = "linux")]
+        #[unsafe(export_name = "_rjem_malloc_conf")]
+        static OPTIONS: &[u8; $crate::memory::OPTIONS.len()] = $crate::memory::OPTIONS;
+    };
 }
 
 /// Whether bytes are counted. Otherwise the counter costs an allocation one load of this flag.
@@ -116,46 +104,6 @@ mod tests {
     use std::alloc::System;
 
     use super::*;
-
-    /// An allocator that has no memory.
-    struct Nothing;
-
-    // SAFETY: no block is allocated.
-    unsafe impl GlobalAlloc for Nothing {
-        unsafe fn alloc(&self, _: Layout) -> *mut u8 {
-            ptr::null_mut()
-        }
-
-        unsafe fn dealloc(&self, _: *mut u8, _: Layout) {
-            panic!("a block of the system")
-        }
-    }
-
-    #[test]
-    fn large_blocks_come_from_the_system_alone() {
-        let layout = |size| Layout::from_size_align(size, 8).unwrap();
-        let (small, large) = (layout(LARGE - 1), layout(LARGE));
-        let from_nothing = LargeFromSystem(Nothing);
-        // SAFETY: blocks are freed with the layouts they were allocated with, and no byte beyond their ends is used.
-        unsafe {
-            assert!(from_nothing.alloc(small).is_null() && from_nothing.alloc_zeroed(small).is_null());
-            let block = from_nothing.alloc_zeroed(large);
-            assert_eq!(*block.add(LARGE - 1), 0);
-            assert!(from_nothing.realloc(block, large, LARGE - 1).is_null(), "the block is lost");
-            let block = from_nothing.realloc(block, large, 2 * LARGE);
-            assert!(!block.is_null());
-            from_nothing.dealloc(block, layout(2 * LARGE));
-
-            // Bytes are kept when a block becomes large and small again.
-            let from_system = LargeFromSystem(System);
-            let block = from_system.alloc(small);
-            block.add(LARGE - 2).write(7);
-            let block = from_system.realloc(block, small, LARGE);
-            assert_eq!(*block.add(LARGE - 2), 7);
-            let block = from_system.realloc(block, large, 16);
-            from_system.dealloc(block, layout(16));
-        }
-    }
 
     #[test]
     fn the_most_that_is_held_at_a_time_counts() {

@@ -16,8 +16,7 @@ use std::error::Error;
 use clap::Parser;
 use splat_train::options::Cli;
 
-#[global_allocator]
-static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+splat_train::allocator!();
 
 fn main() -> Result<(), Box<dyn Error>> {
     // Cargo passes `--bench`.

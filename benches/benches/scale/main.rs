@@ -20,14 +20,12 @@ use std::time::Duration;
 use splat_benches::allocations::CountingAllocator;
 use splat_benches::{MEDIUM, SyntheticView};
 use splat_model::optim::MomentBits;
-use splat_train::memory::LargeFromSystem;
+use splat_train::memory::Fast;
 
 use point::{ScalePoint, ScaleWork};
 use record::{ScaleAxis, ScaleRow};
 
-#[global_allocator]
-static ALLOCATOR: CountingAllocator<LargeFromSystem<mimalloc::MiMalloc>> =
-    CountingAllocator(LargeFromSystem(mimalloc::MiMalloc));
+splat_train::allocator!(CountingAllocator<Fast>, CountingAllocator(Fast));
 
 /// Most bytes for a point.
 const MEMORY: f64 = 16.0 * 1024.0 * 1024.0 * 1024.0;

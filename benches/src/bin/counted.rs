@@ -19,7 +19,7 @@ use splat_benches::measure::{Pass, PassResult, TimedPart, stateful};
 use splat_benches::passes::passes;
 use splat_model::trainer::Trainer;
 
-// The system allocator, because mimalloc returns memory depending on time.
+// The system allocator, because others return memory depending on time.
 #[global_allocator]
 static ALLOCATOR: CountingAllocator<System> = CountingAllocator(System);
 

@@ -268,16 +268,18 @@ fn to_the_end(
     };
     let unusable = rows.unusable();
     progress::note_unusable(&out.join(SCENE), unusable, rows.len());
-    let scene = ShownScene::new(&rows, page::SCENE_BYTES).ok();
     if let Some(target_db) = args.accuracy.target_error {
         let (background, device) = (background.colour(), (&device, device_name.as_str()));
         let (rows, base, work) = (&rows, render_options, Workload::Train);
         accuracy::note_reached(target_db, &UnmeasuredScene { rows, shots, background, base, device, work })?;
     }
-    let last = live.map(|live| (live, rows));
+    drop(rows);
     effects.measure(&mut trainer)?;
-    // The scores need the memory of photographs and moments, which are no longer used.
+    // The page and the scores need the memory of photographs and moments, which are no longer used.
     drop(trainer);
+    let rows = gaussians.to_rows();
+    let scene = ShownScene::new(&rows, page::SCENE_BYTES).ok();
+    let last = live.map(|live| (live, rows));
 
     let start = Instant::now();
     let measure = || report::measure(&gaussians.splats(), &test, &background, &render_options, lpips.as_ref(), &out);

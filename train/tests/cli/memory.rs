@@ -16,6 +16,16 @@ fn a_run_without_room_for_photographs_is_the_same() {
     assert_eq!(test(out.path()), test(&TRAINED));
 }
 
+/// jemalloc prints its options at the end of a program where its variable asks for them.
+#[cfg(target_os = "linux")]
+#[test]
+fn the_allocator_has_the_options_of_the_program() {
+    let ended = succeed(splat(&["--version"]).env("_RJEM_MALLOC_CONF", "stats_print:true"));
+    for option in ["opt.narenas: 1", "opt.oversize_threshold: 0", "opt.dirty_decay_ms: 1000", "opt.muzzy_decay_ms: 0"] {
+        assert!(ended.stderr.lines().any(|line| line.trim().split(" (").next() == Some(option)), "{}", ended.stderr);
+    }
+}
+
 #[test]
 fn a_run_that_would_not_fit_names_the_option() {
     let out = tempfile::tempdir().unwrap();
