@@ -240,25 +240,47 @@ impl Gaussians {
 
     /// Copies the rows of the scene to the host.
     pub fn to_rows(&self) -> GaussianRows {
-        let mut rows = GaussianRows {
-            means: rows_of(self.means.val()),
-            rotations: rows_of(self.rotations.val()),
-            log_scales: rows_of(self.log_scales.val()),
-            logit_opacities: values_of(self.logit_opacities.val()),
-            sh_degree: self.sh_degree(),
-            ..GaussianRows::default()
-        };
-        rows.sh_dc.reserve_exact(rows.len());
-        rows.sh_rest.reserve_exact(rows.len() * rows.rest_per_row());
-        for block in self.sh_params() {
-            let block = block.val();
-            let count = block.dims()[0];
-            for first in (0..count).step_by(ROWS_AT_ONCE) {
-                let part = block.clone().narrow(0, first, ROWS_AT_ONCE.min(count - first));
-                rows.set_sh(&values_of(part));
-            }
+        let mut rows = GaussianRows { sh_degree: self.sh_degree(), ..GaussianRows::default() };
+        let count = self.len();
+        rows.means.reserve_exact(count);
+        rows.rotations.reserve_exact(count);
+        rows.log_scales.reserve_exact(count);
+        rows.logit_opacities.reserve_exact(count);
+        rows.sh_dc.reserve_exact(count);
+        rows.sh_rest.reserve_exact(count * rows.rest_per_row());
+        for first in (0..count).step_by(ROWS_AT_ONCE) {
+            self.copy_rows(first..count.min(first + ROWS_AT_ONCE), &mut rows);
         }
         rows
+    }
+
+    /// Copies some rows of the scene to the host.
+    ///
+    /// # Panics
+    /// If there are no such rows.
+    pub fn rows_in(&self, which: Range<usize>) -> GaussianRows {
+        let mut rows = GaussianRows { sh_degree: self.sh_degree(), ..GaussianRows::default() };
+        self.copy_rows(which, &mut rows);
+        rows
+    }
+
+    /// Appends some rows of the scene.
+    fn copy_rows(&self, which: Range<usize>, to: &mut GaussianRows) {
+        let part = |values: Tensor<2>| values.narrow(0, which.start, which.len());
+        to.means.extend(rows_of::<3>(part(self.means.val())));
+        to.rotations.extend(rows_of::<4>(part(self.rotations.val())));
+        to.log_scales.extend(rows_of::<3>(part(self.log_scales.val())));
+        to.logit_opacities.extend(values_of(self.logit_opacities.val().narrow(0, which.start, which.len())));
+        let mut first = 0;
+        for block in self.sh_params() {
+            let block = block.val();
+            let end = first + block.dims()[0];
+            let (from, to_row) = (which.start.max(first), which.end.min(end));
+            if from < to_row {
+                to.set_sh(&values_of(block.narrow(0, from - first, to_row - from)));
+            }
+            first = end;
+        }
     }
 
     /// All blocks of coefficients.

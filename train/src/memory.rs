@@ -29,7 +29,7 @@ macro_rules! allocator {
         // SAFETY: jemalloc reads a string under this name, which ends with a zero.
         #[cfg(target_os = "linux")]
         #[unsafe(export_name = "_rjem_malloc_conf")]
-        static OPTIONS: &[u8; $crate::memory::OPTIONS.len()] = $crate::memory::OPTIONS;
+        static JEMALLOC_OPTIONS: &[u8; $crate::memory::OPTIONS.len()] = $crate::memory::OPTIONS;
     };
 }
 

@@ -175,7 +175,8 @@ pub trait Effect: Any {
         Ok(())
     }
 
-    /// Applies the effect to Gaussians that are written to a file, so that other viewers show its result.
+    /// Applies the effect to Gaussians that are written to a file, so that other viewers show its result. A large scene is written in parts, so
+    /// that a row must not depend on others.
     fn bake(&self, _rows: &mut GaussianRows) {}
 
     /// The background that other viewers should show behind the scene, if the effect learned one.

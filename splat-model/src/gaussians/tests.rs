@@ -25,7 +25,11 @@ fn rows_are_copied_to_the_host_in_parts() {
     let last = rows.rest_per_row() * (ROWS_AT_ONCE + 1);
     rows.sh_rest[last] = 5.0;
     rows.sh_dc[ROWS_AT_ONCE] = [6.0; 3];
-    assert!(Gaussians::from_rows(&rows, &Device::flex()).unwrap().to_rows() == rows);
+    let scene = Gaussians::from_rows(&rows, &Device::flex()).unwrap();
+    assert!(scene.to_rows() == rows);
+    let mut last = GaussianRows { sh_degree: 1, ..GaussianRows::default() };
+    (ROWS_AT_ONCE..ROWS_AT_ONCE + 2).for_each(|row| last.push(&rows, row));
+    assert_eq!(scene.rows_in(ROWS_AT_ONCE..ROWS_AT_ONCE + 2), last);
 }
 
 #[test]

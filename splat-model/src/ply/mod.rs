@@ -27,7 +27,7 @@ use thiserror::Error;
 pub use frame::WorldFrame;
 pub use points::read_points;
 pub use rows::read;
-pub use write::{write, write_header, write_rows, write_to};
+pub use write::{write, write_header, write_parts, write_rows, write_to};
 
 // The compressed layout, which is PLY too, uses these.
 pub(crate) use frame::world_frame;

@@ -1,4 +1,5 @@
 use std::fs;
+use std::ops::Range;
 use std::path::Path;
 use std::time::Instant;
 
@@ -7,7 +8,7 @@ use proptest::prelude::*;
 use tempfile::TempDir;
 
 use super::row::{names, rest_per_channel};
-use super::{PlyError, read, write};
+use super::{PlyError, read, write, write_parts};
 use crate::gaussians::GaussianRows;
 
 /// Rows whose values all differ, so that tests detect a swap of any two.
@@ -27,6 +28,32 @@ fn numbered_rows(count: usize, sh_degree: usize) -> GaussianRows {
         rows.sh_rest.extend((0..3 * rest_per_channel(sh_degree)).map(|_| value()));
     }
     rows
+}
+
+/// Some of a scene's rows.
+fn part(rows: &GaussianRows, which: Range<usize>) -> GaussianRows {
+    let mut part = GaussianRows { sh_degree: rows.sh_degree, ..GaussianRows::default() };
+    which.for_each(|i| part.push(rows, i));
+    part
+}
+
+#[test]
+fn a_scene_in_parts_is_the_file_of_the_whole() {
+    let folder = TempDir::new().unwrap();
+    let [whole, parts] = ["whole.ply", "parts.ply"].map(|name| folder.path().join(name));
+    let rows = numbered_rows(11, 2);
+    let origin = DVec3::new(1.0, 2.0, 3.0);
+    write(&whole, &rows, origin).unwrap();
+    write_parts(&parts, (11, 2), [0..4, 4..4, 4..11].map(|which| part(&rows, which)), origin).unwrap();
+    let file = fs::read(&whole).unwrap();
+    assert!(fs::read(&parts).unwrap() == file);
+    // Other parts than announced leave the file as it was.
+    for (announced, parts_of) in [((12, 2), 11), ((10, 2), 11), ((11, 1), 11)] {
+        let error = write_parts(&parts, announced, [part(&rows, 0..parts_of)], origin).unwrap_err();
+        assert!(matches!(error, PlyError::Io { .. }), "{error}");
+        assert!(fs::read(&parts).unwrap() == file);
+    }
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 2);
 }
 
 /// The bits of all values, because `==` on floats does not compare bits.

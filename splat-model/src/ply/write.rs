@@ -1,6 +1,7 @@
 //! Writing as binary little endian, first under a temporary name.
 
-use std::io::{self, Write};
+use std::fs::File;
+use std::io::{self, BufWriter, Write};
 use std::path::Path;
 
 use glam::DVec3;
@@ -27,6 +28,41 @@ pub fn write(path: &Path, rows: &GaussianRows, world: impl Into<WorldFrame>) -> 
     let world = world.into();
     check(path, rows, world)?;
     replace(path, |out| write_to(out, rows, world)).map_err(|Refused { action, source }| PlyError::Io {
+        path: path.to_path_buf(),
+        action,
+        source,
+    })
+}
+
+/// Writes a scene of `count` Gaussians of one degree that come in parts, as [`write()`] writes it whole.
+///
+/// # Errors
+/// Those of [`write()`]; [`PlyError::Io`] if the parts have more or fewer Gaussians, or another degree.
+pub fn write_parts(
+    path: &Path,
+    (count, sh_degree): (usize, usize),
+    parts: impl IntoIterator<Item = GaussianRows>,
+    world: impl Into<WorldFrame>,
+) -> Result<(), PlyError> {
+    let world = world.into();
+    check(path, &GaussianRows { sh_degree, ..GaussianRows::default() }, world)?;
+    let to_file = |out: &mut BufWriter<File>| {
+        write_header(out, count, sh_degree, world)?;
+        let mut written = 0;
+        for part in parts {
+            if part.sh_degree != sh_degree || part.len() > count - written {
+                let found = format!("a part has {} Gaussians of degree {}", part.len(), part.sh_degree);
+                return Err(io::Error::other(format!("{found}, expected at most {} of {sh_degree}", count - written)));
+            }
+            write_rows(out, &part)?;
+            written += part.len();
+        }
+        match written == count {
+            true => Ok(()),
+            false => Err(io::Error::other(format!("the parts have {written} Gaussians, expected {count}"))),
+        }
+    };
+    replace(path, to_file).map_err(|Refused { action, source }| PlyError::Io {
         path: path.to_path_buf(),
         action,
         source,

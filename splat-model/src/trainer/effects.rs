@@ -16,6 +16,7 @@ use crate::effects::pose::Poses;
 use crate::effects::pose::anchors::Anchors;
 use crate::effects::smoothing::Smoothing;
 use crate::effects::{Effect, EffectStack};
+use crate::formats::ROWS_AT_ONCE;
 use crate::gaussians::GaussianRows;
 
 /// The initial effects of a run over `photos` of a scene of `extent`, in the order in which light passes them.
@@ -111,6 +112,16 @@ impl Trainer {
         let mut rows = self.scene.gaussians.to_rows();
         self.effects.bake(&mut rows);
         rows
+    }
+
+    /// [`Self::rows`] in parts, which a large scene has memory for.
+    pub fn parts_of_rows(&self) -> impl Iterator<Item = GaussianRows> {
+        let count = self.scene.gaussians.len();
+        (0..count).step_by(ROWS_AT_ONCE).map(move |first| {
+            let mut rows = self.scene.gaussians.rows_in(first..count.min(first + ROWS_AT_ONCE));
+            self.effects.bake(&mut rows);
+            rows
+        })
     }
 
     /// The background of the scene, for other renderers.

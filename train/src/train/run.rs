@@ -259,21 +259,21 @@ fn to_the_end(
     let background = trainer.background();
     let render_options = trainer.render_options();
     // Before measuring, so that a failure there does not lose the scene.
-    let rows = trainer.rows();
-    ply::write(&out.join(SCENE), &rows, capture.world_frame())?;
+    let (count, sh_degree) = (trainer.gaussians().len(), trainer.gaussians().sh_degree());
+    let mut unusable = 0;
+    let parts = trainer.parts_of_rows().inspect(|part| unusable += part.unusable());
+    ply::write_parts(&out.join(SCENE), (count, sh_degree), parts, capture.world_frame())?;
     write_learnt(&trainer, &config, &capture, &out)?;
+    progress::note_unusable(&out.join(SCENE), unusable, count);
     let gaussians = match config.smoothing {
-        true => Gaussians::from_rows(&rows, &device)?,
+        true => Gaussians::from_rows(&trainer.rows(), &device)?,
         false => trainer.gaussians().untracked(),
     };
-    let unusable = rows.unusable();
-    progress::note_unusable(&out.join(SCENE), unusable, rows.len());
     if let Some(target_db) = args.accuracy.target_error {
         let (background, device) = (background.colour(), (&device, device_name.as_str()));
-        let (rows, base, work) = (&rows, render_options, Workload::Train);
+        let (rows, base, work) = (&trainer.rows(), render_options, Workload::Train);
         accuracy::note_reached(target_db, &UnmeasuredScene { rows, shots, background, base, device, work })?;
     }
-    drop(rows);
     effects.measure(&mut trainer)?;
     // The page and the scores need the memory of photographs and moments, which are no longer used.
     drop(trainer);
