@@ -151,7 +151,7 @@ fn random_backgrounds_make_alpha_right() {
 fn a_smoothed_run_leaves_smoothed_gaussians() {
     let trainer = train(photos([0.0; 3]), TrainConfig { smoothing: true, ..config(12) });
     let (rows, parameters) = (trainer.rows(), trainer.gaussians().to_rows());
-    assert_eq!(trainer.parts_of_rows().collect::<Vec<_>>(), [rows.clone()]);
+    assert_eq!(trainer.parts_of_rows().collect::<Vec<_>>(), std::slice::from_ref(&rows));
     assert_eq!(rows.means, parameters.means);
     let grown = rows.log_scales.as_flattened().iter().zip(parameters.log_scales.as_flattened());
     assert!(grown.clone().all(|(baked, plain)| baked >= plain) && grown.clone().any(|(baked, plain)| baked > plain));
