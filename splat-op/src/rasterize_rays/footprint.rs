@@ -261,10 +261,9 @@ impl<S: Simd, F: Real> RayRules<S, F> {
             }
             _ => None,
         };
-        let own = || [pixels.x - lanes(splat.base_px[0]), pixels.y - lanes(splat.base_px[1])];
         let [dx, dy] = match ray {
             Some(ray) if EXACT => ray,
-            _ => own(),
+            _ => [pixels.x - lanes(splat.base_px[0]), pixels.y - lanes(splat.base_px[1])],
         };
         let (u, v, square) = splat.whiten::<S>(dx, dy);
         let met = match ray {
