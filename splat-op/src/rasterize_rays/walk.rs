@@ -140,6 +140,8 @@ pub(super) fn front_to_back(
     let mut anybody = Shared::<[u32]>::new_slice(1usize);
     let mut next = NextLayers::new();
     let mut found = 0u32;
+    // DirectX wants a barrier between the reading of `places` and a branch with barriers.
+    sync_cube();
     let mut running = places > 0;
     while running {
         let mut count = 0u32;
