@@ -1,14 +1,12 @@
 //! Scenes of random splats of degree 3 in a cube.
 
-use std::fs::File;
-use std::io::{self, BufWriter, Write};
 use std::path::Path;
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use splat_model::formats::ROWS_AT_ONCE;
 use splat_model::gaussians::GaussianRows;
-use splat_model::ply::{WorldFrame, write_header, write_rows};
+use splat_model::ply::{PlyError, WorldFrame, write_parts};
 
 /// Random splats, the same in each run.
 pub struct RandomScene(ChaCha8Rng);
@@ -40,14 +38,10 @@ impl RandomScene {
 ///
 /// # Errors
 /// If the file cannot be written.
-pub fn write(path: &Path, count: usize) -> io::Result<()> {
-    let mut out = BufWriter::new(File::create(path)?);
-    write_header(&mut out, count, 3, WorldFrame::default())?;
+pub fn write(path: &Path, count: usize) -> Result<(), PlyError> {
     let mut scene = RandomScene::default();
-    for start in (0..count).step_by(ROWS_AT_ONCE) {
-        write_rows(&mut out, &scene.next_rows(ROWS_AT_ONCE.min(count - start)))?;
-    }
-    out.flush()
+    let parts = (0..count).step_by(ROWS_AT_ONCE).map(|first| scene.next_rows(ROWS_AT_ONCE.min(count - first)));
+    write_parts(path, (count, 3), parts, WorldFrame::default())
 }
 
 #[cfg(test)]

@@ -184,8 +184,8 @@ pub(crate) fn sh_blocks(count: usize, coefficients: usize, device: &Device) -> V
     (0..count.max(1)).step_by(rows).map(|first| first..first.saturating_add(rows).min(count)).collect()
 }
 
-/// Rows of coefficients that are copied to the host at a time: 13 MB at degree 3.
-const ROWS_AT_ONCE: usize = 1 << 16;
+/// Gaussians that are in the host's memory at a time where a scene is read, copied or written in parts: 15 MB at degree 3.
+pub const ROWS_AT_ONCE: usize = 1 << 16;
 
 /// Joins tensors of consecutive rows.
 pub(crate) fn joined<const D: usize, K: Basic>(mut blocks: Vec<Tensor<D, K>>) -> Tensor<D, K> {

@@ -11,10 +11,8 @@ use super::{
     sog, spz,
 };
 use crate::gaussians::GaussianRows;
+pub use crate::gaussians::ROWS_AT_ONCE;
 use crate::ply::{self, PlyReader, PlyRows, WorldFrame};
-
-/// Rows that are in memory at a time: 16 MB at degree 3.
-pub const ROWS_AT_ONCE: usize = 1 << 16;
 
 /// A scene file that is read some rows at a time.
 ///

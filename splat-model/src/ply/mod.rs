@@ -27,14 +27,14 @@ use thiserror::Error;
 pub use frame::WorldFrame;
 pub use points::read_points;
 pub use rows::read;
-pub use write::{write, write_header, write_parts, write_rows, write_to};
+pub use write::{write, write_parts, write_to};
 
 // The compressed layout, which is PLY too, uses these.
 pub(crate) use frame::world_frame;
 pub(crate) use read::{PlyReader, brief, require, vertex};
 pub(crate) use row::{degree_of_rest, rest_names};
 pub(crate) use rows::PlyRows;
-pub(crate) use write::{check, element, file_header};
+pub(crate) use write::{check, element, file_header, write_header, write_rows};
 
 /// The element that holds the Gaussians.
 pub(crate) const VERTEX: &str = "vertex";

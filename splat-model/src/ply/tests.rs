@@ -47,9 +47,11 @@ fn a_scene_in_parts_is_the_file_of_the_whole() {
     write_parts(&parts, (11, 2), [0..4, 4..4, 4..11].map(|which| part(&rows, which)), origin).unwrap();
     let file = fs::read(&whole).unwrap();
     assert!(fs::read(&parts).unwrap() == file);
-    // Other parts than announced leave the file as it was.
-    for (announced, parts_of) in [((12, 2), 11), ((10, 2), 11), ((11, 1), 11)] {
-        let error = write_parts(&parts, announced, [part(&rows, 0..parts_of)], origin).unwrap_err();
+    // Other parts than announced, and one that does not fit together, leave the file as it was.
+    let mut torn = rows.clone();
+    torn.sh_rest.pop();
+    for (announced, rows) in [((12, 2), &rows), ((10, 2), &rows), ((11, 1), &rows), ((11, 2), &torn)] {
+        let error = write_parts(&parts, announced, [rows], origin).unwrap_err();
         assert!(matches!(error, PlyError::Io { .. }), "{error}");
         assert!(fs::read(&parts).unwrap() == file);
     }

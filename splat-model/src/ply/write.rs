@@ -1,5 +1,6 @@
 //! Writing as binary little endian, first under a temporary name.
 
+use std::borrow::Borrow;
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
@@ -27,39 +28,37 @@ use crate::replace::{Refused, replace};
 pub fn write(path: &Path, rows: &GaussianRows, world: impl Into<WorldFrame>) -> Result<(), PlyError> {
     let world = world.into();
     check(path, rows, world)?;
-    replace(path, |out| write_to(out, rows, world)).map_err(|Refused { action, source }| PlyError::Io {
-        path: path.to_path_buf(),
-        action,
-        source,
-    })
+    write_parts(path, (rows.len(), rows.sh_degree), [rows], world)
 }
 
-/// Writes a scene of `count` Gaussians of one degree that come in parts, as [`write()`] writes it whole.
+/// Writes a scene of `count` Gaussians of degree `sh_degree` that come in parts, as [`write()`] writes it whole.
 ///
 /// # Errors
-/// Those of [`write()`]; [`PlyError::Io`] if the parts have more or fewer Gaussians, or another degree.
-pub fn write_parts(
+/// Those of [`write()`]; [`PlyError::Io`] if a part does not fit together or has another degree, or if all parts have more or fewer Gaussians.
+pub fn write_parts<R: Borrow<GaussianRows>>(
     path: &Path,
     (count, sh_degree): (usize, usize),
-    parts: impl IntoIterator<Item = GaussianRows>,
+    parts: impl IntoIterator<Item = R>,
     world: impl Into<WorldFrame>,
 ) -> Result<(), PlyError> {
     let world = world.into();
     check(path, &GaussianRows { sh_degree, ..GaussianRows::default() }, world)?;
     let to_file = |out: &mut BufWriter<File>| {
         write_header(out, count, sh_degree, world)?;
-        let mut written = 0;
+        let mut left = count;
         for part in parts {
-            if part.sh_degree != sh_degree || part.len() > count - written {
+            let part = part.borrow();
+            part.check().map_err(io::Error::other)?;
+            if part.sh_degree != sh_degree || part.len() > left {
                 let found = format!("a part has {} Gaussians of degree {}", part.len(), part.sh_degree);
-                return Err(io::Error::other(format!("{found}, expected at most {} of {sh_degree}", count - written)));
+                return Err(io::Error::other(format!("{found}, expected at most {left} of degree {sh_degree}")));
             }
-            write_rows(out, &part)?;
-            written += part.len();
+            write_rows(out, part)?;
+            left -= part.len();
         }
-        match written == count {
-            true => Ok(()),
-            false => Err(io::Error::other(format!("the parts have {written} Gaussians, expected {count}"))),
+        match left {
+            0 => Ok(()),
+            _ => Err(io::Error::other(format!("the parts have {} Gaussians, expected {count}", count - left))),
         }
     };
     replace(path, to_file).map_err(|Refused { action, source }| PlyError::Io {
@@ -97,20 +96,14 @@ pub fn write_to(out: &mut impl Write, rows: &GaussianRows, world: impl Into<Worl
     write_rows(out, rows)
 }
 
-/// Writes the header of a file with `count` Gaussians, whose rows follow ([`write_rows`]).
-///
-/// # Errors
-/// If `out` cannot be written to.
-pub fn write_header(out: &mut impl Write, count: usize, sh_degree: usize, world: WorldFrame) -> io::Result<()> {
+/// Writes the header of a file with `count` Gaussians.
+pub(crate) fn write_header(out: &mut impl Write, count: usize, sh_degree: usize, world: WorldFrame) -> io::Result<()> {
     let header = file_header(world, [element(VERTEX, count, ScalarType::Float, names(sh_degree))]);
     Writer::<DefaultElement>::new().write_header(out, &header).map(drop)
 }
 
-/// Writes Gaussians after a header, or after others of the same degree. The rows must fit together ([`GaussianRows::check`]).
-///
-/// # Errors
-/// If `out` cannot be written to.
-pub fn write_rows(out: &mut impl Write, rows: &GaussianRows) -> io::Result<()> {
+/// Writes Gaussians after a header, or after others of the same degree.
+pub(crate) fn write_rows(out: &mut impl Write, rows: &GaussianRows) -> io::Result<()> {
     let mut values = Vec::new();
     for i in 0..rows.len() {
         values.clear();

@@ -16,8 +16,7 @@ use crate::effects::pose::Poses;
 use crate::effects::pose::anchors::Anchors;
 use crate::effects::smoothing::Smoothing;
 use crate::effects::{Effect, EffectStack};
-use crate::formats::ROWS_AT_ONCE;
-use crate::gaussians::GaussianRows;
+use crate::gaussians::{GaussianRows, ROWS_AT_ONCE};
 
 /// The initial effects of a run over `photos` of a scene of `extent`, in the order in which light passes them.
 pub(super) fn of(
@@ -114,7 +113,7 @@ impl Trainer {
         rows
     }
 
-    /// [`Self::rows`] in parts, which a large scene has memory for.
+    /// [`Self::rows`], some Gaussians at a time. All of them would take a quarter more memory than parameters and moments.
     pub fn parts_of_rows(&self) -> impl Iterator<Item = GaussianRows> {
         let count = self.scene.gaussians.len();
         (0..count).step_by(ROWS_AT_ONCE).map(move |first| {

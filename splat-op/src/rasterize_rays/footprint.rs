@@ -35,8 +35,6 @@ pub(super) struct RayFootprint<F> {
     pub gamma: F,
     /// Whether the centre lies beyond the picture along x and y.
     pub beyond: [bool; 2],
-    /// Whether a sort key may overflow.
-    unbounded: bool,
     /// With the order of each pixel: no pixel that sees the Gaussian has a smaller sort key.
     pub least_key: F,
 }
@@ -88,8 +86,6 @@ impl<F: Real> RayFootprint<F> {
             centre,
             gamma: F::ONE - depth_slope[0] * centre[0] - depth_slope[1] * centre[1],
             beyond: away.map(|away| away != F::ZERO),
-            // From the centre `λ` is at most `1/√D`.
-            unbounded: away != [F::ZERO; 2] || !(ellipse.depth.abs() < F::MAX * F::of(0.5 * D_MIN.sqrt())),
             least_key: -F::MAX,
         };
         if spec.options.order != Order::CentreDepth {
@@ -125,7 +121,8 @@ impl<F: Real> RayFootprint<F> {
         if self.depth > F::ZERO { least * self.depth } else { -F::MAX }
     }
 
-    /// Returns the sort key `λ z` at a pixel whose centre is at `px`, and with a lens `frame` whose ray has the slopes `slopes`.
+    /// Returns the sort key `λ z` at the pixel whose centre is at `px`. `lens` is the Gaussian's columns of a lens and the slopes of the
+    /// pixel's ray. The rounding is not that of [`RayRules::layer`]: it decides in which order layers come to be sorted, and not the result.
     #[inline(always)]
     pub fn key(&self, px: [F; 2], lens: Option<(&LensFrame<F>, [F; 2])>) -> F {
         let [dx, dy] = match lens {
@@ -309,9 +306,7 @@ impl<S: Simd, F: Real> RayRules<S, F> {
             if EXACT {
                 near = exponent.simd_le(lanes(splat.extent)) & sound;
             }
-            if splat.unbounded {
-                near &= key.abs().simd_le(self.farthest);
-            }
+            near &= key.abs().simd_le(self.farthest);
         }
         let power = if self.library {
             F::exp2_library(exponent)

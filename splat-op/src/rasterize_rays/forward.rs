@@ -7,7 +7,7 @@ use super::walk::front_to_back;
 use crate::intersect::TILE_PIXELS;
 use crate::rasterize::layer::{TilePixel, tile_origin};
 
-/// Writes the planes `[C + 1 (+ 1), H, W]`. `table` is not used.
+/// Writes the planes `[C + 1 (+ 1), H, W]`. `table` is that of the backward pass, which this one does not fill.
 #[cube(launch_unchecked)]
 pub(super) fn rasterize_rays_forward_kernel(inputs: RayInputs, planes: &mut [f32], table: &mut [u32], view: RayFrame) {
     let tile = CUBE_POS as u32;

@@ -211,7 +211,7 @@ mod tests {
     /// Sorts layers with these keys, `[layer][lane]`, of which a lane sees those with a positive one. Returns the layers of each
     /// lane, front to back, and the number of steps.
     #[inline(always)]
-    fn inserted<S: Simd>(simd: S, keys: &[Vec<f32>]) -> (Vec<Vec<usize>>, usize) {
+    fn sorted_layers<S: Simd>(simd: S, keys: &[Vec<f32>]) -> (Vec<Vec<usize>>, usize) {
         let mut slots = LayerSlots::<f32, 3>::default();
         slots.clear::<S>(keys.len());
         let zero = <f32 as Real>::Block::<S>::splat(simd, 0.0);
@@ -251,7 +251,7 @@ mod tests {
             };
             let lanes = dispatch!(Level::new(), simd => lanes_of(simd));
             let keys: Vec<Vec<f32>> = (0..LAYERS).map(|i| (0..lanes).map(|_| key(i)).collect()).collect();
-            let (found, steps) = dispatch!(Level::new(), simd => inserted(simd, &keys));
+            let (found, steps) = dispatch!(Level::new(), simd => sorted_layers(simd, &keys));
             for (lane, found) in found.iter().enumerate() {
                 let mut expected: Vec<usize> = (0..LAYERS).filter(|&i| keys[i][lane] > 0.0).collect();
                 expected.sort_by(|&a, &b| keys[a][lane].total_cmp(&keys[b][lane]));

@@ -14,7 +14,7 @@ use crate::project::COLUMNS;
 const NEAR: usize = 128;
 
 /// Number of layers that a unit finds in one pass through the tile's list and sorts in its registers.
-pub(super) const CHUNK: usize = 16;
+const CHUNK: usize = 16;
 
 /// What a unit gathers of its pixel.
 #[derive(CubeType)]

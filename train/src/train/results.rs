@@ -3,17 +3,27 @@
 use std::collections::BTreeMap;
 use std::fs;
 use std::io::Write;
+use std::path::Path;
 
 use anyhow::{Result, anyhow};
 use glam::DAffine3;
 use splat_model::capture::Capture;
 use splat_model::effects::background::Backdrop;
-use splat_model::ply;
+use splat_model::ply::{self, PlyError};
 use splat_model::trainer::{TrainConfig, TrainError, Trainer};
 
 use crate::output::OutputFolder;
 use crate::report::{BACKGROUND, POSES, SCENE};
 use crate::snapshots::matrix_rows;
+
+/// Writes the trained scene. Returns the number of its Gaussians that cannot be rendered.
+pub fn write_scene(trainer: &Trainer, capture: &Capture, path: &Path) -> Result<usize, PlyError> {
+    let scene = (trainer.gaussians().len(), trainer.gaussians().sh_degree());
+    let mut unusable = 0;
+    let parts = trainer.parts_of_rows().inspect(|part| unusable += part.unusable());
+    ply::write_parts(path, scene, parts, capture.world_frame())?;
+    Ok(unusable)
+}
 
 /// Writes what was learned beside the scene, and removes such files of an earlier run.
 pub fn write_learnt(trainer: &Trainer, config: &TrainConfig, capture: &Capture, out: &OutputFolder) -> Result<()> {
@@ -45,8 +55,8 @@ pub fn keep_scene(error: TrainError, trainer: &Trainer, capture: &Capture, out: 
         return error.into();
     }
     let path = out.join(SCENE);
-    let kept = match ply::write(&path, &trainer.rows(), capture.world_frame()) {
-        Ok(()) => format!("{} is the scene before that step", path.display()),
+    let kept = match write_scene(trainer, capture, &path) {
+        Ok(_) => format!("{} is the scene before that step", path.display()),
         Err(reason) => format!("the scene before that step could not be saved: {reason}"),
     };
     anyhow!("{error}. {kept}")

@@ -15,13 +15,12 @@ use splat_model::capture::{Capture, Photograph};
 use splat_model::density::Focus;
 use splat_model::effects::EffectKind;
 use splat_model::gaussians::Gaussians;
-use splat_model::ply;
 use splat_model::trainer::ranks::{Alone, Ranks};
 use splat_model::trainer::{TrainConfig, Trainer};
 
 use super::budget::{self, MemoryEstimate};
 use super::checkpoints::{self, Checkpoints, RunState, SavedRun, SoFar};
-use super::results::write_learnt;
+use super::results::{write_learnt, write_scene};
 use super::start::started;
 use super::steps::{Done, Steps};
 use super::{OUT, ResumeArgs, TrainArgs};
@@ -259,12 +258,9 @@ fn to_the_end(
     let background = trainer.background();
     let render_options = trainer.render_options();
     // Before measuring, so that a failure there does not lose the scene.
-    let (count, sh_degree) = (trainer.gaussians().len(), trainer.gaussians().sh_degree());
-    let mut unusable = 0;
-    let parts = trainer.parts_of_rows().inspect(|part| unusable += part.unusable());
-    ply::write_parts(&out.join(SCENE), (count, sh_degree), parts, capture.world_frame())?;
+    let unusable = write_scene(&trainer, &capture, &out.join(SCENE))?;
     write_learnt(&trainer, &config, &capture, &out)?;
-    progress::note_unusable(&out.join(SCENE), unusable, count);
+    progress::note_unusable(&out.join(SCENE), unusable, trainer.gaussians().len());
     let gaussians = match config.smoothing {
         true => Gaussians::from_rows(&trainer.rows(), &device)?,
         false => trainer.gaussians().untracked(),
