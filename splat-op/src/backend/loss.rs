@@ -31,7 +31,17 @@ pub struct Photometric<B: Backend> {
     pub gradient: OptionalTensor<B>,
 }
 
-/// The photometric loss and its window filter, on backends without autodiff; see `loss/`.
+/// What the loss needs of a photograph besides its planes, each of their shape.
+#[derive(Clone, Debug, ExtensionType)]
+#[extension_type(fusion: cfg(feature = "fusion"))]
+pub struct PhotographMoments<B: Backend> {
+    /// `μy`
+    pub mean: FloatTensor<B>,
+    /// `σy² + C2`
+    pub variance: FloatTensor<B>,
+}
+
+/// The photometric loss, on backends without autodiff; see `loss/`.
 #[backend_extension(Cube: cfg(feature = "cube"), Flex, NdArray, Fusion: cfg(feature = "fusion"))]
 pub trait PhotometricBackend: Backend {
     /// Returns `(1 − λ) |x − y| + λ (1 − S)`, divided by the number of values, and its derivative.
@@ -42,34 +52,13 @@ pub trait PhotometricBackend: Backend {
         with_gradient: bool,
     ) -> Photometric<Self>;
 
+    /// Returns the moments of a photograph's planes.
+    #[fusion(meta = |planes| PhotographMomentsMetadata { mean: planes.clone(), variance: planes.clone() })]
+    fn moments(planes: FloatTensor<Self>) -> PhotographMoments<Self>;
+
     /// Returns the same values in contiguous memory.
     #[fusion(dtype = planes, shape = planes)]
     fn contiguous(planes: FloatTensor<Self>) -> FloatTensor<Self>;
-}
-
-/// The moments of a photograph.
-#[derive(Clone, Debug, ExtensionType)]
-pub struct PhotographMoments<B: Backend> {
-    /// `μy`
-    pub mean: FloatTensor<B>,
-    /// `σy² + C2`
-    pub variance: FloatTensor<B>,
-}
-
-/// The moments of a photograph, on CPU backends without autodiff. On GPUs they are tensor code with [`WindowBackend`].
-#[backend_extension(Flex, NdArray)]
-pub trait MomentsBackend: Backend {
-    /// Returns the moments of planes, each of their shape.
-    fn moments(planes: FloatTensor<Self>) -> PhotographMoments<Self>;
-}
-
-/// The window filter, on GPU backends without autodiff.
-#[cfg(feature = "cube")]
-#[backend_extension(Cube, Fusion: cfg(feature = "fusion"))]
-pub trait WindowBackend: Backend {
-    /// Returns the filtered planes `Kx`, for any number of planes.
-    #[fusion(dtype = planes, shape = planes)]
-    fn window(planes: FloatTensor<Self>) -> FloatTensor<Self>;
 }
 
 #[cfg(feature = "fusion")]
@@ -126,17 +115,15 @@ macro_rules! cpu_backend {
                 }
             }
 
-            fn contiguous(planes: FloatTensor<Self>) -> FloatTensor<Self> {
-                <Self as HostBackend>::contiguous(planes)
-            }
-        }
-
-        impl MomentsBackend for $backend {
             fn moments(planes: FloatTensor<Self>) -> PhotographMoments<Self> {
                 match planes.dtype() {
                     DType::F64 => moments_host::<Self, f64>(planes),
                     _ => moments_host::<Self, f32>(planes),
                 }
+            }
+
+            fn contiguous(planes: FloatTensor<Self>) -> FloatTensor<Self> {
+                <Self as HostBackend>::contiguous(planes)
             }
         }
     };
@@ -153,7 +140,7 @@ mod gpu {
     use super::*;
     use crate::backend::cube::{buffer, on_device, tensor};
     use crate::gpu::Gpu;
-    use crate::loss::launch::{launch_photometric, launch_window};
+    use crate::loss::launch::{launch_moments, launch_photometric};
 
     impl PhotometricBackend for CubeBackend {
         fn photometric(inputs: ComparedTensors<Self>, lambda: f64, with_gradient: bool) -> Photometric<Self> {
@@ -165,16 +152,15 @@ mod gpu {
             Photometric { loss: tensor(loss, [1], DType::F32, like), gradient: gradient.into() }
         }
 
+        fn moments(planes: FloatTensor<Self>) -> PhotographMoments<Self> {
+            let gpu = Gpu::new(&planes.client);
+            let found = launch_moments(&gpu, &buffer(planes.clone()), picture_size(&planes.shape()));
+            let [mean, variance] = found.map(|values| tensor(values, planes.shape(), DType::F32, &planes));
+            PhotographMoments { mean, variance }
+        }
+
         fn contiguous(planes: FloatTensor<Self>) -> FloatTensor<Self> {
             into_contiguous(planes)
-        }
-    }
-
-    impl WindowBackend for CubeBackend {
-        fn window(planes: FloatTensor<Self>) -> FloatTensor<Self> {
-            let gpu = Gpu::new(&planes.client);
-            let filtered = launch_window(&gpu, &buffer(planes.clone()), picture_size(&planes.shape()));
-            tensor(filtered, planes.shape(), DType::F32, &planes)
         }
     }
 }

@@ -8,11 +8,12 @@ use std::ops::Range;
 use fearless_simd::{Level, dispatch, prelude::*};
 use rayon::prelude::*;
 
+use super::border::Excess;
 use super::taps::{C1, C2, Compared, TAPS, half_window};
 use crate::simd::real::{LANES, Real};
 
 /// Number of taps on one side of the middle.
-const HALF: usize = TAPS / 2;
+pub(super) const HALF: usize = TAPS / 2;
 
 /// Number of rows per task. The first sweep goes over five rows more above and below, and filters ten.
 const BAND: usize = 96;
@@ -45,7 +46,8 @@ pub(crate) fn photometric_cpu<F: Real>(
     if inputs.image.is_empty() {
         return (F::ZERO, with_gradient.then(Vec::new));
     }
-    let job = LossTask { inputs, size, lambda: F::of(lambda), share: F::of(1.0 / inputs.image.len() as f64) };
+    let share = F::of(1.0 / inputs.image.len() as f64);
+    let job = LossTask { inputs, size, lambda: F::of(lambda), share, excess: &Excess::new(size) };
     let mut gradient = vec![F::ZERO; if with_gradient { inputs.image.len() } else { 0 }];
     let mut rest = gradient.as_mut_slice();
     let part = |band: RowBand| {
@@ -84,9 +86,10 @@ pub(crate) fn moments_cpu<F: Real>(planes: &[F], size: PlaneSize) -> [Vec<F>; 2]
         (band, mean, variance)
     };
     let parts: Vec<(RowBand, &mut [F], &mut [F])> = bands(planes.len(), size).map(part).collect();
+    let excess = Excess::<F>::new(size);
     parts.into_par_iter().for_each(|(band, mean, variance)| {
         dispatch!(Level::new(), simd => {
-            let (one, c2) = (splat(simd, F::ONE), splat(simd, F::of(C2)));
+            let c2 = splat(simd, F::of(C2));
             let mut sweep = Sweep::<F, 2>::new(size.width);
             let fill = |row: usize, [to, own]: [&mut [F]; 2]| {
                 let plane = &planes[size.row(band.plane, row)..][..size.width];
@@ -97,8 +100,9 @@ pub(crate) fn moments_cpu<F: Real>(planes: &[F], size: PlaneSize) -> [Vec<F>; 2]
             sweep.run(simd, band.rows.clone(), size.height, fill, #[inline(always)] |row, column, [mean_y, own]| {
                 let first = (row - band.rows.start) * size.width;
                 let columns = first + column..first + size.width;
+                let [rest_y] = excess.rest(simd, [row, column], [mean_y]);
                 store(mean_y, &mut mean[columns.clone()]);
-                store(mean_y * (one - mean_y) - own + c2, &mut variance[columns]);
+                store(mean_y * rest_y - own + c2, &mut variance[columns]);
             });
         });
     });
@@ -106,7 +110,7 @@ pub(crate) fn moments_cpu<F: Real>(planes: &[F], size: PlaneSize) -> [Vec<F>; 2]
 }
 
 #[inline(always)]
-fn splat<S: Simd, F: Real>(simd: S, value: F) -> F::Lanes<S> {
+pub(super) fn splat<S: Simd, F: Real>(simd: S, value: F) -> F::Lanes<S> {
     F::Lanes::<S>::splat(simd, value)
 }
 
@@ -131,6 +135,7 @@ struct LossTask<'a, F> {
     lambda: F,
     /// One divided by the number of values.
     share: F,
+    excess: &'a Excess<F>,
 }
 
 impl<F: Real> LossTask<'_, F> {
@@ -171,7 +176,7 @@ impl<F: Real> LossTask<'_, F> {
                 let rest = line(row).start + column..line(row).end;
                 let (x, y) = (load(simd, &inputs.image[rest.clone()]), load(simd, &inputs.truth[rest.clone()]));
                 let (mean_y, variance) = (load(simd, &inputs.mean[rest.clone()]), load(simd, &inputs.variance[rest]));
-                let (rest_x, rest_y) = (one - mean_x, one - mean_y);
+                let [rest_x, rest_y] = self.excess.rest(simd, [row, column], [mean_x, mean_y]);
                 let a1 = (mean_x * mean_y).mul_add(two, c1);
                 let a2 = mean_y.mul_add(rest_x, mean_x * rest_y) - both + c2;
                 let b1 = mean_y.mul_add(mean_y, mean_x * mean_x) + c1;
@@ -240,7 +245,7 @@ impl<F: Real> LossTask<'_, F> {
 }
 
 /// A filter that goes down `N` maps at once.
-struct Sweep<F, const N: usize> {
+pub(super) struct Sweep<F, const N: usize> {
     /// A row of each map with [`HALF`] zeros before it and zeros behind it.
     padded: [Vec<F>; N],
     /// By map, for each vector of columns: the last [`TAPS`] rows, filtered along their length. Row `r` is in slot
@@ -251,7 +256,7 @@ struct Sweep<F, const N: usize> {
 }
 
 impl<F: Real, const N: usize> Sweep<F, N> {
-    fn new(width: usize) -> Self {
+    pub fn new(width: usize) -> Self {
         let vectors = width.div_ceil(LANES);
         Self {
             padded: std::array::from_fn(|_| vec![F::ZERO; vectors * LANES + 2 * HALF]),
@@ -263,7 +268,7 @@ impl<F: Real, const N: usize> Sweep<F, N> {
     /// Filters rows `rows` of maps of `height` rows. `fill` writes a row of each map. `each` receives `row`, `column`
     /// and the filtered maps at that pixel and the seven pixels after it; values beyond the width mean nothing.
     #[inline(always)]
-    fn run<S: Simd>(
+    pub fn run<S: Simd>(
         &mut self,
         simd: S,
         rows: Range<usize>,

@@ -1,4 +1,4 @@
-//! Kernels of the four passes of the loss and of the plain window. A unit holds a strip of values along the axis of its
+//! Kernels of the passes of the loss and of a photograph's moments. A unit holds a strip of values along the axis of its
 //! pass.
 
 use cubecl::prelude::*;
@@ -34,6 +34,8 @@ pub(super) struct TermWeights {
     pub lambda: f32,
     /// `1/N`
     pub share: f32,
+    /// One, as a number that compilers do not know: Mesa's move constants to the end of a sum, where they take the digits of the others.
+    pub one: f32,
 }
 
 /// Strip of values of a unit.
@@ -111,15 +113,53 @@ fn windowed(values: &Array<f32>, #[comptime] i: usize) -> f32 {
     #[unroll]
     for k in 1..comptime!(HALF) {
         let d = comptime!(HALF - k);
-        sum += comptime!(taps[d]) * (values[comptime!(middle - d)] + values[comptime!(middle + d)]);
+        sum = fma(f32::new(comptime!(taps[d])), values[comptime!(middle - d)] + values[comptime!(middle + d)], sum);
     }
-    sum + values[middle] * comptime!(taps[0])
+    fma(values[middle], f32::new(comptime!(taps[0])), sum)
 }
 
-/// Applies the window along one axis.
+/// Returns the window around value `at` of a line of `len` values that are `value`, rounded as every window is, and its share beyond
+/// the line.
+#[cube]
+fn window_of_equals(value: f32, at: u32, len: u32) -> (f32, f32) {
+    let taps = comptime!(half_window().map(|tap| tap as f32));
+    let mut values = Array::<f32>::new(comptime!(TAPS));
+    let mut beyond = 0.0f32;
+    values[comptime!(HALF)] = value;
+    #[unroll]
+    for k in 0..comptime!(HALF) {
+        let d = comptime!(HALF - k);
+        let (before, behind) = (at >= comptime!(d as u32), at + comptime!(d as u32) < len);
+        values[comptime!(HALF - d)] = select(before, value, 0.0);
+        values[comptime!(HALF + d)] = select(behind, value, 0.0);
+        beyond += select(before, 0.0, comptime!(taps[d])) + select(behind, 0.0, comptime!(taps[d]));
+    }
+    (windowed(&values, 0usize), beyond)
+}
+
+/// Whether the window around value `at` of a line of `len` values leaves the line.
+#[cube]
+fn leaves(at: u32, len: u32) -> bool {
+    at < comptime!(HALF as u32) || at + comptime!(HALF as u32) >= len
+}
+
+/// Returns the excess at the value with this index; see [`super`].
+#[cube]
+fn excess_at(index: usize, planes: &Planes, one: f32) -> f32 {
+    let (column, row) = (index as u32 % planes.width, index as u32 / planes.width % planes.height);
+    let mut excess = 0.0f32;
+    if leaves(column, planes.width) || leaves(row, planes.height) {
+        let (down, above) = window_of_equals(one, row, planes.height);
+        let (ones, aside) = window_of_equals(down, column, planes.width);
+        excess = ((ones - one) + fma(aside, one - above, above)) / ones;
+    }
+    excess
+}
+
+/// Applies the window down the columns.
 #[cube(launch_unchecked)]
-pub(super) fn window_kernel(from: &[f32], to: &mut [f32], planes: Planes, #[comptime] vertical: bool) {
-    let (own, strip) = (own_strip(planes, vertical), comptime!(strip_of(vertical)));
+pub(super) fn columns_kernel(from: &[f32], to: &mut [f32], planes: Planes) {
+    let (own, strip) = (own_strip(planes, true), comptime!(strip_of(true)));
     if own.exists {
         let values = own.load(from, 0usize, strip);
         #[unroll]
@@ -158,6 +198,28 @@ pub(super) fn moments_kernel(image: &[f32], truth: &[f32], moments: &mut [f32], 
     }
 }
 
+/// Applies the window along the rows of the first two of a photograph's three moments. Writes `μy` and `σy² + C2`, `[C, H, W]`. `one` is
+/// that of [`TermWeights`].
+#[cube(launch_unchecked)]
+pub(super) fn photograph_kernel(moments: &[f32], mean: &mut [f32], variance: &mut [f32], planes: Planes, one: f32) {
+    let (own, strip) = (own_strip(planes, false), comptime!(strip_of(false)));
+    if own.exists {
+        let map = (planes.width * planes.height * planes.count) as usize;
+        let m = own.load(moments, 0usize, strip);
+        let mm = own.load(moments, map, strip);
+        #[unroll]
+        for i in 0..strip {
+            if own.holds(i) {
+                let at = own.at(i);
+                let mean_y = windowed(&m, i);
+                let rest_y = fma(mean_y, excess_at(at, &planes, one), one - mean_y);
+                mean[at] = mean_y;
+                variance[at] = fma(mean_y, rest_y, -windowed(&mm, i)) + comptime!(C2 as f32);
+            }
+        }
+    }
+}
+
 /// The index of one value, `2 S/N`, and its derivatives with respect to `μx`, `Kx²` (twice) and `Kxy`.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
@@ -170,15 +232,25 @@ pub(super) struct Similarity {
 
 #[cube]
 impl Similarity {
-    /// Computes the index from `μx`, `P`, `Q`, and the photograph's mean and `σy² + C2`. `share` is `1/N`.
-    pub fn of(mean_x: f32, own: f32, both: f32, mean_y: f32, variance_y: f32, share: f32) -> Similarity {
-        let rest_x = 1.0 - mean_x;
-        let rest_y = 1.0 - mean_y;
-        let a1 = 2.0 * mean_x * mean_y + comptime!(C1 as f32);
-        let a2 = mean_x * rest_y + mean_y * rest_x - both + comptime!(C2 as f32);
-        let b1 = mean_x * mean_x + mean_y * mean_y + comptime!(C1 as f32);
-        let b2 = mean_x * rest_x - own + variance_y;
-        let inverse = 2.0 * share / (b1 * b2);
+    /// Computes the index from `μx`, `P`, `Q`, the photograph's mean and `σy² + C2`, and the excess. Products that are added are `fma`,
+    /// so that the index has the same bits with and without its derivatives.
+    pub fn of(
+        mean_x: f32,
+        own: f32,
+        both: f32,
+        mean_y: f32,
+        variance_y: f32,
+        excess: f32,
+        weights: &TermWeights,
+    ) -> Similarity {
+        let rest_x = fma(mean_x, excess, weights.one - mean_x);
+        let rest_y = fma(mean_y, excess, weights.one - mean_y);
+        let a1 = fma(2.0 * mean_x, mean_y, comptime!(C1 as f32));
+        // The constant comes last: beside one it would lose its digits.
+        let a2 = fma(mean_x, rest_y, fma(mean_y, rest_x, -both)) + comptime!(C2 as f32);
+        let b1 = fma(mean_x, mean_x, fma(mean_y, mean_y, comptime!(C1 as f32)));
+        let b2 = fma(mean_x, rest_x, -own) + variance_y;
+        let inverse = 2.0 * weights.share / (b1 * b2);
         let d_xy = inverse * a1;
         let index = d_xy * a2;
         let twice_d_xx = -(index / b2);
@@ -215,9 +287,10 @@ pub(super) fn index_kernel(
             if own.holds(i) {
                 let at = own.at(i);
                 let (mean_x, own, both) = (windowed(&m, i), windowed(&mm, i), windowed(&mt, i));
-                let found = Similarity::of(mean_x, own, both, mean_y[at], variance_y[at], weights.share);
+                let excess = excess_at(at, &planes, weights.one);
+                let found = Similarity::of(mean_x, own, both, mean_y[at], variance_y[at], excess, &weights);
                 let apart = (image[at] - truth[at]).abs();
-                share += weights.absolute * apart + weights.lambda * (weights.share - 0.5 * found.index);
+                share += fma(weights.absolute, apart, weights.lambda * fma(-0.5, found.index, weights.share));
                 #[comptime]
                 if let ComptimeOption::Some(out) = &mut derivatives {
                     out[at] = found.d_mean;

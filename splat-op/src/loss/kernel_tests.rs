@@ -1,20 +1,37 @@
-//! Tests of the window and the loss on GPUs against sums written out in f64.
+//! Tests of the moments and the loss on GPUs against sums written out in f64.
 
-use super::launch::{launch_photometric, launch_window};
+use super::launch::{launch_moments, launch_photometric};
 use super::taps::Compared;
-use super::tests::{pictures, shares, window};
+use super::tests::{moments_of, pictures, shares, variance_of_white};
 use crate::gpu::Buffer;
 use crate::testing::ceiling::{PerturbedReference, to_f32};
 use crate::testing::gpu::gpus;
 
 #[test]
-fn window_is_the_double_sum() {
+fn moments_are_double_sums() {
     for (size, planes) in [([1, 1], 1), ([3, 40], 2), ([33, 17], 3), ([101, 64], 1)] {
         let inputs = pictures(size, planes);
-        let reference = PerturbedReference::new(&inputs[..1], |inputs| vec![window(&inputs[0], size)]);
+        let reference = PerturbedReference::new(&inputs[1..2], |inputs| moments_of(&inputs[0], size).to_vec());
         for (form, gpu) in gpus() {
-            let found = launch_window(&gpu, &Buffer::from_slice(&gpu, &to_f32(&inputs[0])), size).read(&gpu);
-            reference.check(&format!("{size:?}, {form}"), 0, &found, &vec![Some(0); found.len()]);
+            let found = launch_moments(&gpu, &Buffer::from_slice(&gpu, &to_f32(&inputs[1])), size);
+            for (i, found) in found.into_iter().enumerate() {
+                let found = found.read(&gpu);
+                reference.check(&format!("{size:?}, {form}"), i, &found, &vec![Some(0); found.len()]);
+            }
+        }
+    }
+}
+
+#[test]
+fn a_white_picture_keeps_the_digits_of_its_variance() {
+    for size in [[1, 1], [3, 40], [33, 17], [101, 64]] {
+        for (form, gpu) in gpus() {
+            let white = Buffer::from_slice(&gpu, &vec![1.0_f32; size[0] * size[1]]);
+            let [_, variance] = launch_moments(&gpu, &white, size);
+            for (i, (found, expected)) in variance.read(&gpu).into_iter().zip(variance_of_white(size)).enumerate() {
+                let error = (f64::from(found) - expected).abs();
+                assert!(error <= 1e-6 * expected, "{size:?}, {form}, {i}: {found} instead of {expected}");
+            }
         }
     }
 }

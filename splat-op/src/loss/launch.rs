@@ -3,8 +3,8 @@
 use cubecl::prelude::{CubeCount, CubeDim};
 
 use super::forward::{
-    PlanesLaunch, TermWeightsLaunch, gradient_kernel, index_kernel, moments_kernel, strip_of, total_kernel,
-    window_kernel,
+    PlanesLaunch, TermWeightsLaunch, columns_kernel, gradient_kernel, index_kernel, moments_kernel, photograph_kernel,
+    strip_of, total_kernel,
 };
 use super::taps::Compared;
 use crate::gpu::{Buffer, Gpu, UNITS, elementwise};
@@ -16,19 +16,19 @@ fn pass(values: usize, [width, height]: [usize; 2], vertical: bool) -> (CubeCoun
     (grid, dim, PlanesLaunch::new(width as u32, height as u32, (values / (width * height)) as u32))
 }
 
-/// Returns `Kx` of planes of the given width and height.
-pub(crate) fn launch_window(gpu: &Gpu, planes: &Buffer<f32>, size: [usize; 2]) -> Buffer<f32> {
-    let (down, along) = (Buffer::new(gpu, planes.len), Buffer::new(gpu, planes.len));
-    launch_direction(gpu, planes, &down, size, true);
-    launch_direction(gpu, &down, &along, size, false);
-    along
-}
-
-/// Applies the window along one axis.
-fn launch_direction(gpu: &Gpu, from: &Buffer<f32>, to: &Buffer<f32>, size: [usize; 2], vertical: bool) {
-    let (grid, dim, planes) = pass(from.len, size, vertical);
+/// Returns the mean `μ` and `σ² + C2` of a photograph's planes of the given width and height.
+pub(crate) fn launch_moments(gpu: &Gpu, photograph: &Buffer<f32>, size: [usize; 2]) -> [Buffer<f32>; 2] {
+    let (client, values) = (&gpu.client, photograph.len);
+    let columns: Buffer<f32> = Buffer::new(gpu, 3 * values);
+    let [mean, variance] = [(); 2].map(|()| Buffer::new(gpu, values));
     // SAFETY: strips beyond the last plane and values beyond the line are guarded.
-    unsafe { window_kernel::launch_unchecked(&gpu.client, grid, dim, from.arg(), to.arg(), planes, vertical) };
+    unsafe {
+        let (grid, dim, planes) = pass(values, size, true);
+        moments_kernel::launch_unchecked(client, grid, dim, photograph.arg(), photograph.arg(), columns.arg(), planes);
+        let (grid, dim, planes) = pass(values, size, false);
+        photograph_kernel::launch_unchecked(client, grid, dim, columns.arg(), mean.arg(), variance.arg(), planes, 1.0);
+    }
+    [mean, variance]
 }
 
 /// Returns the loss, `[1]`, and, if `with_gradient` is set, its gradient, `[C, H, W]`.
@@ -41,11 +41,11 @@ pub(crate) fn launch_photometric(
 ) -> (Buffer<f32>, Option<Buffer<f32>>) {
     let (client, values) = (&gpu.client, inputs.image.len);
     let share = 1.0 / values as f64;
-    let weights = || TermWeightsLaunch::new(((1.0 - lambda) * share) as f32, lambda as f32, share as f32);
+    let weights = || TermWeightsLaunch::new(((1.0 - lambda) * share) as f32, lambda as f32, share as f32, 1.0);
     let [image, truth, mean, variance] = inputs.each_ref().into_array();
     let cubes = values.div_ceil(UNITS * strip_of(false));
     let (shares, total) = (Buffer::<f32>::new(gpu, cubes), Buffer::new(gpu, 1));
-    let derivatives = Buffer::if_needed(gpu, with_gradient, 3 * values);
+    let derivatives = Buffer::<f32>::if_needed(gpu, with_gradient, 3 * values);
     let gradient = Buffer::if_needed(gpu, with_gradient, values);
     let moments: Buffer<f32> = Buffer::new(gpu, 3 * values);
     // SAFETY: strips beyond the last plane and values beyond the line are guarded.
@@ -73,12 +73,13 @@ pub(crate) fn launch_photometric(
     }
     if let (Some(derivatives), Some(gradient)) = (&derivatives, &gradient) {
         // The moments are not read again: their memory takes the derivatives' filtered columns.
-        launch_direction(gpu, derivatives, &moments, size, true);
-        let (grid, dim, planes) = pass(values, size, false);
-        let (image, truth, derivatives, gradient) = (image.arg(), truth.arg(), moments.arg(), gradient.arg());
+        let (image, truth, filtered, gradient) = (image.arg(), truth.arg(), moments.arg(), gradient.arg());
         // SAFETY: as above.
         unsafe {
-            gradient_kernel::launch_unchecked(client, grid, dim, image, truth, derivatives, gradient, planes, weights())
+            let (grid, dim, planes) = pass(3 * values, size, true);
+            columns_kernel::launch_unchecked(client, grid, dim, derivatives.arg(), moments.arg(), planes);
+            let (grid, dim, planes) = pass(values, size, false);
+            gradient_kernel::launch_unchecked(client, grid, dim, image, truth, filtered, gradient, planes, weights());
         };
     }
     (total, gradient)

@@ -13,12 +13,17 @@
 //! `P = K x(1 − x)` and `Q = K (x(1 − y) + y(1 − x))`, with `σx² = μx(1 − μx) − P` and `2 σxy = μx(1 − μy) + μy(1 − μx) − Q`.
 //! They are at most ¼ and 1, vanish where both pictures are black or white, and are zero outside the picture like `x` and `y`.
 //!
+//! Near the border of a white picture `1 − μ` is the share `o` of the window beyond the border, of which `μ` in f32 leaves few digits. What
+//! `μ` lost is known, because rounding of the same sums turned the window of ones, `1 − o`, into `w`. So `1 − μ` is computed as
+//! `(1 − μ) + e μ` with the excess `e = ((w − 1) + o) / w`: as exact for white as for black, and zero inside the picture.
+//!
 //! The derivatives are those with respect to `Kx²` and `Kxy`, which cancel nothing where the pictures are black. As `K` is its own
 //! adjoint, `∂S/∂x = K ∂μx + 2 x K ∂Kx² + y K ∂Kxy`, `∂Kxy = 2 A1/(B1 B2)`, `∂Kx² = −S/B2`,
 //! `∂μx = 2 μy (A2 − A1)/(B1 B2) + 2 μx S (1/B2 − 1/B1)`.
 //!
 //! Shapes: all tensors are `[.., H, W]`, of at least two dimensions, with values 0 to 1.
 
+mod border;
 pub(crate) mod cpu;
 #[cfg(feature = "cube")]
 mod forward;
@@ -36,9 +41,7 @@ use taps::Compared;
 pub use taps::{C1, C2, SIGMA_PX, TAPS};
 
 use crate::abilities::is_gpu;
-#[cfg(feature = "cube")]
-use crate::backend::loss::WindowBackend;
-use crate::backend::loss::{MomentsBackend, PhotographMoments, PhotometricBackend};
+use crate::backend::loss::{PhotographMoments, PhotometricBackend};
 
 /// Computes the loss of `image` against a photograph, `[.., H, W]` f32, or f64 on CPUs, without autodiff. Returns
 /// the loss and, if `with_gradient` is set, its gradient.
@@ -66,17 +69,8 @@ pub fn photometric<const D: usize>(
 /// [`photometric`] takes besides the planes.
 pub fn moments<const D: usize>(photograph: &Tensor<D>) -> [Tensor<D>; 2] {
     check(photograph);
-    #[cfg(feature = "cube")]
-    if is_gpu(&photograph.device()) {
-        let window =
-            |planes: Tensor<D>| Tensor::<D>::from_dispatch(<Dispatch as WindowBackend>::window(planes.into_dispatch()));
-        let own = |y: &Tensor<D>| (y.clone().neg() + 1.0) * y.clone();
-        let mean = window(photograph.clone());
-        let variance = own(&mean) - window(own(photograph)) + C2;
-        return [mean, variance];
-    }
     let PhotographMoments { mean, variance } =
-        <Dispatch as MomentsBackend>::moments(photograph.clone().into_dispatch());
+        <Dispatch as PhotometricBackend>::moments(photograph.clone().into_dispatch());
     [mean, variance].map(Tensor::from_dispatch)
 }
 

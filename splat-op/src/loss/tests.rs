@@ -7,7 +7,7 @@ use crate::testing::ceiling::{PerturbedReference, rounded, to_f32};
 use crate::testing::random::Random;
 
 /// `Kx` by the definition: every pair of a pixel and a tap.
-pub(super) fn window(x: &[f64], [width, height]: [usize; 2]) -> Vec<f64> {
+fn window(x: &[f64], [width, height]: [usize; 2]) -> Vec<f64> {
     let weight = |d: usize| (-(d as f64).powi(2) / 4.5).exp();
     let sum = weight(0) + 2.0 * (1..=5).map(weight).sum::<f64>();
     let mut out = vec![0.0; x.len()];
@@ -40,11 +40,25 @@ pub(super) fn shares(inputs: &[Vec<f64>], size: [usize; 2], lambda: f64) -> Vec<
 }
 
 /// Mean and `σy² + C2` by the definition.
-fn moments_of(y: &[f64], size: [usize; 2]) -> [Vec<f64>; 2] {
+pub(super) fn moments_of(y: &[f64], size: [usize; 2]) -> [Vec<f64>; 2] {
     let mean = window(y, size);
     let square: Vec<f64> = y.iter().map(|y| y * y).collect();
     let variance = window(&square, size).iter().zip(&mean).map(|(yy, m)| yy - m * m + 9e-4).collect();
     [mean, variance]
+}
+
+/// `σ² + C2` of a white picture by the share of the window beyond the border, each of whose taps is positive.
+pub(super) fn variance_of_white([width, height]: [usize; 2]) -> Vec<f64> {
+    let weight = |d: i64| (-(d as f64).powi(2) / 4.5).exp();
+    let sum: f64 = (-5..=5).map(weight).sum();
+    let beyond = |row: i64, column: i64| -> f64 {
+        let around = (-5..=5).flat_map(|down| (-5..=5).map(move |along| (down, along)));
+        let inside =
+            |down, along| (0..height as i64).contains(&(row + down)) && (0..width as i64).contains(&(column + along));
+        around.filter(|&(d, a)| !inside(d, a)).map(|(d, a)| weight(d) * weight(a) / (sum * sum)).sum()
+    };
+    let pixels = (0..height as i64).flat_map(|row| (0..width as i64).map(move |column| (row, column)));
+    pixels.map(|(row, column)| beyond(row, column)).map(|o| o * (1.0 - o) + 9e-4).collect()
 }
 
 /// A picture and a photograph, rounded to f32, and the photograph's mean and `σy² + C2`.
@@ -86,6 +100,18 @@ fn moments_are_double_sums() {
             for (i, narrow) in moments_cpu(&to_f32(&photograph), PlaneSize { width, height }).iter().enumerate() {
                 reference.check(&format!("{size:?}"), i, narrow, &vec![Some(0); narrow.len()]);
             }
+        }
+    }
+}
+
+#[test]
+fn a_white_picture_keeps_the_digits_of_its_variance() {
+    for size @ [width, height] in SIZES {
+        let white = vec![1.0_f32; width * height];
+        let [_, variance] = moments_cpu(&white, PlaneSize { width, height });
+        for (i, (&found, expected)) in variance.iter().zip(variance_of_white(size)).enumerate() {
+            let error = (f64::from(found) - expected).abs();
+            assert!(error <= 6e-7 * expected, "{size:?}, {i}: {found} instead of {expected}");
         }
     }
 }
