@@ -121,18 +121,29 @@ impl<F: Real> RayFootprint<F> {
         if self.depth > F::ZERO { least * self.depth } else { -F::MAX }
     }
 
-    /// Returns the sort key `λ z` at the pixel whose centre is at `px`. `lens` is the Gaussian's columns of a lens and the slopes of the
-    /// pixel's ray. The rounding is not that of [`RayRules::layer`]: it decides in which order layers come to be sorted, and not the result.
+    /// Returns the columns of a lens that take the slopes of a ray to its whitened coordinates, from those that take them to px.
+    #[inline(always)]
+    pub fn whitening(&self, frame: LensFrame<F>) -> LensFrame<F> {
+        let [x, y] = frame.by;
+        let u = each!(x, |by| by * self.inverse_u);
+        let v = each!([0, 1], |slope| (y[slope] - self.shear * x[slope]) * self.inverse_v);
+        LensFrame { by: [u, v], ..frame }
+    }
+
+    /// Returns the sort key `λ z` at the pixel whose centre is at `px`. `lens` is [`Self::whitening`] and the slopes of the pixel's ray. The
+    /// rounding is not that of [`RayRules::layer`]: it decides in which order layers come to be sorted, and not the result.
     #[inline(always)]
     pub fn key(&self, px: [F; 2], lens: Option<(&LensFrame<F>, [F; 2])>) -> F {
-        let [dx, dy] = match lens {
+        let [u, v] = match lens {
             Some((frame, slopes)) => {
                 let [x, y] = [slopes[0] - frame.centre[0], slopes[1] - frame.centre[1]];
-                [frame.by[0][0] * x + frame.by[0][1] * y, frame.by[1][0] * x + frame.by[1][1] * y]
+                each!(frame.by, |[by_x, by_y]| by_x * x + by_y * y)
             }
-            None => [px[0] - self.base_px[0], px[1] - self.base_px[1]],
+            None => {
+                let [dx, dy] = [px[0] - self.base_px[0], px[1] - self.base_px[1]];
+                [dx * self.inverse_u, (dy - self.shear * dx) * self.inverse_v]
+            }
         };
-        let (u, v) = (dx * self.inverse_u, (dy - self.shear * dx) * self.inverse_v);
         let s = F::ONE - self.depth_slope[0] * u - self.depth_slope[1] * v;
         let d = s * s + self.thick * (u * u + v * v);
         let product = self.gamma * s + self.thick * (self.centre[0] * u + self.centre[1] * v);
@@ -145,13 +156,12 @@ impl<F: Real> RayFootprint<F> {
         self.beyond[0] | self.beyond[1]
     }
 
-    /// Returns the whitened coordinates `u`, `v` of an offset from the origin, px, and `u² + v²`.
+    /// Returns the whitened coordinates `u` and `v` of pixels.
     #[inline(always)]
-    fn whiten<S: Simd>(&self, dx: F::Block<S>, dy: F::Block<S>) -> (F::Block<S>, F::Block<S>, F::Block<S>) {
-        let lanes = |value: F| F::Block::<S>::splat(dx.token(), value);
-        let u = dx * lanes(self.inverse_u);
-        let v = lanes(-self.shear).mul_add(dx, dy) * lanes(self.inverse_v);
-        (u, v, u.mul_add(u, v * v))
+    fn whiten<S: Simd>(&self, pixels: &RayPixels<S, F>) -> [F::Block<S>; 2] {
+        let lanes = |value: F| F::Block::<S>::splat(pixels.x.token(), value);
+        let [dx, dy] = [pixels.x - lanes(self.base_px[0]), pixels.y - lanes(self.base_px[1])];
+        [dx * lanes(self.inverse_u), lanes(-self.shear).mul_add(dx, dy) * lanes(self.inverse_v)]
     }
 
     /// Returns the negative gradient of a position, px, from that of its whitened coordinates.
@@ -239,7 +249,7 @@ impl<S: Simd, F: Real> RayRules<S, F> {
         }
     }
 
-    /// Evaluates a Gaussian with its columns of a lens, if there is one. With `EXACT` its value is its maximum along the ray; without
+    /// Evaluates a Gaussian, whose frame is [`RayFootprint::whitening`] if there is a lens. With `EXACT` its value is its maximum along the ray; without
     /// `EXACT` and `KEYED`, `lambda`, `inverse` and `key` are arbitrary. `known` is `inverse`, if it is known from before.
     #[inline(always)]
     pub fn layer<const EXACT: bool, const KEYED: bool>(
@@ -250,7 +260,7 @@ impl<S: Simd, F: Real> RayRules<S, F> {
     ) -> RayLayerSimd<S, F> {
         let simd = self.simd;
         let lanes = |value: F| F::Block::<S>::splat(simd, value);
-        // Offsets of the pixel's ray, by which the projection of a lens is exact, and of its position.
+        // Of the pixel's ray, by which the projection of a lens is exact, and of its position.
         let ray = match (pixels.slopes, frame) {
             (Some([x, y]), Some(frame)) if EXACT || KEYED => {
                 let (x, y) = (x - lanes(frame.centre[0]), y - lanes(frame.centre[1]));
@@ -258,23 +268,20 @@ impl<S: Simd, F: Real> RayRules<S, F> {
             }
             _ => None,
         };
-        let [dx, dy] = match ray {
+        let [u, v] = match ray {
             Some(ray) if EXACT => ray,
-            _ => [pixels.x - lanes(splat.base_px[0]), pixels.y - lanes(splat.base_px[1])],
+            _ => splat.whiten(pixels),
         };
-        let (u, v, square) = splat.whiten::<S>(dx, dy);
-        let met = match ray {
-            Some([dx, dy]) if !EXACT => splat.whiten::<S>(dx, dy),
-            _ => (u, v, square),
-        };
+        let [met_u, met_v] = ray.unwrap_or([u, v]);
+        let square = u.mul_add(u, v * v);
         let (mut lambda, mut inverse, mut key, mut along) = (self.zero, self.zero, self.zero, self.zero);
         let mut apart = [self.zero; 3];
         let mut exponent = square * self.half_log2_e;
         let mut near = exponent.simd_le(lanes(splat.extent));
         if EXACT || KEYED {
             let [slope_u, slope_v] = each!(splat.depth_slope, |slope| lanes(-slope));
-            let s = slope_u.mul_add(met.0, slope_v.mul_add(met.1, self.one));
-            let d = lanes(splat.thick).mul_add(met.2, s * s);
+            let s = slope_u.mul_add(met_u, slope_v.mul_add(met_v, self.one));
+            let d = lanes(splat.thick).mul_add(met_u.mul_add(met_u, met_v * met_v), s * s);
             let mut sound = if EXACT { s.simd_gt(self.nearest) } else { d.simd_gt(self.d_min) };
             if EXACT && splat.is_beyond() {
                 let ([alpha, beta], gamma, thick) =

@@ -121,9 +121,9 @@ impl<F: Real> RayTile<F> {
         self.near.extend(self.places.iter().map(|&place| view.footprints[view.gaussian(place)]));
         self.frames.clear();
         if view.rays.is_some() {
-            for place in &self.places {
+            for (place, splat) in self.places.iter().zip(&self.near) {
                 let row = &view.depth_slope[view.gaussian(*place) * LENS_COLUMNS..][..LENS_COLUMNS];
-                self.frames.push(LensFrame::of(row).unwrap_or_default());
+                self.frames.push(splat.whitening(LensFrame::of(row).unwrap_or_default()));
             }
         }
         if SORTED {
