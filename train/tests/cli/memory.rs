@@ -21,7 +21,9 @@ fn a_run_without_room_for_photographs_is_the_same() {
 #[test]
 fn the_allocator_has_the_options_of_the_program() {
     let ended = succeed(splat(&["--version"]).env("_RJEM_MALLOC_CONF", "stats_print:true"));
-    for option in ["opt.narenas: 1", "opt.oversize_threshold: 0", "opt.dirty_decay_ms: 1000", "opt.muzzy_decay_ms: 0"] {
+    // It does not print all of them, but says which it does not know.
+    assert!(!ended.stderr.contains("Invalid conf"), "{}", ended.stderr);
+    for option in ["opt.narenas: 1", "opt.oversize_threshold: 67108864"] {
         assert!(ended.stderr.lines().any(|line| line.trim().split(" (").next() == Some(option)), "{}", ended.stderr);
     }
 }
