@@ -4,8 +4,7 @@ use std::path::Path;
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use splat_model::formats::ROWS_AT_ONCE;
-use splat_model::gaussians::GaussianRows;
+use splat_model::gaussians::{GaussianRows, ROWS_AT_ONCE};
 use splat_model::ply::{PlyError, WorldFrame, write_parts};
 
 /// Random splats, the same in each run.

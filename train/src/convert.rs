@@ -6,10 +6,10 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, ensure};
 use clap::{ValueEnum, value_parser};
 use splat_model::formats::{
-    self, ConvertOptions, Converted, Deviation, Format, QuantisationError, QuantisationSums, ROWS_AT_ONCE, SceneFile,
-    SceneReader, SogOptions, SpzOptions, SpzVersion,
+    self, ConvertOptions, Converted, Deviation, Format, QuantisationError, QuantisationSums, SceneFile, SceneReader,
+    SogOptions, SpzOptions, SpzVersion,
 };
-use splat_model::gaussians::GaussianRows;
+use splat_model::gaussians::{GaussianRows, ROWS_AT_ONCE};
 
 use crate::{input, progress};
 

@@ -10,8 +10,8 @@ pub use mimalloc::MiMalloc as Fast;
 pub use tikv_jemallocator::Jemalloc as Fast;
 
 /// Options of jemalloc. All blocks come from one arena, so that a step has the blocks of the step before, and threads use what others freed.
-/// Freed blocks of 64 MiB go back to the system at once, smaller ones within ten seconds. By default that is so from 8 MiB on, and a step
-/// with 300,000 splats spends a third of its time on pages that the system clears.
+/// Freed blocks go back to the system at once from 64 MiB on, and smaller ones within ten seconds. With jemalloc's default, 8 MiB, a step
+/// with 300,000 splats spends a third of its processor time on pages that the system clears.
 #[cfg(target_os = "linux")]
 pub const OPTIONS: &[u8; 72] = b"narenas:1,oversize_threshold:67108864,calloc_madvise_threshold:67108864\0";
 

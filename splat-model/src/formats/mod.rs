@@ -58,7 +58,7 @@ use thiserror::Error;
 pub use loss::{Deviation, QuantisationError, QuantisationSums};
 pub use sog::SogOptions;
 pub use spz::{SpzOptions, SpzVersion};
-pub use stream::{ConvertOptions, Converted, ROWS_AT_ONCE, SceneReader, convert, is_streamed};
+pub use stream::{ConvertOptions, Converted, SceneReader, convert, is_streamed};
 
 use crate::density::morton_order;
 use crate::gaussians::GaussianRows;

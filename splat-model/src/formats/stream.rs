@@ -10,8 +10,7 @@ use super::{
     Beginning, Format, FormatError, QuantisationError, QuantisationSums, SceneFile, SpzOptions, compressed, gltf, json,
     sog, spz,
 };
-use crate::gaussians::GaussianRows;
-pub use crate::gaussians::ROWS_AT_ONCE;
+use crate::gaussians::{GaussianRows, ROWS_AT_ONCE};
 use crate::ply::{self, PlyReader, PlyRows, WorldFrame};
 
 /// A scene file that is read some rows at a time.

@@ -34,7 +34,7 @@ impl<F: Real> Excess<F> {
         Self { rows, size }
     }
 
-    /// Returns `1 − μ` of the means of pixels from `column` of `row` on.
+    /// Returns `1 − μ` for the means `μ` of a vector of pixels, the first at `column` of `row`.
     #[inline(always)]
     pub fn rest<S: Simd, const N: usize>(
         &self,

@@ -21,7 +21,7 @@ const MIDDLE: usize = in_block_order(7 * TILE / WIDTH) * WIDTH + 7;
 pub(super) struct RayTile<F: Real> {
     /// Gaussians in the order in which their layers come.
     pub near: Vec<RayFootprint<F>>,
-    /// Columns of a lens of each of `near`, if the camera has one.
+    /// [`RayFootprint::whitening`] of each of `near`, if the camera has a lens.
     frames: Vec<LensFrame<F>>,
     /// Place in the tile's list of each of `near`.
     pub places: Vec<u32>,
