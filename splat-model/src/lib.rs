@@ -78,7 +78,7 @@ pub mod loss;
 pub mod metrics;
 pub mod optim;
 pub mod ply;
-mod replace;
+pub mod replace;
 pub mod state;
 pub mod trainer;
 

@@ -1,10 +1,13 @@
-//! Atomic writing of scene files: each is written under a temporary name in the same folder, then renamed.
+//! Atomic writing of files: each is written under a temporary name in the same folder, then renamed.
 
 use std::ffi::OsString;
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
+
+/// Part of the names of files in progress, before the process id.
+const TEMPORARY: &str = ".tmp-";
 
 /// An action that the operating system refused.
 #[derive(Debug)]
@@ -16,7 +19,7 @@ pub(crate) struct Refused {
 }
 
 /// Writes a file by calling `fill`. It replaces an existing file once it is complete and on the disk. No temporary file is left
-/// behind.
+/// behind unless the process is killed.
 pub(crate) fn replace(path: &Path, fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>) -> Result<(), Refused> {
     let refused = |action| move |source| Refused { action, source };
     let temporary = temporary_name(path).map_err(refused("name the file"))?;
@@ -30,15 +33,29 @@ pub(crate) fn replace(path: &Path, fill: impl FnOnce(&mut BufWriter<File>) -> io
     written
 }
 
-/// A temporary name in the same folder, because a rename is atomic only within a file system. The process number and a counter
-/// keep two writers of the same scene apart.
-fn temporary_name(path: &Path) -> io::Result<PathBuf> {
+/// Returns a hidden name in the same folder for a file in progress, because a rename is atomic only within a file system. The
+/// process id and a counter keep two writers of the same file apart.
+///
+/// # Errors
+/// If the path names no file.
+pub fn temporary_name(path: &Path) -> io::Result<PathBuf> {
     static COUNTER: AtomicU64 = AtomicU64::new(0);
     let name = path.file_name().ok_or_else(|| io::Error::new(io::ErrorKind::InvalidInput, "the path names no file"))?;
     let mut temporary = OsString::from(".");
     temporary.push(name);
-    temporary.push(format!(".{}-{}.tmp", std::process::id(), COUNTER.fetch_add(1, Ordering::Relaxed)));
+    temporary.push(format!("{TEMPORARY}{}-{}", std::process::id(), COUNTER.fetch_add(1, Ordering::Relaxed)));
     Ok(path.with_file_name(temporary))
+}
+
+/// Whether [`temporary_name`] made this name. A process that was killed leaves such files.
+pub fn is_temporary(name: &str) -> bool {
+    let parts = name.strip_prefix('.').and_then(|name| name.rsplit_once(TEMPORARY));
+    parts.is_some_and(|(name, writer)| {
+        let numbers = writer.split_once('-');
+        let is_writer =
+            numbers.is_some_and(|(process, count)| process.parse::<u32>().is_ok() && count.parse::<u64>().is_ok());
+        !name.is_empty() && is_writer
+    })
 }
 
 fn write_file(path: &Path, fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>) -> io::Result<()> {

@@ -1,16 +1,14 @@
 //! Output files that appear complete or not at all: each is written under another name in the same folder, then
 //! renamed.
 
-use std::ffi::{OsStr, OsString};
+use std::ffi::OsStr;
 use std::fs::{self, File};
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::{iter, process};
 
 use anyhow::{Context, Result, bail};
-
-/// Part of the names of files in progress, before the process id.
-const TEMPORARY: &str = ".tmp-";
+use splat_model::replace::{is_temporary, temporary_name};
 
 /// A writable folder for results.
 #[derive(Debug)]
@@ -109,7 +107,7 @@ pub fn free_folder(parent: &Path, name: &OsStr, may_hold: &[&str]) -> PathBuf {
 /// # Errors
 /// If a folder or the file cannot be written, or `fill` fails.
 pub fn write(path: &Path, fill: impl FnOnce(&mut BufWriter<File>) -> Result<()>) -> Result<()> {
-    let written = temporary_name(path).and_then(|temporary| {
+    let written = temporary_name(path).map_err(Into::into).and_then(|temporary| {
         if let Some(folder) = path.parent() {
             fs::create_dir_all(folder)?;
         }
@@ -131,21 +129,6 @@ fn fill_and_rename(temporary: &Path, path: &Path, fill: impl FnOnce(&mut BufWrit
     // Closed before the rename, which some systems refuse for open files.
     drop(file);
     Ok(fs::rename(temporary, path)?)
-}
-
-/// Returns a hidden name in the same folder, so that renaming never crosses file systems; the process id keeps two runs
-/// apart.
-fn temporary_name(path: &Path) -> Result<PathBuf> {
-    let mut name = OsString::from(".");
-    name.push(path.file_name().context("the path names no file")?);
-    name.push(format!("{TEMPORARY}{}", process::id()));
-    Ok(path.with_file_name(name))
-}
-
-/// Whether [`temporary_name`] made this name.
-fn is_temporary(name: &str) -> bool {
-    let process = name.strip_prefix('.').and_then(|name| name.rsplit_once(TEMPORARY));
-    process.is_some_and(|(name, process)| !name.is_empty() && process.parse::<u32>().is_ok())
 }
 
 #[cfg(test)]
@@ -172,14 +155,15 @@ mod tests {
     fn what_a_killed_process_left_is_swept_away() {
         let folder = tempfile::tempdir().unwrap();
         let out = OutputFolder::prepare(folder.path(), &[], &["views"]).unwrap();
-        let kept = [".hidden", "a.tmp-7", ".a.tmp-x", ".tmp-7", "views/b.png"];
-        for name in [&kept[..], &[".a.txt.tmp-7", "views/.b.png.tmp-123"]].concat() {
+        let kept = [".hidden", "a.tmp-7-0", ".a.tmp-7", ".a.tmp-x-0", ".tmp-7-0", "views/b.png"];
+        for name in [&kept[..], &[".a.txt.tmp-7-0", "views/.b.png.tmp-123-45"]].concat() {
             out.write(name, |_| Ok(())).unwrap();
         }
+        fs::write(temporary_name(&out.join("scene.ply")).unwrap(), b"a half").unwrap();
         out.sweep(&["views", "none"]);
         let mut left = names_in(folder.path());
         left.sort();
-        assert_eq!(left, [".a.tmp-x", ".hidden", ".tmp-7", "a.tmp-7", "views"]);
+        assert_eq!(left, [".a.tmp-7", ".a.tmp-x-0", ".hidden", ".tmp-7-0", "a.tmp-7-0", "views"]);
         assert_eq!(names_in(&out.join("views")), ["b.png"]);
     }
 
