@@ -276,8 +276,12 @@ impl<F: Real> TilePlanes<F> {
                 let first = (source * height + origin[1] + row) * width + origin[0];
                 let values = &grad[first..first + TILE.min(width - origin[0])];
                 for (half, values) in values.chunks(WIDTH).enumerate() {
-                    let mut eight = [F::ZERO; WIDTH];
-                    eight.iter_mut().zip(values).for_each(|(to, &from)| *to = from);
+                    // A whole array is a vector; a copy of another length is a call.
+                    let eight = values.as_array().copied().unwrap_or_else(|| {
+                        let mut eight = [F::ZERO; WIDTH];
+                        eight[..values.len()].copy_from_slice(values);
+                        eight
+                    });
                     let place = in_block_order(row * (TILE / WIDTH) + half);
                     self.planes[plane].as_chunks_mut().0[place] = eight;
                     if plane < features {
