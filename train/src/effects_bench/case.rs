@@ -154,6 +154,7 @@ pub(super) const CASES: &[EffectCase] = &[
         views: Some(17),
         expected: &[EffectKind::Environment],
         harmonics: None,
+        least_gain_db: 0.6,
         ..PLAIN
     },
     EffectCase {
