@@ -50,12 +50,8 @@ pub fn temporary_name(path: &Path) -> io::Result<PathBuf> {
 /// Whether [`temporary_name`] made this name. A process that was killed leaves such files.
 pub fn is_temporary(name: &str) -> bool {
     let parts = name.strip_prefix('.').and_then(|name| name.rsplit_once(TEMPORARY));
-    parts.is_some_and(|(name, writer)| {
-        let numbers = writer.split_once('-');
-        let is_writer =
-            numbers.is_some_and(|(process, count)| process.parse::<u32>().is_ok() && count.parse::<u64>().is_ok());
-        !name.is_empty() && is_writer
-    })
+    let are_numbers = |text: &str| text.split('-').all(|number| number.parse::<u64>().is_ok());
+    parts.is_some_and(|(name, writer)| !name.is_empty() && are_numbers(writer))
 }
 
 fn write_file(path: &Path, fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>) -> io::Result<()> {

@@ -276,7 +276,7 @@ impl<F: Real> TilePlanes<F> {
                 let first = (source * height + origin[1] + row) * width + origin[0];
                 let values = &grad[first..first + TILE.min(width - origin[0])];
                 for (half, values) in values.chunks(WIDTH).enumerate() {
-                    // A whole array is a vector; a copy of another length is a call.
+                    // Eight values are copied as a vector, fewer of them by a call.
                     let eight = values.as_array().copied().unwrap_or_else(|| {
                         let mut eight = [F::ZERO; WIDTH];
                         eight[..values.len()].copy_from_slice(values);

@@ -67,8 +67,8 @@ fn of_centre(tensors: &[Vec<f64>], seed: u64, pass: impl Fn(&[f64]) -> Vec<f64>)
     (0..3).map(|k| through[0][k] + through[1][k]).collect()
 }
 
-/// No formula of the stages in f32 can meet the ceiling: all else in f64, the gradients that pass between them miss it once they are
-/// rounded correctly. The gradient of the centre's camera z is the sum of terms 1e4 times as large, each from another of these.
+/// No formula of the stages in f32 can meet the ceiling with these columns: all else in f64, the gradients that pass between the stages
+/// miss it once they are rounded correctly. The gradient of the centre's camera z is the sum of terms 1e4 times as large, each from another of these.
 #[test]
 fn rounded_gradients_between_the_stages_miss_the_ceiling_beside_the_view() {
     let used = |seed: u64| -> Vec<f64> {
