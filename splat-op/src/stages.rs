@@ -41,7 +41,7 @@ pub struct Ellipses {
 #[derive(Clone, Debug)]
 pub struct Projected {
     packed: Tensor<2>,
-    /// `[N, 3 (+ 6)]`: ray-space depth slopes, see `depth_slope/`; present for per-ray rasterization only.
+    /// `[N, 9 (+ 6)]`: the Gaussians in ray space, see `depth_slope/`; present for per-ray rasterization only.
     depth_slope: Option<Tensor<2>>,
     intrinsics: Intrinsics,
 }

@@ -209,12 +209,12 @@ impl<B: SplatBackend, C: CheckpointStrategy> SplatBackend for Autodiff<B, C> {
     fn depth_slope(inputs: GeometryTensors<Self>, spec: ProjectSpec) -> FloatTensor<Self> {
         let inner = inputs.each_ref().map(InputTensor::inner);
         let output = B::depth_slope(inner.clone(), spec);
-        let Geometry { means, rotations, scales, cam_from_world, .. } = inputs.each_ref().map(|input| &input.0);
-        let tracked_inputs = [means, rotations, scales, cam_from_world];
-        tracked::<B, C, _, _>(tracked_inputs, output, move |grad, [means, rotations, scales, cam_from_world]| {
-            let mask = Geometry { means, rotations, scales, cam_from_world, ..Geometry::default() };
+        let Geometry { means, rotations, scales, cam_from_world, mean2d, .. } = inputs.each_ref().map(|input| &input.0);
+        let tracked_inputs = [means, rotations, scales, cam_from_world, mean2d];
+        tracked::<B, C, _, _>(tracked_inputs, output, move |grad, [means, rotations, scales, cam_from_world, mean2d]| {
+            let mask = Geometry { means, rotations, scales, cam_from_world, mean2d, ..Geometry::default() };
             let found = B::depth_slope_backward(inner, grad, spec, mask);
-            [found.means, found.rotations, found.scales, found.cam_from_world]
+            [found.means, found.rotations, found.scales, found.cam_from_world, found.mean2d]
         })
     }
 

@@ -96,13 +96,12 @@ pub trait SplatBackend: Backend {
         trace: TraceCell,
     ) -> LayerGrads<Self>;
 
-    /// Ray-space depth slopes; see `depth_slope/`. Returns `[N, 3]`, with a lens `[N, 9]`.
+    /// The Gaussians in ray space; see `depth_slope/`. Returns `[N, 9]`, with a lens `[N, 15]`.
     #[fusion(meta = |inputs, spec| fusion::float(
         [inputs.opacities.0.shape[0], depth_slope::columns(&spec.intrinsics)], &inputs.means.0))]
     fn depth_slope(#[extension_type] inputs: GeometryTensors<Self>, spec: ProjectSpec) -> FloatTensor<Self>;
 
-    /// Returns the gradients of `depth_slope` that `mask` selects, from the gradient of its output. Opacities and projected
-    /// centres have no gradient.
+    /// Returns the gradients of `depth_slope` that `mask` selects, from the gradient of its output. Opacities have no gradient.
     #[fusion(meta = |inputs, _, _, mask| inputs.each_ref().zip(*mask).map(fusion::grad(&inputs.means.0)))]
     fn depth_slope_backward(
         #[extension_type] inputs: GeometryTensors<Self>,

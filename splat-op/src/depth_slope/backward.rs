@@ -1,61 +1,169 @@
 //! Backward kernel of `depth_slope`: one unit per Gaussian projects it again and differentiates the result. Gradients that are
 //! not needed are not kernel arguments.
-//!
-//! `p`, `a` and `b` together have length one and the common denominator `sigma_v`; `n` and `bᵤ` have the denominator `sigma_u`.
-//! For numerators divided by their own length, the gradient is the gradient of the quotients without its component along them,
-//! divided by the length.
 
 use cubecl::prelude::*;
 
 use super::forward::{DepthSlopeTerms, lean};
-use super::lens_bounds_kernel::{LensFrame, jacobian_at};
-use super::{DEPTH_SLOPE, LENS_FRAME};
-use crate::gpu::math::{Pose, Vec3};
-use crate::project::backward::{GeometryGradMask, no_gradient, seen_backward, store_pose};
+use super::lens_bounds_kernel::jacobian_at;
+use super::{LENS_FRAME, RAY_SPACE};
+use crate::gpu::math::{Mat3, Pose, Vec2, Vec3};
+use crate::project::backward::{GeometryGradMask, no_gradient, store_pose};
 use crate::project::forward::{Gaussian, PackedEllipse, ProjectCamera, ProjectionTerms, project_one};
 use crate::project::lens_backward::bent_backward;
+use crate::project::lens_forward::Distortion;
 
-/// Gradients of `m0`, `m1` and `mz`.
+/// Gradient of a row.
+#[derive(CubeType, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+struct RayGrad {
+    depth_slope_u: f32,
+    depth_slope_v: f32,
+    thickness: f32,
+    /// That of the centre's relative depth, and of its offset, px.
+    depth: f32,
+    centre: Vec2,
+    sigma_u: f32,
+    shear: f32,
+    sigma_v: f32,
+    /// Whether any is not zero, by its bits, so that NaN counts.
+    any: bool,
+}
+
 #[cube]
-fn factor_backward(
-    f: &ProjectionTerms,
-    l: &DepthSlopeTerms,
-    grad_u: f32,
-    grad_v: f32,
-    grad_thickness: f32,
-) -> (Vec3, Vec3, Vec3) {
-    let (n, m1, mz, a, p) = (f.n, f.y.m, l.mz, l.a, l.p);
-    let e = a.cross(mz);
-    let length = mz.length();
-    // Four parts of the thickness, each divided by the thickness; each has at most length one.
-    let free = l.free && l.thickness > 0.0;
-    let grad_thickness = select(free, grad_thickness, 0.0);
+impl RayGrad {
+    fn load(from: &[f32], at: usize) -> RayGrad {
+        let mut any = 0u32;
+        #[unroll]
+        for column in 0..comptime!(RAY_SPACE) {
+            any |= u32::reinterpret(from[at + column]);
+        }
+        RayGrad {
+            depth_slope_u: from[at],
+            depth_slope_v: from[at + 1],
+            thickness: from[at + 2],
+            depth: from[at + 3],
+            centre: Vec2::new(from[at + 4], from[at + 5]),
+            sigma_u: from[at + 6],
+            shear: from[at + 7],
+            sigma_v: from[at + 8],
+            any: (any & 0x7fff_ffff) != 0,
+        }
+    }
+}
+
+/// Gradients of `m0`, `m1` and `mz`, and `B₀₀, B₀₁, B₁₁` of the module's documentation.
+#[derive(CubeType, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+struct RowsGrad {
+    m0: Vec3,
+    m1: Vec3,
+    mz: Vec3,
+    blur_xx: f32,
+    blur_xy: f32,
+    blur_yy: f32,
+}
+
+#[cube]
+fn factor_backward(f: &ProjectionTerms, l: &DepthSlopeTerms, blur_sigma: f32, grad: &RayGrad) -> RowsGrad {
+    let (inverse_u, inverse_v) = (1.0 / f.sigma_u, 1.0 / f.sigma_v);
+    // The rows of `N`, each at most of length one; the last one without what a clamp or a row of zeros takes.
+    let across = l.p.cross(f.n).plus(l.a.times(l.b_u));
+    let free = l.free && l.sound && l.thickness > 0.0;
     let inverse = select(free, 1.0 / select(free, l.thickness, 1.0), 0.0);
-    let along_p = mz.dot(p) * inverse;
-    let along_c = l.c.times(l.b * inverse);
-    let along_e = e.times(inverse);
+    let length = l.mz.length();
+    let of_length = l.mz.times(select(length > 0.0, 1.0 / select(length > 0.0, length, 1.0), 0.0));
     let rest = l.b * l.b_u * length * inverse;
-    let of_length = mz.times(select(length > 0.0, 1.0 / select(length > 0.0, length, 1.0), 0.0));
+    let through = l.p.times(l.mz.dot(l.p) * inverse).plus(l.c.times(l.b * inverse).cross(f.n).times(l.b));
+    let through = through.plus(l.a.cross(l.mz).times(inverse).cross(l.a)).plus(of_length.times(rest * l.b * l.b_u));
+    let of_u = select(l.sound, grad.depth_slope_u, 0.0);
+    let of_v = select(l.sound, grad.depth_slope_v, 0.0);
+    let of_t = select(free, grad.thickness, 0.0);
+    let slope_u = select(l.sound, l.depth_slope_u, 0.0);
+    let slope_v = select(l.sound, l.depth_slope_v, 0.0);
+    let thickness = select(free, l.thickness, 0.0);
+    // The gradients of `m0` and `m1` in terms of the rows of `N`.
+    let shear = f.shear;
+    let leaning = grad.shear * inverse_u;
+    let turned = (of_v * thickness - of_t * slope_v) * inverse_v;
+    let first_n = grad.sigma_u - leaning * shear;
+    let first_across =
+        (leaning * f.sigma_v + (of_u * slope_v - of_v * slope_u)) * inverse_u - grad.sigma_v * shear;
+    let first_through = (of_u * thickness - of_t * slope_u) * inverse_u - turned * shear;
+    let through = Vec3::new(select(free, through.x, 0.0), select(free, through.y, 0.0), select(free, through.z, 0.0));
+    // The components of the rows of `N` along the blur of x and of y.
+    let across_x = -(shear * l.b);
+    let through_x = (slope_v * shear * l.b - slope_u * l.b_u) * inverse;
+    let through_y = -(slope_v * l.b) * inverse;
+    RowsGrad {
+        m0: f.n.times(first_n).plus(across.times(first_across)).plus(through.times(first_through)),
+        m1: f.n.times(leaning).plus(across.times(grad.sigma_v)).plus(through.times(turned)),
+        mz: f.n.times(of_u).plus(across.times(of_v)).plus(through.times(of_t)),
+        blur_xx: blur_sigma * (first_n * l.b_u + first_across * across_x + first_through * through_x),
+        blur_xy: blur_sigma * (first_across * l.b + first_through * through_y),
+        blur_yy: blur_sigma * (grad.sigma_v * l.b + turned * through_y),
+    }
+}
 
-    let through = p.times(along_p).plus(along_c.cross(n).times(l.b)).plus(along_e.cross(a));
-    let through = through.plus(of_length.times(rest * l.b * l.b_u));
-    let grad_mz =
-        n.times(grad_u).plus(p.cross(n).plus(a.times(l.b_u)).times(grad_v)).plus(through.times(grad_thickness));
-    let grad_n = mz.times(grad_u).plus(mz.cross(p).times(grad_v)).plus(mz.cross(along_c).times(l.b * grad_thickness));
-    let grad_p = l.c.times(grad_v).plus(mz.times(along_p * grad_thickness));
-    let grad_a = mz.times(l.b_u * grad_v).plus(mz.cross(along_e).times(grad_thickness));
-    let grad_b = grad_thickness * (along_c.dot(l.c) + rest * l.b_u * length);
-    let grad_b_u = grad_v * a.dot(mz) + grad_thickness * rest * l.b * length;
+/// The linear map at a Gaussian: the slopes `t` and the rows of `G`, px per slope.
+#[derive(CubeType, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+struct LinearMap {
+    slopes: Vec2,
+    x: Vec2,
+    y: Vec2,
+}
 
-    let radial = grad_p.dot(p) + grad_a.dot(a) + grad_b * l.b;
-    let grad_across = grad_p.minus(p.times(radial)).times(1.0 / f.sigma_v);
-    let grad_along = grad_a.minus(a.times(radial)).times(l.b);
-    let grad_n = grad_n.plus(m1.cross(grad_across));
-    let radial = grad_n.dot(n) + grad_b_u * l.b_u + grad_along.dot(f.along);
-    let inverse_u = 1.0 / f.sigma_u;
-    let grad_m0 = grad_n.minus(n.times(radial)).times(inverse_u);
-    let grad_m1 = grad_across.cross(n).plus(grad_along.times(inverse_u));
-    (grad_m0, grad_m1, grad_mz)
+#[cube]
+impl LinearMap {
+    fn of(f: &ProjectionTerms, mean: Vec3, lens: &ProjectCamera) -> LinearMap {
+        #[comptime]
+        match lens.distortion {
+            ComptimeOption::Some(distortion) => {
+                let (x, y, _bent) = jacobian_at(mean, lens, &distortion);
+                LinearMap {
+                    slopes: Vec2::new(mean.x / mean.z, mean.y / mean.z),
+                    x: Vec2::new(mean.z * x.x, mean.z * x.y),
+                    y: Vec2::new(mean.z * y.x, mean.z * y.y),
+                }
+            }
+            ComptimeOption::None => {
+                let zero = 0.0f32.runtime();
+                LinearMap {
+                    slopes: Vec2::new(f.x.slope, f.y.slope),
+                    x: Vec2::new(lens.x.focal, zero),
+                    y: Vec2::new(zero, lens.y.focal),
+                }
+            }
+        }
+    }
+}
+
+/// Returns the gradient of a centre through `G` of a lens. The blur alone depends on `G`, whose gradient is `−B G⁻ᵀ`.
+#[cube]
+fn bend_backward(
+    map: &LinearMap,
+    mean: Vec3,
+    grad: &RowsGrad,
+    lens: &ProjectCamera,
+    distortion: &Distortion,
+) -> Vec3 {
+    let (x, y, bent) = jacobian_at(mean, lens, distortion);
+    let zero = 0.0f32.runtime();
+    let scaled = -mean.z / (map.x.x * map.y.y - map.x.y * map.y.x);
+    let of_x = Vec3::new(
+        (grad.blur_xx * map.y.y - grad.blur_xy * map.x.y) * scaled,
+        (grad.blur_xy * map.x.x - grad.blur_xx * map.y.x) * scaled,
+        zero,
+    );
+    let of_y = Vec3::new(
+        (grad.blur_xy * map.y.y - grad.blur_yy * map.x.y) * scaled,
+        (grad.blur_yy * map.x.x - grad.blur_xy * map.y.x) * scaled,
+        zero,
+    );
+    let none = PackedEllipse { x: zero, y: zero, sigma_u: zero, shear: zero, sigma_v: zero, depth: zero, opacity: zero };
+    let through = bent_backward(&bent, lens, (of_x, of_y), &none).centre;
+    let along = (of_x.x * x.x + of_x.y * x.y + of_y.x * y.x + of_y.y * y.y) / mean.z;
+    Vec3::new(through.x, through.y, through.z + along)
 }
 
 #[cube(launch_unchecked)]
@@ -69,6 +177,7 @@ pub(super) fn depth_slope_backward_kernel(
     grad_means: ComptimeOption<&mut [f32]>,
     grad_rotations: ComptimeOption<&mut [Vector<f32, Const<4>>]>,
     grad_scales: ComptimeOption<&mut [f32]>,
+    grad_mean2d: ComptimeOption<&mut [f32]>,
     pose_rows: ComptimeOption<&mut [f32]>,
     lens: ProjectCamera,
     count: u32,
@@ -82,62 +191,54 @@ pub(super) fn depth_slope_backward_kernel(
     let gaussian = ABSOLUTE_POS;
     let mut of = no_gradient();
     if gaussian < count as usize {
-        let columns = comptime!(DEPTH_SLOPE + if lens.distortion.is_some() { LENS_FRAME } else { 0 });
-        let at = gaussian * columns;
-        let (grad_u, grad_v, grad_thickness) = (grad[at], grad[at + 1], grad[at + 2]);
-        // Most Gaussians of a large scene are out of view, with a gradient of exactly zero. The test is by bits, so that NaN
-        // counts.
-        let mut any = u32::reinterpret(grad_u) | u32::reinterpret(grad_v) | u32::reinterpret(grad_thickness);
-        #[unroll]
-        for column in comptime!(DEPTH_SLOPE)..columns {
-            any |= u32::reinterpret(grad[at + column]);
-        }
-        if (any & 0x7fff_ffff) != 0 {
+        let columns = comptime!(RAY_SPACE + if lens.distortion.is_some() { LENS_FRAME } else { 0 });
+        let of_row = RayGrad::load(grad, gaussian * columns);
+        // Most Gaussians of a large scene are out of view, with a gradient of exactly zero.
+        if of_row.any {
             let pose = Pose::load(cam_from_world);
             let g = Gaussian::load(means, rotations, scales, opacities, gaussian);
             let f = project_one(&g, &pose, &lens);
             let l = lean(&f, &g, &lens);
-            if l.sound {
-                let (grad_m0, grad_m1, grad_mz) = factor_backward(&f, &l, grad_u, grad_v, grad_thickness);
-                of.scale = grad_m0.by_axis(f.x.j).plus(grad_m1.by_axis(f.y.j)).plus(grad_mz.by_axis(l.j));
-                let zero = 0.0f32.runtime();
-                let none = PackedEllipse {
-                    x: zero,
-                    y: zero,
-                    sigma_u: zero,
-                    shear: zero,
-                    sigma_v: zero,
-                    depth: zero,
-                    opacity: zero,
-                };
-                let mut seen = seen_backward(&f, &lens, (grad_m0.by_axis(g.scale), grad_m1.by_axis(g.scale)), &none);
-                // Gradient of the last row, which is divided by z.
-                let grad_j = grad_mz.by_axis(g.scale);
+            if f.visible {
+                let of_m = factor_backward(&f, &l, lens.blur_sigma, &of_row);
+                of.scale = of_m.m0.by_axis(f.x.j).plus(of_m.m1.by_axis(f.y.j)).plus(of_m.mz.by_axis(l.j));
+                of.mean2d_x = of_row.centre.x;
+                of.mean2d_y = of_row.centre.y;
+                let (of_x, of_y) = (of_m.m0.by_axis(g.scale), of_m.m1.by_axis(g.scale));
                 let inverse_z = 1.0 / f.depth;
-                seen.turned.z = seen.turned.z.plus(grad_j.times(inverse_z));
-                seen.centre.z -= grad_j.dot(l.j) * inverse_z;
+                let mean = pose.apply(g.mean);
+                let map = LinearMap::of(&f, mean, &lens);
+                // `J` has the rows `G (1, −t) / z` and `(0, 0, 1) / z`, and a centre moves in the picture by the former.
+                let turned_x = of_x.times(map.x.x).plus(of_y.times(map.y.x)).times(inverse_z);
+                let turned_y = of_x.times(map.x.y).plus(of_y.times(map.y.y)).times(inverse_z);
+                let to_last = turned_x.times(map.slopes.x).plus(turned_y.times(map.slopes.y));
+                let turned = Mat3 {
+                    x: turned_x,
+                    y: turned_y,
+                    z: of_m.mz.by_axis(g.scale).times(inverse_z).minus(to_last),
+                };
+                let centre_x = (of_row.centre.x * map.x.x + of_row.centre.y * map.y.x) * inverse_z;
+                let centre_y = (of_row.centre.x * map.x.y + of_row.centre.y * map.y.y) * inverse_z;
+                let along = (of_row.depth + of_m.blur_xx + of_m.blur_yy) * inverse_z;
+                let centre_z = along - (centre_x * map.slopes.x + centre_y * map.slopes.y);
+                let mut centre = Vec3::new(centre_x, centre_y, centre_z);
                 #[comptime]
                 if let ComptimeOption::Some(distortion) = lens.distortion {
-                    let (mean, frame) = (pose.apply(g.mean), LensFrame::load(grad, gaussian));
-                    let (x, y, bent) = jacobian_at(mean, &lens, &distortion);
-                    seen.centre.z += frame.x.x * x.x + frame.x.y * x.y + frame.y.x * y.x + frame.y.y * y.y;
-                    let (of_x, of_y) = (frame.x.times(mean.z), frame.y.times(mean.z));
-                    let grad_jacobian = (Vec3::new(of_x.x, of_x.y, 0.0), Vec3::new(of_y.x, of_y.y, 0.0));
-                    seen.centre = seen.centre.plus(bent_backward(&bent, &lens, grad_jacobian, &none).centre);
+                    centre = centre.plus(bend_backward(&map, mean, &of_m, &lens, &distortion));
                 }
                 if comptime!(wanted.means) {
-                    of.mean = pose.matrix.apply_transposed(seen.centre);
+                    of.mean = pose.matrix.apply_transposed(centre);
                 }
                 if comptime!(wanted.rotations) {
-                    let unturned = pose.matrix.transposed().times(seen.turned);
+                    let unturned = pose.matrix.transposed().times(turned);
                     of.rotation = f.quaternion.backward(f.quaternion_length, unturned);
                 }
                 if comptime!(wanted.pose) {
                     let from = f.world_from_gaussian;
-                    of.pose.matrix.x = from.apply(seen.turned.x).plus(g.mean.times(seen.centre.x));
-                    of.pose.matrix.y = from.apply(seen.turned.y).plus(g.mean.times(seen.centre.y));
-                    of.pose.matrix.z = from.apply(seen.turned.z).plus(g.mean.times(seen.centre.z));
-                    of.pose.translation = seen.centre;
+                    of.pose.matrix.x = from.apply(turned.x).plus(g.mean.times(centre.x));
+                    of.pose.matrix.y = from.apply(turned.y).plus(g.mean.times(centre.y));
+                    of.pose.matrix.z = from.apply(turned.z).plus(g.mean.times(centre.z));
+                    of.pose.translation = centre;
                 }
             }
         }
@@ -152,6 +253,11 @@ pub(super) fn depth_slope_backward_kernel(
         #[comptime]
         if let ComptimeOption::Some(out) = grad_scales {
             of.scale.store(out, 3 * gaussian);
+        }
+        #[comptime]
+        if let ComptimeOption::Some(out) = grad_mean2d {
+            out[2 * gaussian] = of.mean2d_x;
+            out[2 * gaussian + 1] = of.mean2d_y;
         }
     }
     #[comptime]

@@ -5,7 +5,7 @@ use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 
 use super::lens_bounds::{LensFrame, LensLimits};
-use super::{DEPTH_SLOPE, EXTENT, LEAST, LENS_COLUMNS, ROUNDING, SLACK};
+use super::{DEPTH_SLOPE, EXTENT, LEAST, LENS_COLUMNS, RAY_SPACE, ROUNDING, SLACK};
 use crate::camera::{CameraModel, Intrinsics, PictureRays};
 use crate::intersect::extent::whitened_limit;
 use crate::linalg::{cross, dot, scale};
@@ -26,7 +26,7 @@ type Lanes<S, F> = <F as Real>::Lanes<S>;
 /// Gaussians stay culled.
 pub(crate) fn bounds_cpu<F: Real>(packed: &[F], depth_slopes: &[F], spec: &RasterizeSpec) -> Vec<F> {
     match PictureRays::of(&spec.intrinsics) {
-        None => by_chunks::<F, DEPTH_SLOPE>(packed, depth_slopes, (spec, None)),
+        None => by_chunks::<F, RAY_SPACE>(packed, depth_slopes, (spec, None)),
         Some(rays) => {
             let limits = LensLimits::new(&spec.intrinsics, &rays);
             by_chunks::<F, LENS_COLUMNS>(packed, depth_slopes, (spec, Some(&limits)))

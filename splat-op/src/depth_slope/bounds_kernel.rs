@@ -3,7 +3,7 @@
 use cubecl::prelude::*;
 
 use super::lens_bounds_kernel::{BentRow, LensFrame, LensLimits};
-use super::{DEPTH_SLOPE, EXTENT, LEAST, LENS_FRAME, ROUNDING, SLACK};
+use super::{EXTENT, LEAST, LENS_FRAME, RAY_SPACE, ROUNDING, SLACK};
 use crate::gpu::math::{Vec2, Vec3, finite, within};
 use crate::project::forward::PackedEllipse;
 use crate::rasterize_rays::WHITENED_MAX;
@@ -234,7 +234,7 @@ pub(super) fn bounds_kernel(
 ) {
     if ABSOLUTE_POS < count as usize {
         let e = PackedEllipse::load(projected, ABSOLUTE_POS);
-        let at = ABSOLUTE_POS * comptime!(DEPTH_SLOPE + if lens.is_some() { LENS_FRAME } else { 0 });
+        let at = ABSOLUTE_POS * comptime!(RAY_SPACE + if lens.is_some() { LENS_FRAME } else { 0 });
         let mut away_x = 0.0f32.runtime();
         let mut away_y = 0.0f32.runtime();
         if comptime!(lens.is_none()) {

@@ -3,7 +3,7 @@
 use fearless_simd::prelude::*;
 
 use super::simd::DepthSlopeSimd;
-use super::{DEPTH_SLOPE, LENS_COLUMNS, columns};
+use super::{LENS_COLUMNS, RAY_SPACE, columns};
 use crate::project::cpu::{GaussianStage, stage_gradients, stage_rows};
 use crate::project::simd::{GaussiansSimd, GradientsSimd, ProjectCameraSimd};
 use crate::project::{Geometry, ProjectSpec};
@@ -30,23 +30,19 @@ impl<const C: usize> GaussianStage<C> for DepthSlope {
         grad: &[F::Lanes<S>; C],
         pose: Option<&mut [F::Lanes<S>; 12]>,
     ) -> GradientsSimd<F::Lanes<S>> {
-        let found = DepthSlopeSimd::<S, F>::new::<BENDS>(simd, g, camera);
-        GradientsSimd {
-            parameters: found.backward::<BENDS, C>(camera, g, grad, pose),
-            mean2d: [F::Lanes::<S>::splat(simd, F::ZERO); 2],
-        }
+        DepthSlopeSimd::<S, F>::new::<BENDS>(simd, g, camera).backward::<BENDS, C>(camera, g, grad, pose)
     }
 }
 
-/// Returns the depth slopes and thicknesses and, with a lens, its columns: `[N, 3 (+ 6)]`.
+/// Returns the rows, `[N, 9 (+ 6)]`.
 pub(crate) fn depth_slope_cpu<F: Real>(inputs: Geometry<&[F]>, spec: &ProjectSpec) -> Vec<F> {
     match columns(&spec.intrinsics) {
         LENS_COLUMNS => stage_rows::<F, DepthSlope, LENS_COLUMNS, true>(inputs, spec),
-        _ => stage_rows::<F, DepthSlope, DEPTH_SLOPE, false>(inputs, spec),
+        _ => stage_rows::<F, DepthSlope, RAY_SPACE, false>(inputs, spec),
     }
 }
 
-/// Returns the gradients of the inputs from `grad`, `[N, 3 (+ 6)]`. Those of opacities and projected centres are zero.
+/// Returns the gradients of the inputs from `grad`, `[N, 9 (+ 6)]`. Those of opacities are zero.
 pub(crate) fn depth_slope_backward_cpu<F: Real>(
     inputs: Geometry<&[F]>,
     grad: &[F],
@@ -55,6 +51,6 @@ pub(crate) fn depth_slope_backward_cpu<F: Real>(
 ) -> Geometry<Vec<F>> {
     match columns(&spec.intrinsics) {
         LENS_COLUMNS => stage_gradients::<F, DepthSlope, LENS_COLUMNS, true>(inputs, grad, spec, needs),
-        _ => stage_gradients::<F, DepthSlope, DEPTH_SLOPE, false>(inputs, grad, spec, needs),
+        _ => stage_gradients::<F, DepthSlope, RAY_SPACE, false>(inputs, grad, spec, needs),
     }
 }

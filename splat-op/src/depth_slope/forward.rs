@@ -3,7 +3,7 @@
 use cubecl::prelude::*;
 
 use super::lens_bounds_kernel::{LensFrame, jacobian_at};
-use super::{DEPTH_SLOPE, LENS_FRAME, THICKNESS_MAX};
+use super::{LENS_FRAME, RAY_SPACE, THICKNESS_MAX};
 use crate::gpu::math::{Pose, Vec2, Vec3, finite};
 use crate::project::forward::{Gaussian, ProjectCamera, ProjectionTerms, project_one};
 
@@ -61,7 +61,19 @@ pub(super) fn lean(projection: &ProjectionTerms, gaussian: &Gaussian, lens: &Pro
     }
 }
 
-/// Writes the depth slopes, `[N, 3]`, with a lens `[N, 9]`.
+/// Returns the offset of the centre from the origin, px; zero with a lens.
+#[cube]
+fn away(projection: &ProjectionTerms, lens: &ProjectCamera) -> (f32, f32) {
+    let mut x = 0.0f32.runtime();
+    let mut y = 0.0f32.runtime();
+    if comptime!(lens.distortion.is_none()) {
+        x = lens.x.focal * (projection.x.ratio - projection.x.slope);
+        y = lens.y.focal * (projection.y.ratio - projection.y.slope);
+    }
+    (x, y)
+}
+
+/// Writes the rows, `[N, 9]`, with a lens `[N, 15]`.
 #[cube(launch_unchecked)]
 pub(super) fn depth_slope_forward_kernel(
     means: &[f32],
@@ -78,10 +90,18 @@ pub(super) fn depth_slope_forward_kernel(
         let pose = Pose::load(cam_from_world);
         let projection = project_one(&gaussian, &pose, &lens);
         let found = lean(&projection, &gaussian, &lens);
-        let at = ABSOLUTE_POS * comptime!(DEPTH_SLOPE + if lens.distortion.is_some() { LENS_FRAME } else { 0 });
+        let at = ABSOLUTE_POS * comptime!(RAY_SPACE + if lens.distortion.is_some() { LENS_FRAME } else { 0 });
+        let seen = projection.visible;
         depth_slopes[at] = select(found.sound, found.depth_slope_u, 0.0);
         depth_slopes[at + 1] = select(found.sound, found.depth_slope_v, 0.0);
         depth_slopes[at + 2] = select(found.sound, found.thickness, 0.0);
+        depth_slopes[at + 3] = select(seen, 1.0f32, 0.0);
+        let (away_x, away_y) = away(&projection, &lens);
+        depth_slopes[at + 4] = select(seen, away_x, 0.0);
+        depth_slopes[at + 5] = select(seen, away_y, 0.0);
+        depth_slopes[at + 6] = select(seen, projection.sigma_u, 0.0);
+        depth_slopes[at + 7] = select(seen, projection.shear, 0.0);
+        depth_slopes[at + 8] = select(seen, projection.sigma_v, 0.0);
         #[comptime]
         if let ComptimeOption::Some(distortion) = lens.distortion {
             let mean = pose.apply(gaussian.mean);
@@ -91,7 +111,7 @@ pub(super) fn depth_slope_forward_kernel(
                 x: Vec2::new(mean.z * x.x, mean.z * x.y),
                 y: Vec2::new(mean.z * y.x, mean.z * y.y),
             };
-            frame.store(depth_slopes, ABSOLUTE_POS, projection.visible);
+            frame.store(depth_slopes, ABSOLUTE_POS, seen);
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use super::cpu::{depth_slope_backward_cpu, depth_slope_cpu};
 use super::launch::{launch_bounds, launch_depth_slope, launch_depth_slope_backward};
-use super::{DEPTH_SLOPE, bounds_cpu};
+use super::{RAY_SPACE, bounds_cpu};
 use crate::camera::Intrinsics;
 use crate::gpu::{Buffer, Gpu};
 use crate::options::{Projection, RenderOptions};
@@ -14,7 +14,7 @@ use crate::testing::gpu::gpus;
 use crate::testing::random::Random;
 
 const ALL: Geometry<bool> =
-    Geometry { means: true, rotations: true, scales: true, opacities: false, cam_from_world: true, mean2d: false };
+    Geometry { means: true, rotations: true, scales: true, opacities: false, cam_from_world: true, mean2d: true };
 
 const CAMERA: Intrinsics = Intrinsics { fx: 61.0, fy: 43.0, cx: 41.5, cy: 13.25, ..Intrinsics::centred(64, 48, 61.0) };
 
@@ -54,7 +54,7 @@ fn scene(seed: u64, count: usize) -> (Vec<Vec<f64>>, Vec<Option<u8>>) {
         classes.push(Some(kind));
     }
     let pose = vec![1.0, 0.02, -0.05, 0.1, -0.03, 0.98, 0.04, -0.2, 0.006, -0.002, 1.03, 0.1];
-    let grad = random.fill(count * DEPTH_SLOPE, -1.0, 1.0);
+    let grad = random.fill(count * RAY_SPACE, -1.0, 1.0);
     tensors.extend([pose, grad]);
     (tensors.iter().map(|tensor| rounded(tensor)).collect(), classes)
 }
@@ -85,7 +85,7 @@ fn upload(gpu: &Gpu, tensors: &[Vec<f64>]) -> (Geometry<Buffer<f32>>, Buffer<f32
 }
 
 fn list(g: Geometry<Vec<f64>>) -> Vec<Vec<f64>> {
-    vec![g.means, g.rotations, g.scales, g.cam_from_world]
+    vec![g.means, g.rotations, g.scales, g.cam_from_world, g.mean2d]
 }
 
 #[test]
@@ -108,6 +108,7 @@ fn kernels_agree_with_the_twin() {
             }
             let pose = g.cam_from_world.expect("asked for").read(&gpu);
             backward.check(&what("pose"), 3, &pose, &[Some(ORDINARY); 12]);
+            backward.check(&what("mean2d"), 4, &g.mean2d.expect("asked for").read(&gpu), &classes);
         }
     }
 }
@@ -120,12 +121,13 @@ fn only_what_is_needed() {
         let (device, grad) = upload(&gpu, &tensors);
         let read = |needs: Geometry<bool>| {
             let g = launch_depth_slope_backward(&gpu, &device, &grad, &spec, needs);
-            [g.means, g.rotations, g.scales, g.cam_from_world].map(|buffer| buffer.map(|buffer| buffer.read(&gpu)))
+            let all = [g.means, g.rotations, g.scales, g.cam_from_world, g.mean2d];
+            all.map(|buffer| buffer.map(|buffer| buffer.read(&gpu)))
         };
         let all = read(ALL);
-        for alone in 0..4 {
-            let [means, rotations, scales, cam_from_world] = std::array::from_fn(|i| i == alone);
-            let found = read(Geometry { means, rotations, scales, cam_from_world, ..ALL });
+        for alone in 0..5 {
+            let [means, rotations, scales, cam_from_world, mean2d] = std::array::from_fn(|i| i == alone);
+            let found = read(Geometry { means, rotations, scales, cam_from_world, mean2d, ..ALL });
             for (i, found) in found.iter().enumerate() {
                 let expected = all[i].as_ref().filter(|_| i == alone);
                 assert_eq!(found.as_ref(), expected, "gradient {i} of {alone} alone, {form}");
@@ -174,7 +176,7 @@ fn an_opacity_that_is_not_finite_gets_no_bound() {
     let rows = [row(f32::NAN), row(f32::INFINITY), row(0.5)].concat();
     for (form, gpu) in gpus() {
         let projected = Buffer::from_slice(&gpu, &rows);
-        let depth_slopes = Buffer::from_slice(&gpu, &[0.1_f32, -0.1, 0.05].repeat(3));
+        let depth_slopes = Buffer::from_slice(&gpu, &[0.1_f32, -0.1, 0.05, 1.0, 0.0, 0.0, 3.0, 0.1, 2.0].repeat(3));
         let found = launch_bounds(&gpu, &projected, &depth_slopes, &spec).read(&gpu);
         assert!(found[6].is_nan() && found[13] == f32::INFINITY, "{form}: {found:?}");
         assert!(

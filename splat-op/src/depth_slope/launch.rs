@@ -10,7 +10,7 @@ use crate::project::launch::{geometry_grads, lens};
 use crate::project::{COLUMNS, Geometry, ProjectSpec};
 use crate::rasterize::RasterizeSpec;
 
-/// Launches the forward pass and returns the depth slopes, `[N, 3 (+ 6)]`.
+/// Launches the forward pass and returns the rows, `[N, 9 (+ 6)]`.
 pub(crate) fn launch_depth_slope(gpu: &Gpu, inputs: &Geometry<Buffer<f32>>, spec: &ProjectSpec) -> Buffer<f32> {
     let count = inputs.opacities.len;
     let depth_slopes = Buffer::new(gpu, count * columns(&spec.intrinsics));
@@ -69,7 +69,7 @@ pub(crate) fn launch_bounds(
     bounds
 }
 
-/// Returns the gradients of the inputs from `grad`, `[N, 3 (+ 6)]`. Opacities and projected centres have no gradient.
+/// Returns the gradients of the inputs from `grad`, `[N, 9 (+ 6)]`. Opacities have no gradient.
 pub(crate) fn launch_depth_slope_backward(
     gpu: &Gpu,
     inputs: &Geometry<Buffer<f32>>,
@@ -78,7 +78,7 @@ pub(crate) fn launch_depth_slope_backward(
     needs: Geometry<bool>,
 ) -> Geometry<Option<Buffer<f32>>> {
     let count = inputs.opacities.len;
-    geometry_grads(gpu, count, Geometry { opacities: false, mean2d: false, ..needs }, |grads| {
+    geometry_grads(gpu, count, Geometry { opacities: false, ..needs }, |grads| {
         let output = |buffer: &Option<Buffer<f32>>| buffer.as_ref().map(Buffer::arg).into();
         let (grid, dim) = elementwise(count);
         // SAFETY: every access is guarded by the number of Gaussians.
@@ -96,6 +96,7 @@ pub(crate) fn launch_depth_slope_backward(
                 output(&grads.means),
                 grads.rotations.as_ref().map(|grads| grads.vectors(4)).into(),
                 output(&grads.scales),
+                output(&grads.mean2d),
                 output(&grads.cam_from_world),
                 lens(spec),
                 count as u32,

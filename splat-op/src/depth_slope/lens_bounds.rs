@@ -5,7 +5,7 @@ use std::ops::Div;
 
 use fearless_simd::prelude::*;
 
-use super::{DEPTH_SLOPE, EXTENT, ROUNDING};
+use super::{EXTENT, RAY_SPACE, ROUNDING};
 use crate::camera::{Intrinsics, PictureRays};
 use crate::linalg::Entry;
 use crate::project::Ellipse;
@@ -26,7 +26,7 @@ impl<F: Copy> LensFrame<F> {
     /// Reads the columns of a row; `None` for a pinhole, whose rows have none.
     #[inline(always)]
     pub fn of(row: &[F]) -> Option<Self> {
-        match row[DEPTH_SLOPE..] {
+        match row[RAY_SPACE..] {
             [x, y, a, b, c, d] => Some(Self { centre: [x, y], by: [[a, b], [c, d]] }),
             _ => None,
         }

@@ -4,7 +4,7 @@ use core::f32::consts::FRAC_PI_2;
 
 use cubecl::prelude::*;
 
-use super::{DEPTH_SLOPE, EXTENT, LENS_FRAME, ROUNDING};
+use super::{EXTENT, LENS_FRAME, RAY_SPACE, ROUNDING};
 use crate::camera::{Intrinsics, PictureRays};
 use crate::gpu::math::{Mat3, Vec2, Vec2Launch, Vec3, finite};
 use crate::project::forward::{PackedEllipse, ProjectCamera};
@@ -35,7 +35,7 @@ pub(super) fn jacobian_at(
 #[cube]
 impl LensFrame {
     pub fn load(from: &[f32], gaussian: usize) -> LensFrame {
-        let at = gaussian * comptime!(DEPTH_SLOPE + LENS_FRAME) + comptime!(DEPTH_SLOPE);
+        let at = gaussian * comptime!(RAY_SPACE + LENS_FRAME) + comptime!(RAY_SPACE);
         LensFrame {
             centre: Vec2::new(from[at], from[at + 1]),
             x: Vec2::new(from[at + 2], from[at + 3]),
@@ -44,7 +44,7 @@ impl LensFrame {
     }
 
     pub fn store(&self, to: &mut [f32], gaussian: usize, sound: bool) {
-        let at = gaussian * comptime!(DEPTH_SLOPE + LENS_FRAME) + comptime!(DEPTH_SLOPE);
+        let at = gaussian * comptime!(RAY_SPACE + LENS_FRAME) + comptime!(RAY_SPACE);
         to[at] = select(sound, self.centre.x, 0.0);
         to[at + 1] = select(sound, self.centre.y, 0.0);
         to[at + 2] = select(sound, self.x.x, 0.0);

@@ -1,7 +1,7 @@
 //! The columns of a lens, their gradients and the bounds in its picture, in the twin and in the kernels.
 
 use super::cpu::{depth_slope_backward_cpu, depth_slope_cpu};
-use super::{DEPTH_SLOPE, LENS_FRAME, bounds_cpu};
+use super::{LENS_COLUMNS as ROW, RAY_SPACE, bounds_cpu};
 use crate::camera::{CameraModel, Intrinsics, PictureRays};
 use crate::intersect::cpu::needed_intersections;
 use crate::options::{Projection, RenderOptions};
@@ -9,14 +9,11 @@ use crate::project::cpu::project_cpu;
 use crate::project::{COLUMNS, Ellipse, Geometry, ProjectSpec};
 use crate::rasterize::RasterizeSpec;
 use crate::simd::real::Real;
-use crate::testing::finite::{check_gradient, inner_product};
 use crate::testing::lenses::lenses;
 use crate::testing::random::Random;
 
 const ALL: Geometry<bool> =
     Geometry { means: true, rotations: true, scales: true, opacities: false, cam_from_world: true, mean2d: false };
-
-const ROW: usize = DEPTH_SLOPE + LENS_FRAME;
 
 const POSE: [f32; 12] = [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0];
 
@@ -47,32 +44,6 @@ fn inputs<F>(tensors: &[Vec<F>]) -> Geometry<&'_ [F]> {
     Geometry { means, rotations, scales, opacities, cam_from_world, mean2d: &[] }
 }
 
-/// Random gradients without those of the centre's slopes, which the rasterizer does not give.
-fn grads(seed: u64, count: usize) -> Vec<f64> {
-    let mut grad = Random::new(seed).fill(ROW * count, -1.0, 1.0);
-    grad.chunks_exact_mut(ROW).for_each(|row| row[DEPTH_SLOPE..DEPTH_SLOPE + 2].fill(0.0));
-    grad
-}
-
-#[test]
-fn every_gradient_agrees_with_finite_differences() {
-    for (seed, lens) in lenses().into_iter().enumerate() {
-        for projection in [Projection::RayMax, Projection::Affine] {
-            let (spec, tensors) = (spec(lens, 130.0, projection), scene(seed as u64, 24, 0.7));
-            let grad = grads(seed as u64 + 50, 24);
-            let g = depth_slope_backward_cpu(inputs(&tensors), &grad, &spec, ALL);
-            let gradients = [(0, "means", &g.means), (1, "rotations", &g.rotations), (2, "scales", &g.scales)];
-            for (i, name, gradient) in gradients.into_iter().chain([(4, "pose", &g.cam_from_world)]) {
-                check_gradient(&format!("{name}, {lens:?}, {projection:?}"), &tensors[i], gradient, 1, |moved| {
-                    let mut tensors = tensors.clone();
-                    tensors[i] = moved.to_vec();
-                    inner_product(&depth_slope_cpu(inputs(&tensors), &spec), &grad)
-                });
-            }
-        }
-    }
-}
-
 /// Near 90° from its axis a fisheye shrinks the picture along the direction from the axis by `cos² θ`, and a hundred times less across it.
 #[test]
 fn the_rim_of_a_fisheye_keeps_the_digits_along_its_radius() {
@@ -88,7 +59,7 @@ fn the_rim_of_a_fisheye_keeps_the_digits_along_its_radius() {
         let across = x.hypot(y);
         let (n, cos) = ([x / across, y / across], z / across.hypot(z));
         for axis in 0..2 {
-            let g = [0, 1].map(|k| f64::from(row[DEPTH_SLOPE + 2 + 2 * axis + k]) * n[k]);
+            let g = [0, 1].map(|k| f64::from(row[RAY_SPACE + 2 + 2 * axis + k]) * n[k]);
             let (found, expected) = (g[0] + g[1], focal[axis] * cos * cos * n[axis]);
             // The entries themselves are rounded.
             let tolerance = 8.0 * f64::from(f32::EPSILON) * (g[0].abs() + g[1].abs());
@@ -113,7 +84,7 @@ fn the_columns_are_slopes_and_the_jacobian_of_the_lens() {
             let by_x = (seen(slopes[0] + h, slopes[1]) - seen(slopes[0] - h, slopes[1])) / (2.0 * h);
             let by_y = (seen(slopes[0], slopes[1] + h) - seen(slopes[0], slopes[1] - h)) / (2.0 * h);
             let expected = [slopes[0], slopes[1], by_x.x, by_y.x, by_x.y, by_y.y];
-            for (found, expected) in row[DEPTH_SLOPE..].iter().zip(expected) {
+            for (found, expected) in row[RAY_SPACE..].iter().zip(expected) {
                 assert!((found - expected).abs() < 1e-6 * (1.0 + expected.abs()), "{lens:?}: {row:?} {expected:?}");
             }
         }
@@ -140,8 +111,9 @@ fn check_tiles<F: Real>(lens: (CameraModel, [f64; 8]), focal: f64, (slope, alpha
         }
         let mut needed = vec![0; 70];
         for (pixel, slopes) in rays.slopes.iter().enumerate().filter(|(_, slopes)| slopes[0] < 1e29) {
-            let (sx, sy) = (F::of(slopes[0]) - t[3], F::of(slopes[1]) - t[4]);
-            let (dx, dy) = (t[5] * sx + t[6] * sy, t[7] * sx + t[8] * sy);
+            let frame = &t[RAY_SPACE..];
+            let (sx, sy) = (F::of(slopes[0]) - frame[0], F::of(slopes[1]) - frame[1]);
+            let (dx, dy) = (frame[2] * sx + frame[3] * sy, frame[4] * sx + frame[5] * sy);
             let (u, v) = (dx / e.sigma_u, (dy - e.shear * dx) / e.sigma_v);
             let (s, square) = (F::ONE - t[0] * u - t[1] * v, u * u + v * v);
             let exponent = F::of(-0.5) * square / (s * s + t[2] * t[2] * square);
@@ -201,7 +173,7 @@ mod kernels {
             let projection = [Projection::RayMax, Projection::Affine][seed % 2];
             let spec = spec(lens, f64::from(130.0f32), projection);
             let mut tensors = scene(seed as u64, 600, 0.7);
-            tensors.push(grads(7, 600));
+            tensors.push(Random::new(7).fill(ROW * 600, -1.0, 1.0));
             let tensors: Vec<Vec<f64>> = tensors.iter().map(|tensor| rounded(tensor)).collect();
             let classes: Vec<Option<u8>> =
                 (0..600).map(|i| Some(if i % 16 == 15 { CULLED } else { ORDINARY })).collect();

@@ -109,18 +109,28 @@ pub(crate) use lens_bounds_kernel::LensFrame as LensFrameKernel;
 
 use crate::camera::{CameraModel, Intrinsics};
 
-/// Number of columns of the output without those of a lens.
+/// Number of columns of the depth slope and the thickness.
 pub(crate) const DEPTH_SLOPE: usize = 3;
+
+/// Number of columns of the depth slope, the thickness and the relative depth of the centre.
+pub(crate) const SLOPES: usize = DEPTH_SLOPE + 1;
+
+/// Number of columns of the offset of the centre from the origin, px, `sigma_u`, the shear and `sigma_v`: the first ones of a packed
+/// ellipse.
+pub(crate) const SHAPE: usize = 5;
+
+/// Number of columns of the output without those of a lens.
+pub(crate) const RAY_SPACE: usize = SLOPES + SHAPE;
 
 /// Number of columns of a lens: the slopes of the centre, and `G` row by row.
 pub(crate) const LENS_FRAME: usize = 6;
 
 /// Number of columns of the output with a lens.
-pub(crate) const LENS_COLUMNS: usize = DEPTH_SLOPE + LENS_FRAME;
+pub(crate) const LENS_COLUMNS: usize = RAY_SPACE + LENS_FRAME;
 
 /// Number of columns of the output.
 pub(crate) fn columns(camera: &Intrinsics) -> usize {
-    if camera.model == CameraModel::Pinhole { DEPTH_SLOPE } else { LENS_COLUMNS }
+    if camera.model == CameraModel::Pinhole { RAY_SPACE } else { LENS_COLUMNS }
 }
 
 /// Largest thickness. With the camera a billionth of a standard deviation from the centre, the Gaussian is one to the last digit

@@ -3,11 +3,12 @@
 
 use fearless_simd::prelude::*;
 
-use super::{DEPTH_SLOPE, THICKNESS_MAX};
+use super::{DEPTH_SLOPE, RAY_SPACE, THICKNESS_MAX};
 use crate::linalg::{Mat3, add, cross, dot, hadamard, scale, sub};
-use crate::project::Ellipse;
-use crate::project::lens_simd::LensProjectionSimd;
-use crate::project::simd::{GaussiansSimd, MaskOf, ProjectCameraSimd, ProjectionTermsSimd, Vector, any_not_zero, norm};
+use crate::project::lens_simd::{LensProjectionGrad, LensProjectionSimd};
+use crate::project::simd::{
+    GaussiansSimd, GradientsSimd, MaskOf, ProjectCameraSimd, ProjectionTermsSimd, Vector, any_not_zero, norm,
+};
 use crate::simd::each;
 use crate::simd::real::Real;
 
@@ -94,58 +95,73 @@ impl<S: Simd, F: Real> DepthSlopeSimd<S, F> {
     /// Returns the rows, with the columns of a lens if `C` has them.
     #[inline(always)]
     pub fn row<const C: usize>(&self, camera: &ProjectCameraSimd<F::Lanes<S>>) -> [F::Lanes<S>; C] {
-        let (zero, seen) = (self.lanes(F::ZERO), self.projection.seen);
-        let sound = seen & self.sound;
+        let (zero, projection) = (self.lanes(F::ZERO), &self.projection);
+        let (seen, sound) = (projection.seen, projection.seen & self.sound);
         let mut row = [zero; C];
         for k in 0..DEPTH_SLOPE {
             row[k] = sound.select(self.depth_slope[k], zero);
         }
+        let [away_x, away_y] = match &self.lens {
+            Some(_) => [zero; 2],
+            None => projection.away(camera),
+        };
+        let rest = [self.lanes(F::ONE), away_x, away_y, projection.sigma_u, projection.shear, projection.sigma_v];
+        for (value, found) in row[DEPTH_SLOPE..].iter_mut().zip(rest) {
+            *value = seen.select(found, zero);
+        }
         if let Some(lens) = &self.lens {
-            let ([x, y, z], jacobian) = (self.projection.mean_cam, lens.rows(camera.focal));
+            let ([x, y, z], jacobian) = (projection.mean_cam, lens.rows(camera.focal));
             let frame = [x / z, y / z, jacobian[0][0] * z, jacobian[0][1] * z, jacobian[1][0] * z, jacobian[1][1] * z];
-            for (value, frame) in row[DEPTH_SLOPE..].iter_mut().zip(frame) {
+            for (value, frame) in row[RAY_SPACE..].iter_mut().zip(frame) {
                 *value = seen.select(frame, zero);
             }
         }
         row
     }
 
-    /// Returns the gradients of the rows of `m` from the gradient of the depth slope.
+    /// Returns the gradients of the rows of `m`, and of the blur times the blur: `B₀₀, B₀₁, B₁₁` of the module's documentation.
     #[inline(always)]
-    fn factor_backward(&self, [grad_u, grad_v, grad_thickness]: [F::Lanes<S>; DEPTH_SLOPE]) -> Mat3<F::Lanes<S>> {
+    fn factor_backward(&self, blur_sigma: F::Lanes<S>, grad: &RayGrad<F::Lanes<S>>) -> RowsGrad<F::Lanes<S>> {
         let Self { mz, length, b_u, p, a, b, c, .. } = *self;
-        let ProjectionTermsSimd { n, along, m, sigma_u, sigma_v, .. } = self.projection;
+        let ProjectionTermsSimd { n, sigma_u, sigma_v, shear, .. } = self.projection;
         let (zero, one) = (self.lanes(F::ZERO), self.lanes(F::ONE));
-        let e = cross(a, mz);
-        // Four parts of the thickness, each divided by the thickness; each has at most length one.
-        let free = self.thickness_free & self.depth_slope[2].simd_gt(zero);
-        let grad_thickness = free.select(grad_thickness, zero);
-        let inverse = free.select(one / self.depth_slope[2], zero);
-        let (along_p, along_c) = (dot(mz, p) * inverse, scale(c, b * inverse));
-        let (along_e, rest) = (scale(e, inverse), b * b_u * length * inverse);
+        let (inverse_u, inverse_v) = (one / sigma_u, one / sigma_v);
+        // The rows of `N`, each at most of length one; the last one without what a clamp or a row of zeros takes.
+        let across = add(cross(p, n), scale(a, b_u));
+        let [slope_u, slope_v, thickness] = self.depth_slope;
+        let free = self.thickness_free & thickness.simd_gt(zero) & self.sound;
+        let inverse = free.select(one / thickness, zero);
+        let through = add(scale(p, dot(mz, p) * inverse), scale(cross(scale(c, b * inverse), n), b));
+        let through = add(through, cross(scale(cross(a, mz), inverse), a));
         let of_length = scale(mz, length.simd_gt(zero).select(one / length, one));
+        let rest = b * b_u * length * inverse;
+        let through = each!(add(through, scale(of_length, rest * b * b_u)), |value| free.select(value, zero));
 
-        let mut grad_mz = add(scale(n, grad_u), scale(add(cross(p, n), scale(a, b_u)), grad_v));
-        let through = add(add(scale(p, along_p), scale(cross(along_c, n), b)), cross(along_e, a));
-        grad_mz = add(grad_mz, scale(add(through, scale(of_length, rest * b * b_u)), grad_thickness));
-        let grad_n = add(scale(mz, grad_u), scale(cross(mz, p), grad_v));
-        let grad_n = add(grad_n, scale(cross(mz, along_c), b * grad_thickness));
-        let grad_p = add(scale(c, grad_v), scale(mz, along_p * grad_thickness));
-        let grad_a = add(scale(mz, b_u * grad_v), scale(cross(mz, along_e), grad_thickness));
-        let grad_b = grad_thickness * (dot(along_c, c) + rest * b_u * length);
-        let grad_b_u = grad_v * dot(a, mz) + grad_thickness * rest * b * length;
-
-        // p, a and b together have length one and the common denominator sigma_v.
-        let radial = dot(grad_p, p) + dot(grad_a, a) + grad_b * b;
-        let grad_across = scale(sub(grad_p, scale(p, radial)), one / sigma_v);
-        let grad_along = scale(sub(grad_a, scale(a, radial)), b);
-        let grad_n = add(grad_n, cross(m[1], grad_across));
-        // n and bᵤ have the common denominator sigma_u.
-        let radial = dot(grad_n, n) + grad_b_u * b_u + dot(grad_along, along);
-        let inverse_u = one / sigma_u;
-        let grad_m0 = scale(sub(grad_n, scale(n, radial)), inverse_u);
-        let grad_m1 = add(cross(grad_across, n), scale(grad_along, inverse_u));
-        [grad_m0, grad_m1, grad_mz]
+        let [of_u, of_v, of_t] = each!(grad.depth_slope, |value| self.sound.select(value, zero));
+        let [of_sigma_u, of_shear, of_sigma_v] = grad.factor;
+        // The gradients of `m0` and `m1` in terms of the rows of `N`.
+        let lean = of_shear * inverse_u;
+        let turned = free.select((of_v * thickness - of_t * slope_v) * inverse_v, zero);
+        let first = [
+            of_sigma_u - lean * shear,
+            (lean * sigma_v + self.sound.select(of_u * slope_v - of_v * slope_u, zero)) * inverse_u - of_sigma_v * shear,
+            free.select((of_u * thickness - of_t * slope_u) * inverse_u - turned * shear, zero),
+        ];
+        let second = [lean, of_sigma_v, turned];
+        let rows = |[of_n, of_across, of_through]: [F::Lanes<S>; 3]| {
+            add(add(scale(n, of_n), scale(across, of_across)), scale(through, of_through))
+        };
+        // The components of the rows of `N` along the blur of x and of y.
+        let across_blur = [-(shear * b), b];
+        let through_blur = [(slope_v * shear * b - slope_u * b_u) * inverse, -(slope_v * b) * inverse];
+        RowsGrad {
+            m: [rows(first), rows(second), rows([of_u, of_v, of_t])],
+            blur: [
+                blur_sigma * (first[0] * b_u + first[1] * across_blur[0] + first[2] * through_blur[0]),
+                blur_sigma * (first[1] * across_blur[1] + first[2] * through_blur[1]),
+                blur_sigma * (second[1] * across_blur[1] + second[2] * through_blur[1]),
+            ],
+        }
     }
 
     /// Gradients of the Gaussians from those of their rows; zero if those are zero. Adds the pose's gradient, row by row, to `pose`.
@@ -157,28 +173,79 @@ impl<S: Simd, F: Real> DepthSlopeSimd<S, F> {
         g: &GaussiansSimd<F::Lanes<S>>,
         grad: &[F::Lanes<S>; C],
         pose: Option<&mut [F::Lanes<S>; 12]>,
-    ) -> GaussiansSimd<F::Lanes<S>> {
+    ) -> GradientsSimd<F::Lanes<S>> {
         let zero = self.lanes(F::ZERO);
         let (projection, inverse_z) = (&self.projection, self.inverse_z);
-        let takes_part = projection.seen & self.sound & any_not_zero::<S, F>(grad);
-        let grad_m = self.factor_backward([grad[0], grad[1], grad[2]]);
+        let takes_part = projection.seen & any_not_zero::<S, F>(&grad[..RAY_SPACE]);
+        let of = RayGrad {
+            depth_slope: [grad[0], grad[1], grad[2]],
+            depth: grad[3],
+            centre: [grad[4], grad[5]],
+            factor: [grad[6], grad[7], grad[8]],
+        };
+        let RowsGrad { m: grad_m, blur } = self.factor_backward(camera.blur_sigma, &of);
         let scales = add(hadamard(grad_m[0], projection.j[0]), hadamard(grad_m[1], projection.j[1]));
         let scales = add(scales, hadamard(grad_m[2], self.jz));
         let [grad_j0, grad_j1, grad_jz] = each!(grad_m, |row| hadamard(row, g.scale));
-        let mut through = projection.rows_backward::<BENDS>(camera, [grad_j0, grad_j1], &Ellipse::from_row(&[zero; 7]));
-        // The last row of `W R` is divided by z.
-        through.rows[2] = add(through.rows[2], scale(grad_jz, inverse_z));
-        through.mean_cam[2] -= dot(grad_jz, self.jz) * inverse_z;
+        // `J` has the rows `G (1, −t) / z` and `(0, 0, 1) / z`, and a centre moves in the picture by the former.
+        let mut through = LensProjectionGrad { mean_cam: [zero; 3], rows: [[zero; 3], [zero; 3], scale(grad_jz, inverse_z)] };
+        through.mean_cam[2] = (of.depth + blur[0] + blur[2]) * inverse_z;
+        let (slopes, by) = self.map(camera);
+        for axis in 0..2 {
+            let [by_x, by_y] = [by[0][axis] * inverse_z, by[1][axis] * inverse_z];
+            let of_row = add(scale(grad_j0, by_x), scale(grad_j1, by_y));
+            let of_centre = of.centre[0] * by_x + of.centre[1] * by_y;
+            through.rows[axis] = of_row;
+            through.rows[2] = sub(through.rows[2], scale(of_row, slopes[axis]));
+            through.mean_cam[axis] = of_centre;
+            through.mean_cam[2] -= of_centre * slopes[axis];
+        }
         if BENDS && let (Some(lens), Some(distortion)) = (&self.lens, &camera.distortion) {
+            // The blur alone depends on `G`, whose gradient is `−B G⁻ᵀ`.
             let (z, jacobian) = (projection.mean_cam[2], lens.rows(camera.focal));
+            let scaled = (zero - z) / (by[0][0] * by[1][1] - by[0][1] * by[1][0]);
             let mut of_jacobian = [[zero; 3]; 2];
-            for (at, of_frame) in grad[DEPTH_SLOPE + 2..].iter().enumerate() {
-                of_jacobian[at / 2][at % 2] = *of_frame * z;
-                through.mean_cam[2] += *of_frame * jacobian[at / 2][at % 2];
+            for (axis, [of_x, of_y]) in [[blur[0], blur[1]], [blur[1], blur[2]]].into_iter().enumerate() {
+                of_jacobian[axis][0] = (of_x * by[1][1] - of_y * by[0][1]) * scaled;
+                of_jacobian[axis][1] = (of_y * by[0][0] - of_x * by[1][0]) * scaled;
+                for k in 0..2 {
+                    through.mean_cam[2] += of_jacobian[axis][k] * jacobian[axis][k] * inverse_z;
+                }
             }
             let of_lens = lens.backward(distortion, camera.focal, of_jacobian, [zero; 2]);
             through.mean_cam = add(through.mean_cam, of_lens.mean_cam);
         }
-        projection.parameters_backward(camera, g, takes_part, &through, (scales, zero), pose)
+        GradientsSimd {
+            parameters: projection.parameters_backward(camera, g, takes_part, &through, (scales, zero), pose),
+            mean2d: each!(of.centre, |value| takes_part.select(value, zero)),
+        }
     }
+
+    /// Returns the slopes `t` and `G`, px per slope, of the linear map of this Gaussian.
+    #[inline(always)]
+    fn map(&self, camera: &ProjectCameraSimd<F::Lanes<S>>) -> ([F::Lanes<S>; 2], [[F::Lanes<S>; 2]; 2]) {
+        let zero = self.lanes(F::ZERO);
+        match &self.lens {
+            Some(lens) => {
+                let ([x, y, z], jacobian) = (self.projection.mean_cam, lens.rows(camera.focal));
+                ([x / z, y / z], each!([0, 1], |row| [jacobian[row][0] * z, jacobian[row][1] * z]))
+            }
+            None => (self.projection.slope, [[camera.focal[0], zero], [zero, camera.focal[1]]]),
+        }
+    }
+}
+
+/// Gradient of a row: of the depth slope and the thickness, of the centre's relative depth and its offset, px, and of `sigma_u`, the
+/// shear and `sigma_v`.
+struct RayGrad<L> {
+    depth_slope: [L; DEPTH_SLOPE],
+    depth: L,
+    centre: [L; 2],
+    factor: [L; 3],
+}
+
+/// Gradients of the rows of `m`, and `B₀₀, B₀₁, B₁₁`.
+struct RowsGrad<L> {
+    m: Mat3<L>,
+    blur: [L; 3],
 }

@@ -45,6 +45,9 @@ use crate::record::record;
 /// Number of columns of the packed output.
 pub(crate) const COLUMNS: usize = 7;
 
+/// The column of the opacity, the last one.
+pub(crate) const OPACITY: usize = 6;
+
 /// Lower limit of the opacity compensation of an anti-aliased render, as in gsplat. It leaves a splat much smaller than a pixel
 /// visible enough to have a gradient by which it can grow.
 pub(crate) const COMPENSATION_MIN: f64 = 0.005;

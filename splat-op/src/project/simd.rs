@@ -101,7 +101,7 @@ pub(crate) struct ProjectionTermsSimd<S: Simd, F: Real> {
     /// `x/z, y/z`, or their distorted values with a lens; the slopes at which the Jacobian is evaluated; whether each slope is free
     /// (not clamped).
     ratio: [F::Lanes<S>; 2],
-    slope: [F::Lanes<S>; 2],
+    pub slope: [F::Lanes<S>; 2],
     slope_free: [MaskOf<S, F>; 2],
     quaternion: [F::Lanes<S>; 4],
     quaternion_length: F::Lanes<S>,
@@ -115,7 +115,7 @@ pub(crate) struct ProjectionTermsSimd<S: Simd, F: Real> {
     pub along: Vector<S, F>,
     pub p: Vector<S, F>,
     pub sigma_u: F::Lanes<S>,
-    shear: F::Lanes<S>,
+    pub shear: F::Lanes<S>,
     pub sigma_v: F::Lanes<S>,
     /// Factor of the opacity, and whether it is free (not at its lower limit). Without anti-aliasing the factor is one.
     compensation: F::Lanes<S>,
@@ -223,6 +223,12 @@ impl<S: Simd, F: Real> ProjectionTermsSimd<S, F> {
             depth: self.seen.select(self.mean_cam[2], zero),
             opacity: self.seen.select(g.opacity * self.compensation, zero),
         }
+    }
+
+    /// Returns the distance of the centre from the point of the picture at which the Jacobian is evaluated, px, for a pinhole.
+    #[inline(always)]
+    pub fn away(&self, lens: &ProjectCameraSimd<F::Lanes<S>>) -> [F::Lanes<S>; 2] {
+        each!([0, 1], |axis| lens.focal[axis] * (self.ratio[axis] - self.slope[axis]))
     }
 
     /// Gradients of `m0, m1` and of the opacity from those of the ellipse.

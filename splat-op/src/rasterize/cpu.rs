@@ -13,9 +13,9 @@ use super::tile::{Plane, Thresholds, TileTrace, in_block_order, rasterize_tile};
 pub(crate) use super::tile_backward::MOMENTS;
 use super::tile_backward::{TileGrad, TileScratch, rasterize_tile_backward};
 use super::{Layers, PlaneParts, RasterizeSpec};
-use crate::depth_slope::DEPTH_SLOPE;
+use crate::depth_slope::{SHAPE, SLOPES};
 use crate::intersect::{IntersectionLists, TILE, TILE_PIXELS, tile_grid};
-use crate::project::{COLUMNS, Ellipse};
+use crate::project::{COLUMNS, Ellipse, OPACITY};
 use crate::simd::real::Real;
 
 /// Number of Gaussians per task.
@@ -301,8 +301,8 @@ impl<F: Real> TilePlanes<F> {
     }
 }
 
-/// Sums over each tile, a row per intersection: the moments, the channels (depth is the last), the gradient of the depth
-/// slope if there is one, and in the last two columns the sums of absolute values if they are wanted.
+/// Sums over each tile, a row per intersection: the moments, the channels (depth is the last), along rays the gradient of the depth
+/// slope and of the centre's relative depth, and in the last two columns the sums of absolute values if they are wanted.
 pub(crate) struct RowSums<'a, F> {
     pub rows: &'a [F],
     pub columns: usize,
@@ -312,13 +312,14 @@ pub(crate) struct RowSums<'a, F> {
 }
 
 /// Adds the sums of each Gaussian's intersections in order and turns them into gradients of its ellipse and `features`
-/// features, and of its depth slope of `slopes` numbers, zero for none.
+/// features. With `ray_columns` above zero the Gaussian was seen along rays: the gradient of its shape goes to its row of `depth_slope`,
+/// which has as many columns, and the ellipse keeps that of its opacity.
 pub(crate) fn gather<F: Real>(
     ellipses: &[F],
     features: usize,
     intersections: &IntersectionLists,
     sums: &RowSums<F>,
-    (needs, slopes): (Layers<bool>, usize),
+    (needs, ray_columns): (Layers<bool>, usize),
 ) -> (Layers<Vec<F>>, Vec<F>) {
     let RowSums { rows, columns, channels, unscale } = *sums;
     let (count, lists) = (ellipses.len() / COLUMNS, intersections);
@@ -329,14 +330,14 @@ pub(crate) fn gather<F: Real>(
         background: Vec::new(),
         mean2d_abs: zeros(needs.mean2d_abs, 2),
     };
-    let mut grad_slopes = zeros(true, slopes);
+    let mut grad_rays = zeros(true, ray_columns);
     let parts = (
         chunks(&mut grads.projected, COLUMNS, count),
         chunks(&mut grads.features, features, count),
         chunks(&mut grads.mean2d_abs, 2, count),
-        chunks(&mut grad_slopes, slopes, count),
+        chunks(&mut grad_rays, ray_columns, count),
     );
-    parts.into_par_iter().enumerate().for_each(|(chunk, (projected, feature, absolute, slope))| {
+    parts.into_par_iter().enumerate().for_each(|(chunk, (projected, feature, absolute, ray))| {
         let mut sum = vec![F::ZERO; columns];
         let first = chunk * CHUNK;
         let place = |gaussian: usize| lists.visible.partition_point(|&visible| (visible as usize) < gaussian);
@@ -352,17 +353,22 @@ pub(crate) fn gather<F: Real>(
                 _ => add_rows(rows, own, &mut sum),
             }
             let (moments, colours) = sum.split_at(MOMENTS);
-            if needs.projected {
+            if needs.projected || ray_columns > 0 {
                 let ellipse = Ellipse::from_row(&ellipses[(first + i) * COLUMNS..]);
                 let depth = if channels > features { colours[features] } else { F::ZERO };
-                let grad = ellipse_gradient(&ellipse, moments, depth, unscale);
-                projected[i * COLUMNS..(i + 1) * COLUMNS].copy_from_slice(&grad.to_row());
+                let mut grad = ellipse_gradient(&ellipse, moments, depth, unscale).to_row();
+                if ray_columns > 0 {
+                    let ray = &mut ray[i * ray_columns..][..ray_columns];
+                    ray[..SLOPES].copy_from_slice(&colours[channels..channels + SLOPES]);
+                    ray[SLOPES..SLOPES + SHAPE].copy_from_slice(&grad[..SHAPE]);
+                    grad[..OPACITY].fill(F::ZERO);
+                }
+                if needs.projected {
+                    projected[i * COLUMNS..(i + 1) * COLUMNS].copy_from_slice(&grad);
+                }
             }
             if needs.features {
                 feature[i * features..(i + 1) * features].copy_from_slice(&colours[..features]);
-            }
-            if slopes > 0 {
-                slope[i * slopes..(i + 1) * slopes].copy_from_slice(&colours[channels..channels + slopes]);
             }
             if needs.mean2d_abs {
                 // Two factors are scaled: a whitened coordinate and an inverse.
@@ -372,7 +378,7 @@ pub(crate) fn gather<F: Real>(
             }
         }
     });
-    (grads, grad_slopes)
+    (grads, grad_rays)
 }
 
 /// Splits a gradient by chunks of Gaussians; a gradient that is not wanted has empty parts.
@@ -389,7 +395,7 @@ const RGB_COLUMNS: usize = MOMENTS + 3;
 const RGBD_COLUMNS: usize = RGB_COLUMNS + 1;
 
 /// Number of columns of the sums for three channels along rays.
-const RAY_RGB_COLUMNS: usize = RGB_COLUMNS + DEPTH_SLOPE;
+const RAY_RGB_COLUMNS: usize = RGB_COLUMNS + SLOPES;
 
 /// Adds rows of `intersection_sums` to `sum`.
 #[inline(always)]

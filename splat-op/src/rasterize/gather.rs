@@ -4,7 +4,30 @@ use cubecl::prelude::*;
 
 use super::backward::MOMENTS;
 use super::layer::KernelShape;
+use crate::depth_slope::SLOPES;
 use crate::project::COLUMNS;
+
+/// The gradient of the shape of an ellipse.
+#[derive(CubeType, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+struct ShapeGrad {
+    x: f32,
+    y: f32,
+    sigma_u: f32,
+    shear: f32,
+    sigma_v: f32,
+}
+
+#[cube]
+impl ShapeGrad {
+    fn store(&self, to: &mut [f32], at: usize) {
+        to[at] = self.x;
+        to[at + 1] = self.y;
+        to[at + 2] = self.sigma_u;
+        to[at + 3] = self.shear;
+        to[at + 4] = self.sigma_v;
+    }
+}
 
 /// Turns rows into gradients. With `e = −(u² + v²)/2`: `∂e/∂sigma_u = u²/sigma_u`, `∂e/∂sigma_v = v²/sigma_v`,
 /// `∂e/∂shear = u v sigma_u/sigma_v`, `∂e/∂mean = (u/sigma_u − v shear/sigma_v, v/sigma_v)`; and
@@ -13,9 +36,12 @@ use crate::project::COLUMNS;
 /// The Gaussians have the ranks `first_rank..end_rank` in `order`. With `per_intersection`, `rows` holds the rows of their
 /// intersections, `first_row..end_row`; otherwise it holds a row for each Gaussian of the scene.
 ///
-/// A row has the moments, the channels, with rays the gradient of the depth slope, and in the last two columns the
-/// sums of absolute values, if they are wanted. Gradients of Gaussians without intersections are not written: the
-/// buffers must hold zeros.
+/// A row has the moments, the channels, along rays the gradient of the depth slope and of the centre's relative depth, and in the
+/// last two columns the sums of absolute values, if they are wanted. Gradients of Gaussians without intersections are not written:
+/// the buffers must hold zeros.
+///
+/// With `grad_rays` the Gaussian was seen along rays: the gradient of its shape goes to its row of `depth_slope`, which has
+/// `ray_columns` columns, and the ellipse keeps that of its opacity.
 #[cube(launch_unchecked)]
 pub(super) fn rasterize_gather_kernel(
     projected: &[f32],
@@ -25,14 +51,14 @@ pub(super) fn rasterize_gather_kernel(
     mut grad_projected: ComptimeOption<Box<[f32]>>,
     mut grad_features: ComptimeOption<Box<[f32]>>,
     mut grad_absolute: ComptimeOption<Box<[f32]>>,
-    mut grad_depth_slopes: ComptimeOption<Box<[f32]>>,
+    mut grad_rays: ComptimeOption<Box<[f32]>>,
     first_rank: u32,
     end_rank: u32,
     first_row: u32,
     end_row: u32,
     #[comptime] shape: KernelShape,
     #[comptime] columns: usize,
-    #[comptime] slopes: usize,
+    #[comptime] ray_columns: usize,
     #[comptime] per_intersection: bool,
 ) {
     let few = comptime!(shape.few());
@@ -63,19 +89,33 @@ pub(super) fn rasterize_gather_kernel(
             }
         }
         let at = gaussian * comptime!(COLUMNS);
+        let sigma_u = projected[at + 2];
+        let shear = projected[at + 3];
+        let sigma_v = projected[at + 4];
+        let per_v = row[2] / sigma_v;
+        let of_shape = ShapeGrad {
+            x: row[1] / sigma_u - shear * per_v,
+            y: per_v,
+            sigma_u: row[3] / sigma_u,
+            shear: row[4] * (sigma_u / sigma_v),
+            sigma_v: row[5] / sigma_v,
+        };
+        #[comptime]
+        if let ComptimeOption::Some(out) = &mut grad_rays {
+            let first = gaussian * ray_columns;
+            #[unroll]
+            for k in 0..comptime!(SLOPES) {
+                out[first + k] = row[comptime!(MOMENTS + shape.channels() + k)];
+            }
+            of_shape.store(out, first + comptime!(SLOPES));
+        }
         #[comptime]
         if let ComptimeOption::Some(out) = &mut grad_projected {
-            let sigma_u = projected[at + 2];
-            let shear = projected[at + 3];
-            let sigma_v = projected[at + 4];
-            let per_v = row[2] / sigma_v;
-            out[at] = row[1] / sigma_u - shear * per_v;
-            out[at + 1] = per_v;
-            out[at + 2] = row[3] / sigma_u;
-            out[at + 3] = row[4] * (sigma_u / sigma_v);
-            out[at + 4] = row[5] / sigma_v;
-            if comptime!(shape.depth) {
-                out[at + 5] = row[comptime!(MOMENTS + shape.features)];
+            if comptime!(ray_columns == 0) {
+                of_shape.store(out, at);
+                if comptime!(shape.depth) {
+                    out[at + 5] = row[comptime!(MOMENTS + shape.features)];
+                }
             }
             out[at + 6] = row[0] / projected[at + 6];
         }
@@ -90,13 +130,6 @@ pub(super) fn rasterize_gather_kernel(
         if let ComptimeOption::Some(out) = &mut grad_absolute {
             out[2 * gaussian] = row[comptime!(columns - 2)];
             out[2 * gaussian + 1] = row[comptime!(columns - 1)];
-        }
-        #[comptime]
-        if let ComptimeOption::Some(out) = &mut grad_depth_slopes {
-            #[unroll]
-            for k in 0..slopes {
-                out[gaussian * slopes + k] = row[comptime!(MOMENTS + shape.channels() + k)];
-            }
         }
     }
 }

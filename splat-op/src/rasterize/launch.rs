@@ -185,23 +185,24 @@ pub(crate) fn launch_rasterize_backward(
 }
 
 /// Turns rows of `columns` sums, one per intersection if `ordered` is set, else one per Gaussian, into the gradients of
-/// the inputs but the background, and of depth slopes of `slopes` numbers, zero for none. A launch per part of the rows.
+/// the inputs but the background. With `ray_columns` above zero the gradient of the shape goes to rows of `depth_slope` with as many
+/// columns. A launch per part of the rows.
 pub(crate) fn launch_gather(
     gpu: &Gpu,
     projected: &Buffer<f32>,
     lists: &DeviceIntersections,
     (rows, columns, ordered): (&[Rows], usize, bool),
     shape: KernelShape,
-    (needs, slopes): (Layers<bool>, usize),
+    (needs, ray_columns): (Layers<bool>, usize),
 ) -> (Layers<Option<Buffer<f32>>>, Option<Buffer<f32>>) {
     let len = |needed: bool, columns: usize| needed.then_some(projected.len / COLUMNS * columns);
     let lens = [
         len(needs.projected, COLUMNS),
         len(needs.features, shape.features),
         len(needs.mean2d_abs, 2),
-        len(slopes > 0, slopes),
+        len(ray_columns > 0, ray_columns),
     ];
-    let [of_projected, features, mean2d_abs, grad_depth_slopes] = Buffer::zeros_of(gpu, lens);
+    let [of_projected, features, mean2d_abs, grad_rays] = Buffer::zeros_of(gpu, lens);
     let grads = Layers { projected: of_projected, features, background: None, mean2d_abs };
     let output = |buffer: &Option<Buffer<f32>>| buffer.as_ref().map(Buffer::arg).into();
     for Rows { ranks, intersections, sums } in rows {
@@ -219,17 +220,17 @@ pub(crate) fn launch_gather(
                 output(&grads.projected),
                 output(&grads.features),
                 output(&grads.mean2d_abs),
-                output(&grad_depth_slopes),
+                output(&grad_rays),
                 ranks.start as u32,
                 ranks.end as u32,
                 intersections.start as u32,
                 intersections.end as u32,
                 shape,
                 columns,
-                slopes,
+                ray_columns,
                 ordered,
             );
         }
     }
-    (grads, grad_depth_slopes)
+    (grads, grad_rays)
 }

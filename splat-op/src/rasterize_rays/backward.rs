@@ -10,21 +10,22 @@
 
 use cubecl::prelude::*;
 
-use super::layer::{RayFrame, RayGaussian, RayInputs, RayPixel, beyond};
+use super::layer::{RayFrame, RayGaussian, RayInputs, RayPixel};
 use super::walk::front_to_back;
-use crate::depth_slope::DEPTH_SLOPE;
+use crate::depth_slope::SLOPES;
 use crate::intersect::TILE_PIXELS;
 use crate::intersect::forward::TileLists;
 use crate::rasterize::backward::{self, MOMENTS};
 use crate::rasterize::layer::{KernelShape, TilePixel, tile_origin};
 
-/// Number of columns of a row: those of `rasterize` and the gradient of the depth slope.
+/// Number of columns of a row: those of `rasterize` and the gradients of the depth slope, the thickness and the centre's relative
+/// depth.
 pub(super) const fn row_len(shape: KernelShape, absolute: bool) -> usize {
-    backward::row_len(shape, absolute) + DEPTH_SLOPE
+    backward::row_len(shape, absolute) + SLOPES
 }
 
 /// Number of sums of an intersection over a tile's pixels, besides one per channel.
-const SUMS: usize = MOMENTS + DEPTH_SLOPE + 6;
+const SUMS: usize = MOMENTS + SLOPES + 3;
 
 /// Returns the link to the next layer in front, a place plus one, from the link that the table holds; zero ends the way. `layers` is
 /// the number of layers in front. It bounds the way, whatever the table holds, and a link beyond the list ends it.
@@ -136,12 +137,12 @@ pub(super) fn rasterize_rays_sums_kernel(
         let origin = tile_origin(tile, &view.frame);
         let gaussian = inputs.lists.gaussian(place) as usize;
         let footprint = RayGaussian::load(&inputs, gaussian, &view);
-        let (beyond_x, beyond_y) = beyond(&inputs, gaussian, &view);
         let plane = (view.frame.width * view.frame.height) as usize;
         let features = comptime!(view.shape.features);
         let columns = comptime!(row_len(view.shape, absolute));
         let own = ABSOLUTE_POS * comptime!(2 * TILE_PIXELS);
-        // The moments, the gradient of the depth slope, the sums of absolute values and the gradients of the depth, α, β and γ.
+        // The moments, the gradients of the depth slope, the thickness and the centre's relative depth, the sums of absolute
+        // values and the gradient of the depth.
         let mut sums = Array::<f32>::new(comptime!(SUMS));
         #[unroll]
         for column in 0..comptime!(SUMS) {
@@ -158,65 +159,50 @@ pub(super) fn rasterize_rays_sums_kernel(
                 if comptime!(view.shape.depth) {
                     seen = weight * grad[comptime!(features + 1) * plane + pixel.index];
                 }
-                // Negative gradients of `u` and `v`, as in the moments of `rasterize`.
+                // Negative gradients of `u` and `v`, as in the moments of `rasterize`, and of `α` and `β`.
                 let mut p = h * u;
                 let mut q = h * v;
-                let mut centre_u = 0.0f32;
-                let mut centre_v = 0.0f32;
-                if comptime!(view.exact) {
-                    let (lambda, apart_u, apart_v, apart_s) =
-                        (layer.lambda, layer.apart_u, layer.apart_v, layer.apart_s);
+                let mut centre_u = p;
+                let mut centre_v = q;
+                if comptime!(!view.exact) {
+                    sums[12] += seen;
+                } else {
+                    let (slope_u, slope_v) = (footprint.depth_slope_u, footprint.depth_slope_v);
+                    let (lambda, apart_s) = (layer.lambda, layer.apart_s);
                     let of_lambda = seen * footprint.depth;
-                    let (near, far, along_s) = (h * lambda, of_lambda * layer.phi, of_lambda * layer.along);
-                    // Gradient of s.
+                    let (far, along_s, of_depth) = (of_lambda * layer.phi, of_lambda * layer.along, h * apart_s);
                     // As `fma`, so that no compiler rounds otherwise where the sums of absolute values read these too.
-                    let across = fma(near, apart_s, fma(far, apart_s, -(lambda * along_s)));
-                    let radial_u = fma(near, apart_u, far * fma(-lambda, u, apart_u));
-                    let radial_v = fma(near, apart_v, far * fma(-lambda, v, apart_v));
-                    p = fma(across, footprint.depth_slope_u, -radial_u);
-                    q = fma(across, footprint.depth_slope_v, -radial_v);
-                    let of_gamma = fma(-h, apart_s, along_s);
-                    centre_u = fma(-footprint.depth_slope_u, of_gamma, fma(far, u, -(h * apart_u)));
-                    centre_v = fma(-footprint.depth_slope_v, of_gamma, fma(far, v, -(h * apart_v)));
-                    sums[6] -= across * u;
-                    sums[7] -= across * v;
-                    sums[8] += footprint.thickness * apart_s * (h * apart_s - 2.0 * along_s);
-                    sums[12] += centre_u;
-                    sums[13] += centre_v;
-                    sums[14] += of_gamma;
-                    seen *= lambda;
+                    let reach_u = fma(apart_s, slope_u, -layer.apart_u);
+                    let reach_v = fma(apart_s, slope_v, -layer.apart_v);
+                    centre_u = fma(h, reach_u, fma(far, u, -(along_s * slope_u)));
+                    centre_v = fma(h, reach_v, fma(far, v, -(along_s * slope_v)));
+                    p = fma(lambda, centre_u, far * reach_u);
+                    q = fma(lambda, centre_v, far * reach_v);
+                    let of_s = fma(lambda, of_depth, fma(far, apart_s, -(lambda * along_s)));
+                    sums[6] -= of_s * u;
+                    sums[7] -= of_s * v;
+                    sums[8] += footprint.thickness * apart_s * (of_depth - 2.0 * along_s);
+                    sums[9] += along_s - of_depth;
                 }
                 sums[0] += h;
-                sums[1] += p;
-                sums[2] += q;
+                sums[1] += centre_u;
+                sums[2] += centre_v;
                 sums[3] += p * u;
                 sums[4] += q * u;
                 sums[5] += q * v;
-                sums[11] += seen;
                 if comptime!(absolute) {
-                    let (origin_x, origin_y) = footprint.per_px(p, q);
-                    let (centre_x, centre_y) = footprint.per_px(centre_u, centre_v);
-                    sums[9] += select(beyond_x, centre_x, origin_x).abs();
-                    sums[10] += select(beyond_y, centre_y, origin_y).abs();
+                    let (x, y) = footprint.per_px(centre_u, centre_v);
+                    sums[10] += x.abs();
+                    sums[11] += y.abs();
                 }
             }
         }
-        if comptime!(view.exact) && (beyond_x || beyond_y) {
-            // Along an axis on which the centre lies beyond the picture, the origin stays and the centre moves relative to it.
-            let (moved_u, moved_v, of_gamma) = (sums[12], sums[13], sums[14]);
-            let (origin_x, origin_y) = footprint.per_px(sums[1], sums[2]);
-            let (centre_x, centre_y) = footprint.per_px(moved_u, moved_v);
-            let x = select(beyond_x, centre_x, origin_x);
-            let y = select(beyond_y, centre_y, origin_y);
-            let (of_u, of_v) = footprint.per_whitened(x, y);
-            sums[1] = of_u;
-            sums[2] = of_v;
-            sums[3] -= moved_u * footprint.alpha;
-            sums[4] -= moved_v * footprint.alpha;
-            sums[5] -= moved_v * footprint.beta;
-            sums[6] -= footprint.alpha * of_gamma;
-            sums[7] -= footprint.beta * of_gamma;
-        }
+        // The origin and the map of the whitened coordinates stay where they are, and the centre moves relative to them.
+        sums[3] -= sums[1] * footprint.alpha;
+        sums[4] -= sums[2] * footprint.alpha;
+        sums[5] -= sums[2] * footprint.beta;
+        sums[6] -= footprint.alpha * sums[9];
+        sums[7] -= footprint.beta * sums[9];
         let at = row as usize * columns;
         #[unroll]
         for column in 0..comptime!(MOMENTS) {
@@ -233,7 +219,7 @@ pub(super) fn rasterize_rays_sums_kernel(
             rows[at + comptime!(MOMENTS) + channel] = sum;
         }
         if comptime!(view.shape.depth) {
-            rows[at + comptime!(MOMENTS + features)] = sums[11];
+            rows[at + comptime!(MOMENTS + features)] = sums[12];
         }
         let rest = comptime!(MOMENTS + view.shape.channels());
         #[unroll]

@@ -9,12 +9,11 @@ use rayon::prelude::*;
 
 use super::RayLayers;
 use super::footprint::{RayFootprint, RayRules};
-use super::lens::with_frames;
 use super::reach::Reach;
 use super::tile::{ColourSlots, RayTile, RayTileView, rasterize_tile};
 use super::tile_backward::{RayScratch, RayTileGrad, columns, rasterize_tile_backward};
 use crate::camera::PictureRays;
-use crate::depth_slope::{DEPTH_SLOPE, LensLimits};
+use crate::depth_slope::{self, LensLimits};
 use crate::intersect::{IntersectionLists, TILE, tile_grid};
 use crate::options::{Order, Projection};
 use crate::project::COLUMNS;
@@ -183,17 +182,22 @@ pub(crate) fn rasterize_rays_backward_cpu<F: Real>(
     });
     let sums = RowSums { rows: &rows, columns, channels: size.channels(), unscale: 1.0 };
     let RayLayers { projected, depth_slope, features, mean2d_abs, .. } = needs;
-    let bends = depth_slope && prepared.rays.is_some();
-    let needed = Layers { projected: projected || bends, features, background: false, mean2d_abs };
-    let slopes = if depth_slope { DEPTH_SLOPE } else { 0 };
-    let (grads, mut grad_slopes) = gather(inputs.projected, size.features, intersections, &sums, (needed, slopes));
-    if bends {
-        grad_slopes = with_frames(&inputs, &grads.projected, &grad_slopes, spec);
+    let needed = Layers { projected, features, background: false, mean2d_abs };
+    let ray_columns = match spec.options.projection {
+        Projection::RayMax => depth_slope::columns(&spec.intrinsics),
+        Projection::Affine => 0,
+    };
+    let (grads, mut of_rays) = gather(inputs.projected, size.features, intersections, &sums, (needed, ray_columns));
+    let Layers { projected, features, mean2d_abs, .. } = grads;
+    match (depth_slope, spec.options.projection) {
+        (false, _) => of_rays.clear(),
+        // With the affine projection the row decides nothing but the order.
+        (true, Projection::Affine) => of_rays.resize(inputs.depth_slope.len(), F::ZERO),
+        (true, Projection::RayMax) => {}
     }
-    let Layers { projected: grad_projected, features, mean2d_abs, .. } = grads;
     RayLayers {
-        projected: if projected { grad_projected } else { Vec::new() },
-        depth_slope: grad_slopes,
+        projected,
+        depth_slope: of_rays,
         features,
         background: if needs.background { background } else { Vec::new() },
         mean2d_abs,

@@ -33,8 +33,8 @@ pub(super) struct RayFootprint<F> {
     /// `(α, β)` and `γ`: the centre relative to the origin.
     pub centre: [F; 2],
     pub gamma: F,
-    /// Whether the centre lies beyond the picture along x and y.
-    pub beyond: [bool; 2],
+    /// Whether the centre is not the origin.
+    pub beyond: bool,
     /// With the order of each pixel: no pixel that sees the Gaussian has a smaller sort key.
     pub least_key: F,
 }
@@ -45,14 +45,16 @@ impl<F: Real> RayFootprint<F> {
         let row = &inputs.projected[i * COLUMNS..][..COLUMNS];
         let columns = columns(&spec.intrinsics);
         let slopes = &inputs.depth_slope[i * columns..][..columns];
-        let (ellipse, alpha_min) = (Ellipse::from_row(row), F::of(spec.options.alpha_min));
+        let (mut ellipse, alpha_min) = (Ellipse::from_row(row), F::of(spec.options.alpha_min));
         if !(ellipse.opacity > F::ZERO && row.iter().chain(slopes).all(|value| value.finite())) {
             return Self { extent: -F::ONE, ..Self::default() };
         }
-        let (base_px, away) = match spec.options.projection {
-            Projection::RayMax => beyond(ellipse.mean_px, &spec.intrinsics),
-            Projection::Affine => (ellipse.mean_px, [F::ZERO; 2]),
-        };
+        let (mut base_px, mut away, mut centre_depth) = (ellipse.mean_px, [F::ZERO; 2], F::ONE);
+        if spec.options.projection == Projection::RayMax {
+            (base_px, _) = beyond(ellipse.mean_px, &spec.intrinsics);
+            (centre_depth, away) = (slopes[3], [slopes[4], slopes[5]]);
+            [ellipse.sigma_u, ellipse.shear, ellipse.sigma_v] = [slopes[6], slopes[7], slopes[8]];
+        }
         // Limits at which no product of `u`, `v` and `s` overflows anywhere in the picture.
         let widest = F::of(WHITENED_MAX);
         let size = [spec.intrinsics.width, spec.intrinsics.height].map(|px| F::of(px as f64));
@@ -84,8 +86,8 @@ impl<F: Real> RayFootprint<F> {
             thick: slopes[2] * slopes[2],
             depth: ellipse.depth,
             centre,
-            gamma: F::ONE - depth_slope[0] * centre[0] - depth_slope[1] * centre[1],
-            beyond: away.map(|away| away != F::ZERO),
+            gamma: centre_depth - depth_slope[0] * centre[0] - depth_slope[1] * centre[1],
+            beyond: away != [F::ZERO; 2] || centre_depth != F::ONE,
             least_key: -F::MAX,
         };
         if spec.options.order != Order::CentreDepth {
@@ -150,29 +152,12 @@ impl<F: Real> RayFootprint<F> {
         product / d.max_of(F::of(D_MIN)) * self.depth
     }
 
-    /// Whether the centre is not the origin.
-    #[inline(always)]
-    pub fn is_beyond(&self) -> bool {
-        self.beyond[0] | self.beyond[1]
-    }
-
     /// Returns the whitened coordinates `u` and `v` of pixels.
     #[inline(always)]
     fn whiten<S: Simd>(&self, pixels: &RayPixels<S, F>) -> [F::Block<S>; 2] {
         let lanes = |value: F| F::Block::<S>::splat(pixels.x.token(), value);
         let [dx, dy] = [pixels.x - lanes(self.base_px[0]), pixels.y - lanes(self.base_px[1])];
         [dx * lanes(self.inverse_u), lanes(-self.shear).mul_add(dx, dy) * lanes(self.inverse_v)]
-    }
-
-    /// Returns the negative gradient of a position, px, from that of its whitened coordinates.
-    pub fn per_px(&self, [u, v]: [F; 2]) -> [F; 2] {
-        let per_v = v * self.inverse_v;
-        [u * self.inverse_u - self.shear * per_v, per_v]
-    }
-
-    /// The inverse of [`Self::per_px`].
-    pub fn per_whitened(&self, [x, y]: [F; 2]) -> [F; 2] {
-        [(x + self.shear * y) / self.inverse_u, y / self.inverse_v]
     }
 }
 
@@ -283,7 +268,7 @@ impl<S: Simd, F: Real> RayRules<S, F> {
             let s = slope_u.mul_add(met_u, slope_v.mul_add(met_v, self.one));
             let d = lanes(splat.thick).mul_add(met_u.mul_add(met_u, met_v * met_v), s * s);
             let mut sound = if EXACT { s.simd_gt(self.nearest) } else { d.simd_gt(self.d_min) };
-            if EXACT && splat.is_beyond() {
+            if EXACT && splat.beyond {
                 let ([alpha, beta], gamma, thick) =
                     (each!(splat.centre, |value| lanes(value)), lanes(splat.gamma), lanes(splat.thick));
                 let dot = alpha.mul_add(u, beta * v);

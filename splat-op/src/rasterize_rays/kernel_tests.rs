@@ -6,7 +6,7 @@ use super::launch::{launch_rasterize_rays, launch_rasterize_rays_backward};
 use super::{D_MIN, RayLayers};
 use crate::camera::Intrinsics;
 use crate::depth_slope::launch::launch_bounds;
-use crate::depth_slope::{DEPTH_SLOPE, beyond, bounds_cpu};
+use crate::depth_slope::{RAY_SPACE, beyond, bounds_cpu};
 use crate::gpu::{Buffer, Gpu};
 use crate::intersect::cpu::intersect_cpu;
 use crate::intersect::launch::{DeviceIntersections, launch_intersect};
@@ -17,7 +17,7 @@ use crate::rasterize::layer::KernelShape;
 use crate::rasterize::rows::Rows;
 use crate::rasterize::{PlaneParts, RasterizeSpec};
 use crate::testing::ceiling::{PerturbedReference, rounded, to_f32};
-use crate::testing::ellipses::ellipses;
+use crate::testing::ellipses::{ellipses, ray_rows};
 use crate::testing::gpu::{gpu, gpus};
 use crate::testing::random::Random;
 
@@ -59,8 +59,9 @@ impl StageInputs {
             *threshold = f64::from(*threshold as f32);
         }
         let features = random.fill(count * channels, -1.0, 1.0);
-        let inputs =
-            [ellipses(seed, count, &intrinsics, opacity), depth_slopes, features, random.fill(channels, -1.0, 1.0)];
+        let packed = rounded(&ellipses(seed, count, &intrinsics, opacity));
+        let rows = ray_rows(&packed, &depth_slopes, &intrinsics);
+        let inputs = [packed, rows, features, random.fill(channels, -1.0, 1.0)];
         Self {
             name: format!(
                 "{count} splats, {width} × {height}, {channels} channels, {:?}, {:?}",
@@ -129,11 +130,11 @@ impl StageInputs {
     /// Returns the sort keys of the Gaussians that show at the pixel with its centre at `at`, px, in ascending order.
     fn keys(&self, at: [f64; 2]) -> Vec<f64> {
         let options = &self.spec.options;
-        let rows = self.inputs[0].chunks_exact(COLUMNS).zip(self.inputs[1].chunks_exact(DEPTH_SLOPE));
+        let rows = self.inputs[0].chunks_exact(COLUMNS).zip(self.inputs[1].chunks_exact(RAY_SPACE));
         let key = |(row, slope): (&[f64], &[f64])| {
             let e = Ellipse::from_row(row);
             let (base, away) = match options.projection {
-                Projection::RayMax => beyond(e.mean_px, &self.spec.intrinsics),
+                Projection::RayMax => (beyond(e.mean_px, &self.spec.intrinsics).0, [slope[4], slope[5]]),
                 Projection::Affine => (e.mean_px, [0.0; 2]),
             };
             let whitened = |[dx, dy]: [f64; 2]| {
@@ -255,10 +256,13 @@ fn hundreds_of_layers() {
         StageInputs::random(600, [20, 17], 3, [0.9, 1.0], options.with_depth(true)).check();
         // Faint, so that no pixel ends early; far apart in depth, so that few layers are close to swapping.
         let mut scene = StageInputs::random(300, [20, 17], 3, [0.006, 0.02], options.with_depth(true));
-        for (i, row) in scene.inputs[0].chunks_exact_mut(COLUMNS).enumerate().filter(|(_, row)| row[5] > 0.0) {
+        let (packed, rows) = scene.inputs.split_at_mut(1);
+        for (i, row) in packed[0].chunks_exact_mut(COLUMNS).enumerate().filter(|(_, row)| row[5] > 0.0) {
             row[5] = f64::from(1.05_f64.powi((171 * i % 300) as i32) as f32);
             row[2] = row[2].max(3.0);
             row[4] = row[4].max(3.0);
+            let ray = &mut rows[0][i * RAY_SPACE..][..RAY_SPACE];
+            (ray[6], ray[8]) = (row[2], row[4]);
         }
         scene.check();
     }
@@ -328,7 +332,7 @@ fn only_what_is_needed_and_nothing_to_draw() {
     for count in [0, 40] {
         let mut empty = scene.clone();
         empty.inputs[0] = [0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0].repeat(count);
-        empty.inputs[1].truncate(count * DEPTH_SLOPE);
+        empty.inputs[1].truncate(count * RAY_SPACE);
         empty.inputs[2].truncate(count * 3);
         let planes = empty.on(&gpu, &grad, ALL, 1 << 20).0;
         let expected = to_f32(&empty.inputs[3]);

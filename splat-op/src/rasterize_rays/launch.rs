@@ -8,9 +8,8 @@ use super::RayLayers;
 use super::backward::{rasterize_rays_sums_kernel, rasterize_rays_walk_kernel, row_len};
 use super::forward::rasterize_rays_forward_kernel;
 use super::layer::{RayFrameLaunch, RayInputsLaunch};
-use super::lens_kernel::launch_frames;
 use crate::camera::{Intrinsics, PictureRays};
-use crate::depth_slope::DEPTH_SLOPE;
+use crate::depth_slope;
 use crate::gpu::reduce::launch_sums;
 use crate::gpu::{Buffer, Gpu, cubes, elementwise, split};
 use crate::intersect::TILE_PIXELS;
@@ -143,17 +142,15 @@ pub(crate) fn launch_rasterize_rays_backward(
         return RayLayers { background, ..RayLayers::default() };
     }
     let RayLayers { projected, depth_slope, features, mean2d_abs, .. } = needs;
-    let bends = depth_slope && rays.is_some();
-    let needs = Layers { projected: projected || bends, features, background: false, mean2d_abs };
-    let slopes = if depth_slope { DEPTH_SLOPE } else { 0 };
-    let (grads, depth_slope) =
-        launch_gather(gpu, &inputs.projected, lists, (&rows, columns, true), shape, (needs, slopes));
-    let depth_slope = match (&grads.projected, depth_slope) {
-        (Some(of_projected), Some(of_slopes)) if bends => {
-            Some(launch_frames(gpu, inputs, of_projected, &of_slopes, spec))
-        }
-        (_, depth_slope) => depth_slope,
+    let needed = Layers { projected, features, background: false, mean2d_abs };
+    let ray_columns = match spec.options.projection {
+        Projection::RayMax => depth_slope::columns(&spec.intrinsics),
+        Projection::Affine => 0,
     };
-    let Layers { projected: of_projected, features, mean2d_abs, .. } = grads;
-    RayLayers { projected: of_projected.filter(|_| projected), depth_slope, features, background, mean2d_abs }
+    let (grads, of_rays) =
+        launch_gather(gpu, &inputs.projected, lists, (&rows, columns, true), shape, (needed, ray_columns));
+    let Layers { projected, features, mean2d_abs, .. } = grads;
+    // With the affine projection the row decides nothing but the order.
+    let of_rays = of_rays.or_else(|| depth_slope.then(|| Buffer::zeros(gpu, inputs.depth_slope.len)));
+    RayLayers { projected, depth_slope: of_rays.filter(|_| depth_slope), features, background, mean2d_abs }
 }

@@ -4,7 +4,7 @@ use cubecl::prelude::*;
 
 use super::{D_MIN, WHITENED_MAX};
 use crate::camera::LEAST_NO_RAY;
-use crate::depth_slope::{DEPTH_SLOPE, LENS_FRAME, LensFrameKernel as LensFrame};
+use crate::depth_slope::{LENS_FRAME, RAY_SPACE, LensFrameKernel as LensFrame};
 use crate::gpu::math::{Vec2, Vec3, finite, within};
 use crate::intersect::forward::TileLists;
 use crate::project::forward::PackedEllipse;
@@ -142,14 +142,6 @@ fn base_of(x: f32, y: f32, inputs: &RayInputs, view: &RayFrame) -> (f32, f32) {
     (base_x, base_y)
 }
 
-/// Returns whether a centre lies beyond the picture along x and y.
-#[cube]
-pub(super) fn beyond(inputs: &RayInputs, gaussian: usize, view: &RayFrame) -> (bool, bool) {
-    let e = PackedEllipse::load(&inputs.projected, gaussian);
-    let (base_x, base_y) = base_of(e.x, e.y, inputs, view);
-    (e.x != base_x, e.y != base_y)
-}
-
 /// A Gaussian evaluated at a pixel, with the names of the module's documentation. Alpha is zero where the Gaussian is not
 /// visible, or has no alpha or sort key that is a number.
 #[derive(CubeType, Clone, Copy)]
@@ -174,26 +166,37 @@ pub(super) struct RayLayer {
 #[cube]
 impl RayGaussian {
     pub fn load(inputs: &RayInputs, gaussian: usize, view: &RayFrame) -> RayGaussian {
-        let at = gaussian * comptime!(DEPTH_SLOPE + if inputs.rays.is_some() { LENS_FRAME } else { 0 });
+        let at = gaussian * comptime!(RAY_SPACE + if inputs.rays.is_some() { LENS_FRAME } else { 0 });
+        let row = &inputs.depth_slopes;
         let e = PackedEllipse::load(&inputs.projected, gaussian);
         let (base_x, base_y) = base_of(e.x, e.y, inputs, view);
-        let centre = whiten(e.x - base_x, e.y - base_y, e.sigma_u, e.shear, e.sigma_v);
-        let (depth_slope_u, depth_slope_v) = (inputs.depth_slopes[at], inputs.depth_slopes[at + 1]);
+        let (depth_slope_u, depth_slope_v) = (row[at], row[at + 1]);
+        let (mut sigma_u, mut shear, mut sigma_v) = (e.sigma_u, e.shear, e.sigma_v);
+        let (mut alpha, mut beta, mut gamma) = (0.0f32.runtime(), 0.0f32.runtime(), 1.0f32.runtime());
+        if comptime!(view.exact) {
+            sigma_u = row[at + 6];
+            shear = row[at + 7];
+            sigma_v = row[at + 8];
+            let centre = whiten(row[at + 4], row[at + 5], sigma_u, shear, sigma_v);
+            alpha = centre.u;
+            beta = centre.v;
+            gamma = row[at + 3] - (depth_slope_u * alpha + depth_slope_v * beta);
+        }
         RayGaussian {
             base_x,
             base_y,
-            sigma_u: e.sigma_u,
-            shear: e.shear,
-            sigma_v: e.sigma_v,
+            sigma_u,
+            shear,
+            sigma_v,
             // Clamping takes NaN for a number.
             opacity: select(Vec3::new(e.x, e.y, e.shear).is_finite(), e.opacity, 0.0),
             depth: e.depth,
             depth_slope_u,
             depth_slope_v,
-            thickness: inputs.depth_slopes[at + 2],
-            alpha: centre.u,
-            beta: centre.v,
-            gamma: 1.0 - (depth_slope_u * centre.u + depth_slope_v * centre.v),
+            thickness: row[at + 2],
+            alpha,
+            beta,
+            gamma,
             frame: frame_of(inputs, gaussian),
         }
     }
@@ -257,11 +260,6 @@ impl RayGaussian {
     pub fn per_px(&self, u: f32, v: f32) -> (f32, f32) {
         let per_v = v / self.sigma_v;
         (u / self.sigma_u - self.shear * per_v, per_v)
-    }
-
-    /// The inverse of [`Self::per_px`].
-    pub fn per_whitened(&self, x: f32, y: f32) -> (f32, f32) {
-        ((x + self.shear * y) * self.sigma_u, y * self.sigma_v)
     }
 
     /// Returns the whitened coordinates of a pixel's ray, and whether there is a ray. For a pinhole the pixel's own coordinates are

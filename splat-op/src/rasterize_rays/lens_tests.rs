@@ -4,12 +4,12 @@ use super::RayLayers;
 use super::cpu::{rasterize_rays_backward_cpu, rasterize_rays_cpu};
 use crate::camera::{CameraModel, Intrinsics, LEAST_NO_RAY, PictureRays};
 use crate::depth_slope::cpu::depth_slope_cpu;
-use crate::depth_slope::{DEPTH_SLOPE, LENS_FRAME, bounds_cpu};
+use crate::depth_slope::{LENS_COLUMNS as ROW, RAY_SPACE, bounds_cpu};
 use crate::intersect::IntersectionLists;
 use crate::intersect::cpu::intersect_cpu;
 use crate::options::{Order, Projection, RenderOptions};
 use crate::project::cpu::project_cpu;
-use crate::project::{COLUMNS, Ellipse, Geometry, ProjectSpec};
+use crate::project::{COLUMNS, Ellipse, Geometry, OPACITY, ProjectSpec};
 use crate::rasterize::{PlaneParts, RasterizeSpec};
 use crate::testing::blending::{PixelLayer, assert_close, blended, smooth};
 use crate::testing::ceiling::rounded;
@@ -25,8 +25,6 @@ const CHOICES: [(Projection, Order); 3] = [
     (Projection::Affine, Order::PerPixelSort),
     (Projection::RayMax, Order::PerPixelSort),
 ];
-
-const ROW: usize = DEPTH_SLOPE + LENS_FRAME;
 
 /// Packed ellipses, depth slopes, features, background.
 #[derive(Clone)]
@@ -110,14 +108,25 @@ impl StageInputs {
             return [0.0, 0.0, 0.0];
         }
         let whiten = |dx: f64, dy: f64| (dx / e.sigma_u, (dy - e.shear * dx) / e.sigma_v);
-        let (x, y) = (slopes[0] - t[3], slopes[1] - t[4]);
-        let (u, v) = whiten(t[5] * x + t[6] * y, t[7] * x + t[8] * y);
+        let frame = &t[RAY_SPACE..];
+        let (x, y) = (slopes[0] - frame[0], slopes[1] - frame[1]);
+        let ray = [frame[2] * x + frame[3] * y, frame[4] * x + frame[5] * y];
+        let (u, v) = whiten(ray[0], ray[1]);
         let (s, square) = (1.0 - t[0] * u - t[1] * v, u * u + v * v);
-        let d = s * s + t[2] * t[2] * square;
-        let key = s / d * e.depth;
+        let key = s / (s * s + t[2] * t[2] * square) * e.depth;
         match options.projection {
-            Projection::RayMax if s > 0.0 => [e.opacity * (-0.5 * square / d).exp(), key, key],
-            Projection::RayMax => [0.0, 0.0, 0.0],
+            Projection::RayMax => {
+                let whiten = |[dx, dy]: [f64; 2], depth: f64| {
+                    let (u, v) = (dx / t[6], (dy - t[7] * dx) / t[8]);
+                    [u, v, (depth - t[0] * u - t[1] * v) / t[2]]
+                };
+                let (to, centre) = (whiten(ray, 1.0), whiten([t[4], t[5]], t[3]));
+                let dot = |a: [f64; 3], b: [f64; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+                let lambda = dot(to, centre) / dot(to, to);
+                let apart = [0, 1, 2].map(|k| lambda * to[k] - centre[k]);
+                let alpha = if lambda > 0.0 { e.opacity * (-0.5 * dot(apart, apart)).exp() } else { 0.0 };
+                [alpha, lambda * e.depth, lambda * e.depth]
+            }
             Projection::Affine => {
                 let centre = [(pixel % width) as f64 + 0.5, (pixel / width) as f64 + 0.5];
                 let (u, v) = whiten(centre[0] - e.mean_px[0], centre[1] - e.mean_px[1]);
@@ -155,8 +164,7 @@ fn planes_are_those_of_the_definition() {
     }
 }
 
-/// The projected centre and the centre's slopes move together, as `project` and `depth_slope` move them: the gradient of both is
-/// that of the projected centre.
+/// The columns of a lens and all but the opacity of an ellipse decide in which coordinates a row is given, and have no gradient.
 #[test]
 fn every_gradient_agrees_with_finite_differences() {
     for (seed, lens) in lenses().into_iter().enumerate() {
@@ -165,28 +173,21 @@ fn every_gradient_agrees_with_finite_differences() {
             let scene = StageInputs::random(seed as u64, (7, 2), (24, 17), lens, options);
             let grad = scene.random_grad();
             let g = scene.backward(&grad, ALL);
-            assert!(g.depth_slope.chunks_exact(ROW).all(|row| row[3] == 0.0 && row[4] == 0.0));
-            let any = g.depth_slope.chunks_exact(ROW).flat_map(|row| &row[5..]).any(|value| *value != 0.0);
-            assert_eq!(any, projection == Projection::RayMax);
+            let exact = projection == Projection::RayMax;
+            assert!(g.depth_slope.chunks_exact(ROW).all(|row| row[RAY_SPACE..].iter().all(|value| *value == 0.0)));
+            assert_eq!(g.depth_slope.iter().any(|value| *value != 0.0), exact);
             let gradients = [&g.projected, &g.depth_slope, &g.features, &g.background];
             for (i, part) in ["ellipses", "depth slopes", "features", "background"].into_iter().enumerate() {
                 let what = format!("{part}, {lens:?}, {projection:?}, {order:?}");
                 check_gradient(&what, &scene.inputs[i], gradients[i], 1, |moved| {
                     let mut at = scene.clone();
                     at.inputs[i] = moved.to_vec();
-                    let [projected, depth_slope, ..] = &mut at.inputs;
-                    let means = scene.inputs[0].chunks_exact(COLUMNS).zip(projected.chunks_exact(COLUMNS));
-                    for (row, (old, new)) in depth_slope.chunks_exact_mut(ROW).zip(means) {
-                        let by = glam::DMat2::from_cols_array(&[row[5], row[7], row[6], row[8]]);
-                        let step = by.inverse() * glam::DVec2::new(new[0] - old[0], new[1] - old[1]);
-                        (row[3], row[4]) = (row[3] + step.x, row[4] + step.y);
+                    let [projected, rows, ..] = &mut at.inputs;
+                    for (row, old) in rows.chunks_exact_mut(ROW).zip(scene.inputs[1].chunks_exact(ROW)) {
+                        row[RAY_SPACE..].copy_from_slice(&old[RAY_SPACE..]);
                     }
-                    if i == 1 {
-                        // The slopes of the centre have no gradient of their own.
-                        for (row, old) in at.inputs[1].chunks_exact_mut(ROW).zip(scene.inputs[1].chunks_exact(ROW)) {
-                            row[3..5].copy_from_slice(&old[3..5]);
-                        }
-                    }
+                    let ellipses = projected.chunks_exact_mut(COLUMNS).zip(scene.inputs[0].chunks_exact(COLUMNS));
+                    ellipses.filter(|_| exact).for_each(|(row, old)| row[..OPACITY].copy_from_slice(&old[..OPACITY]));
                     inner_product(&at.planes(), &grad)
                 });
             }

@@ -78,9 +78,9 @@
 
 #[cfg(feature = "cube")]
 mod backward;
-pub(crate) mod cpu;
 #[cfg(test)]
-mod crossing_tests;
+mod chain_tests;
+pub(crate) mod cpu;
 mod footprint;
 #[cfg(feature = "cube")]
 mod forward;
@@ -90,9 +90,6 @@ mod kernel_tests;
 pub(crate) mod launch;
 #[cfg(feature = "cube")]
 mod layer;
-mod lens;
-#[cfg(feature = "cube")]
-mod lens_kernel;
 #[cfg(test)]
 mod lens_tests;
 mod order;

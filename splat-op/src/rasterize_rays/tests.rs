@@ -3,14 +3,15 @@
 use super::RayLayers;
 use super::cpu::{rasterize_rays_backward_cpu, rasterize_rays_cpu};
 use crate::camera::Intrinsics;
-use crate::depth_slope::{DEPTH_SLOPE, beyond, bounds_cpu};
+use crate::depth_slope::{RAY_SPACE, beyond, bounds_cpu};
 use crate::intersect::IntersectionLists;
 use crate::intersect::cpu::intersect_cpu;
 use crate::options::{Order, Projection, RenderOptions};
-use crate::project::{COLUMNS, Ellipse};
+use crate::project::{COLUMNS, Ellipse, OPACITY};
 use crate::rasterize::cpu::rasterize_cpu;
 use crate::rasterize::{PlaneParts, RasterizeSpec};
 use crate::testing::blending::{PixelLayer, assert_close, blended, small_ellipse, smooth};
+use crate::testing::ellipses::ray_rows;
 use crate::testing::finite::{check_gradient, inner_product};
 use crate::testing::random::Random;
 
@@ -52,7 +53,8 @@ impl StageInputs {
         let features = random.fill(count * channels, -1.0, 1.0);
         let background = random.fill(channels, -1.0, 1.0);
         let spec = RasterizeSpec { intrinsics: Intrinsics::centred(width, height, 30.0), options };
-        Self { inputs: [packed, depth_slopes, features, background], spec }
+        let rows = ray_rows(&packed, &depth_slopes, &spec.intrinsics);
+        Self { inputs: [packed, rows, features, background], spec }
     }
 
     fn lists(&self) -> IntersectionLists {
@@ -90,18 +92,18 @@ impl StageInputs {
     fn seen(&self, pixel: usize, i: usize) -> [f64; 3] {
         let (width, options) = (self.spec.intrinsics.width, &self.spec.options);
         let e = Ellipse::from_row(&self.inputs[0][i * COLUMNS..]);
-        let t = &self.inputs[1][i * DEPTH_SLOPE..];
+        let t = &self.inputs[1][i * RAY_SPACE..][..RAY_SPACE];
         // The ellipse is seen from the point of the picture next to the centre, or from the centre itself.
-        let (base, away) = match options.projection {
-            Projection::RayMax => beyond(e.mean_px, &self.spec.intrinsics),
-            Projection::Affine => (e.mean_px, [0.0; 2]),
+        let (base, away, shape) = match options.projection {
+            Projection::RayMax => (beyond(e.mean_px, &self.spec.intrinsics).0, [t[4], t[5], t[3]], [t[6], t[7], t[8]]),
+            Projection::Affine => (e.mean_px, [0.0, 0.0, 1.0], [e.sigma_u, e.shear, e.sigma_v]),
         };
-        let whitened = |[dx, dy]: [f64; 2]| {
-            let (u, v) = (dx / e.sigma_u, (dy - e.shear * dx) / e.sigma_v);
-            [u, v, (1.0 - t[0] * u - t[1] * v) / t[2]]
+        let whitened = |[dx, dy, depth]: [f64; 3]| {
+            let (u, v) = (dx / shape[0], (dy - shape[1] * dx) / shape[2]);
+            [u, v, (depth - t[0] * u - t[1] * v) / t[2]]
         };
-        let [to, centre] =
-            [[(pixel % width) as f64 + 0.5 - base[0], (pixel / width) as f64 + 0.5 - base[1]], away].map(whitened);
+        let at = [(pixel % width) as f64 + 0.5 - base[0], (pixel / width) as f64 + 0.5 - base[1], 1.0];
+        let [to, centre] = [at, away].map(whitened);
         // Offset of the point λ of the ray from the centre, in the three whitened coordinates.
         let offset = |lambda: f64| -> [f64; 3] { std::array::from_fn(|k| lambda * to[k] - centre[k]) };
         let (at_0, at_1) = (offset(0.0), offset(1.0));
@@ -139,6 +141,11 @@ impl StageInputs {
             check_gradient(&format!("{name}: {part}"), &self.inputs[i], gradients[i], stride, |moved| {
                 let mut scene = self.clone();
                 scene.inputs[i] = moved.to_vec();
+                if self.spec.options.projection == Projection::RayMax {
+                    // All but the opacity decides in which coordinates a row is given, and has no gradient.
+                    let rows = scene.inputs[0].chunks_exact_mut(COLUMNS).zip(self.inputs[0].chunks_exact(COLUMNS));
+                    rows.for_each(|(row, own)| row[..OPACITY].copy_from_slice(&own[..OPACITY]));
+                }
                 inner_product(&scene.planes(), &grad)
             });
         }
@@ -181,7 +188,7 @@ fn without_a_depth_slope_it_is_rasterize() {
     for (projection, order) in CHOICES {
         let options = RenderOptions::standard().with_projection(projection).with_order(order).with_depth(true);
         let mut scene = StageInputs::random(5, 300, (50, 40), 3, ([0.0, 1.0], 0.0, 0.0), options);
-        scene.inputs[1].fill(0.0);
+        scene.inputs[1].chunks_exact_mut(RAY_SPACE).for_each(|row| row[..3].fill(0.0));
         let [projected, _, features, background] = &scene.inputs;
         let plain = crate::rasterize::Layers { projected: &projected[..], features, background, mean2d_abs: &[] };
         let lists = intersect_cpu(projected, &scene.spec.intrinsics, options.alpha_min.into());
@@ -232,7 +239,7 @@ fn every_gradient_agrees_with_finite_differences() {
             }
             scene.check(&what, 1);
             // The camera is inside some of the Gaussians.
-            scene.inputs[1].iter_mut().skip(2).step_by(2 * DEPTH_SLOPE).for_each(|thickness| *thickness *= 6.0);
+            scene.inputs[1].iter_mut().skip(2).step_by(2 * RAY_SPACE).for_each(|thickness| *thickness *= 6.0);
             if order == Order::CentreDepth && nearest(&scene, 0.8) > 1e-3 {
                 scene.check(&format!("{what}, thick"), 1);
             }
@@ -265,9 +272,12 @@ fn absolute_gradients_are_the_sum_over_pixels_of_absolute_values() {
             let planes = (pixel..grad.len()).step_by(scene.pixels());
             planes.for_each(|i| alone[i] = grad[i]);
             let g = scene.backward(&alone, RayLayers { mean2d_abs: false, ..ALL });
-            for (sum, row) in expected.chunks_exact_mut(2).zip(g.projected.chunks_exact(COLUMNS)) {
-                sum[0] += row[0].abs();
-                sum[1] += row[1].abs();
+            let moved = |i: usize| match projection {
+                Projection::RayMax => &g.depth_slope[i * RAY_SPACE + 4..],
+                Projection::Affine => &g.projected[i * COLUMNS..],
+            };
+            for (i, sum) in expected.chunks_exact_mut(2).enumerate() {
+                sum.iter_mut().zip(moved(i)).for_each(|(sum, gradient)| *sum += gradient.abs());
             }
         }
         assert_close("mean2d_abs", &found, &expected, 1e-12);
@@ -322,6 +332,7 @@ fn what_lies_behind_finished_pixels_is_not_evaluated() {
         for (i, row) in scene.inputs[0].chunks_exact_mut(COLUMNS).enumerate() {
             (row[2], row[4], row[5]) = (30.0, 30.0, 1.0 + 0.05 * i as f64);
         }
+        scene.inputs[1].chunks_exact_mut(RAY_SPACE).for_each(|row| (row[6], row[8]) = (30.0, 30.0));
         let trace = |scene: &StageInputs| {
             rasterize_rays_cpu(inputs(&scene.inputs), &scene.spec, &scene.lists(), true).1.expect("asked for")
         };

@@ -7,7 +7,7 @@ use fearless_simd::prelude::*;
 use super::footprint::{RayFootprint, RayLayerSimd, RayRules};
 use super::order::{Ids, LayerSlots};
 use super::tile::{Open, RayTile, TOGETHER};
-use crate::depth_slope::DEPTH_SLOPE;
+use crate::depth_slope::SLOPES;
 use crate::intersect::TILE_PIXELS;
 use crate::rasterize::cpu::{MOMENTS, TilePlanes};
 use crate::rasterize::tile::{Plane, lanes, len, store};
@@ -53,7 +53,7 @@ pub(super) struct RayTileGrad<'a, F> {
 
 /// Number of columns of a row: the moments, the channels, the depth slope and perhaps the absolute values.
 pub(super) fn columns(channels: usize, absolute: bool) -> usize {
-    MOMENTS + channels + DEPTH_SLOPE + if absolute { 2 } else { 0 }
+    MOMENTS + channels + SLOPES + if absolute { 2 } else { 0 }
 }
 
 /// Adds each intersection's sums over the tile to its row. Returns the transmittances behind all layers, negated where a pixel is
@@ -228,9 +228,8 @@ impl<'a, S: Simd, F: Real, const EXACT: bool> Along<'a, S, F, EXACT> {
 struct RaySums<S: Simd, F: Real> {
     moments: [F::Block<S>; MOMENTS],
     depth: F::Block<S>,
-    slopes: [F::Block<S>; DEPTH_SLOPE],
-    /// The gradients of `α`, `β` and `γ`.
-    centre: [F::Block<S>; 3],
+    /// The gradients of the depth slope, of the thickness over the thickness, and of `γ`.
+    slopes: [F::Block<S>; SLOPES],
     absolute: [F::Block<S>; 2],
 }
 
@@ -260,8 +259,7 @@ fn add_rows<S: Simd, F: Real, const EXACT: bool>(
         let mut fixed = RaySums {
             moments: [zero; MOMENTS],
             depth: zero,
-            slopes: [zero; DEPTH_SLOPE],
-            centre: [zero; 3],
+            slopes: [zero; SLOPES],
             absolute: [zero; 2],
         };
         let mut features = [zero; TOGETHER];
@@ -312,22 +310,14 @@ impl<S: Simd, F: Real> RaySums<S, F> {
         absolute: bool,
     ) {
         let mut moments = each!(self.moments, |sum| sum.reduce_sum());
-        let [slope_u, slope_v, thickness] = each!(self.slopes, |sum| sum.reduce_sum());
-        let mut slopes = [-slope_u, -slope_v, thickness * splat.thick.sqrt()];
-        if EXACT && splat.is_beyond() {
-            let [of_alpha, of_beta, of_gamma] = each!(self.centre, |sum| sum.reduce_sum());
-            let [alpha, beta] = splat.centre;
-            let moved = [of_alpha - splat.depth_slope[0] * of_gamma, of_beta - splat.depth_slope[1] * of_gamma];
-            // Along an axis on which the centre lies beyond the picture, the origin stays and the centre moves relative to it.
-            let (of_origin, of_centre) = (splat.per_px([moments[1], moments[2]]), splat.per_px(moved));
-            let of_mean = [0, 1].map(|axis| if splat.beyond[axis] { of_centre[axis] } else { of_origin[axis] });
-            [moments[1], moments[2]] = splat.per_whitened(of_mean);
-            moments[3] -= moved[0] * alpha;
-            moments[4] -= moved[1] * alpha;
-            moments[5] -= moved[1] * beta;
-            slopes[0] -= alpha * of_gamma;
-            slopes[1] -= beta * of_gamma;
-        }
+        let [slope_u, slope_v, thickness, of_gamma] = each!(self.slopes, |sum| sum.reduce_sum());
+        // The origin and the map of the whitened coordinates stay where they are, and the centre moves relative to them.
+        let (moved, [alpha, beta]) = ([moments[1], moments[2]], splat.centre);
+        moments[3] -= moved[0] * alpha;
+        moments[4] -= moved[1] * alpha;
+        moments[5] -= moved[1] * beta;
+        let thickness = thickness * splat.thick.sqrt();
+        let slopes = [-slope_u - alpha * of_gamma, -slope_v - beta * of_gamma, thickness, of_gamma];
         row.iter_mut().zip(moments).for_each(|(out, sum)| *out += sum);
         if channels > features {
             row[MOMENTS + features] += self.depth.reduce_sum();
@@ -337,8 +327,8 @@ impl<S: Simd, F: Real> RaySums<S, F> {
             rest.iter_mut().zip(slopes).for_each(|(out, sum)| *out += sum);
         }
         if absolute {
-            rest[DEPTH_SLOPE] += self.absolute[0].reduce_sum();
-            rest[DEPTH_SLOPE + 1] += self.absolute[1].reduce_sum();
+            rest[SLOPES] += self.absolute[0].reduce_sum();
+            rest[SLOPES + 1] += self.absolute[1].reduce_sum();
         }
     }
 
@@ -354,69 +344,52 @@ impl<S: Simd, F: Real> RaySums<S, F> {
     ) {
         let lanes = |value: F| F::Block::<S>::splat(h.token(), value);
         let RayLayerSimd { u, v, exponent, lambda, inverse, along, apart, .. } = *layer;
-        // Negative gradients of `u` and `v`; gradients of `α`, `β` and `γ`.
-        let (mut p, mut q, mut centre) = (h * u, h * v, [lanes(F::ZERO); 3]);
+        // Negative gradients of `u` and `v`; gradients of `α` and `β`, where the origin is not moved with the centre.
+        let (mut of_ray, mut of_centre) = ([h * u, h * v], [h * u, h * v]);
         if EXACT {
             let [slope_u, slope_v] = each!(splat.depth_slope, |value| lanes(value));
-            let across;
-            if splat.is_beyond() {
+            // `c`, and `c depth_slope − (a, b)`.
+            let (apart_s, along, reach) = if splat.beyond {
                 let [apart_u, apart_v, apart_s] = apart;
-                let of_lambda = seen.unwrap_or(lanes(F::ZERO)) * lanes(splat.depth);
-                let (near, far) = (h * lambda, of_lambda * lanes(splat.thick) * inverse);
-                let along_s = of_lambda * along;
-                across = near.mul_add(apart_s, far * apart_s - lambda * along_s);
-                p = across * slope_u - near.mul_add(apart_u, far * (-lambda).mul_add(u, apart_u));
-                q = across * slope_v - near.mul_add(apart_v, far * (-lambda).mul_add(v, apart_v));
-                self.slopes[2] += apart_s * (h * apart_s - (along_s + along_s));
-                centre = [far * u - h * apart_u, far * v - h * apart_v, along_s - h * apart_s];
+                (apart_s, along, [apart_s * slope_u - apart_u, apart_s * slope_v - apart_v])
             } else {
                 let twice = exponent * lanes(F::of(2.0 * std::f64::consts::LN_2));
-                let (near, of_thickness) = (h * lambda, h * twice);
-                let radial;
-                if let Some(seen) = seen {
-                    let of_lambda = seen * lanes(splat.depth);
-                    let phi = lanes(splat.thick) * inverse;
-                    let kappa = twice * phi - lambda * lambda;
-                    radial = (near + (of_lambda + of_lambda) * phi) * lambda;
-                    across = near * twice + of_lambda * kappa;
-                    self.slopes[2] -= twice * (of_lambda + of_lambda) * lambda;
-                } else {
-                    radial = near * lambda;
-                    across = near * twice;
-                }
-                p = radial.mul_add(u, across * slope_u);
-                q = radial.mul_add(v, across * slope_v);
-                self.slopes[2] = twice.mul_add(of_thickness, self.slopes[2]);
-            }
-            self.slopes[0] = across.mul_add(u, self.slopes[0]);
-            self.slopes[1] = across.mul_add(v, self.slopes[1]);
+                (twice, lambda, [lambda.mul_add(u, twice * slope_u), lambda.mul_add(v, twice * slope_v)])
+            };
+            let of_depth = h * apart_s;
+            let (mut of_gamma, mut of_s, mut of_thickness) = (-of_depth, lambda * of_depth, apart_s * of_depth);
+            of_centre = [h * reach[0], h * reach[1]];
+            of_ray = [lambda * of_centre[0], lambda * of_centre[1]];
             if let Some(seen) = seen {
-                self.depth = seen.mul_add(lambda, self.depth);
+                let of_lambda = seen * lanes(splat.depth);
+                let (far, along_s) = (of_lambda * lanes(splat.thick) * inverse, of_lambda * along);
+                of_gamma += along_s;
+                of_s += far * apart_s - lambda * along_s;
+                of_thickness -= apart_s * (along_s + along_s);
+                let through = [far.mul_add(u, -(along_s * slope_u)), far.mul_add(v, -(along_s * slope_v))];
+                for axis in 0..2 {
+                    of_centre[axis] += through[axis];
+                    of_ray[axis] += lambda.mul_add(through[axis], far * reach[axis]);
+                }
             }
+            self.slopes[0] = of_s.mul_add(u, self.slopes[0]);
+            self.slopes[1] = of_s.mul_add(v, self.slopes[1]);
+            self.slopes[2] += of_thickness;
+            self.slopes[3] += of_gamma;
         } else if let Some(seen) = seen {
             self.depth += seen;
         }
         self.moments[0] += h;
-        self.moments[1] += p;
-        self.moments[2] += q;
-        self.moments[3] = p.mul_add(u, self.moments[3]);
-        self.moments[4] = q.mul_add(u, self.moments[4]);
-        self.moments[5] = q.mul_add(v, self.moments[5]);
-        if splat.is_beyond() {
-            for (sum, value) in self.centre.iter_mut().zip(centre) {
-                *sum += value;
-            }
-        }
+        self.moments[1] += of_centre[0];
+        self.moments[2] += of_centre[1];
+        self.moments[3] = of_ray[0].mul_add(u, self.moments[3]);
+        self.moments[4] = of_ray[1].mul_add(u, self.moments[4]);
+        self.moments[5] = of_ray[1].mul_add(v, self.moments[5]);
         if absolute {
-            let [slope_u, slope_v] = each!(splat.depth_slope, |value| lanes(value));
-            let moved = [centre[0] - slope_u * centre[2], centre[1] - slope_v * centre[2]];
-            let [of_origin, of_centre] = each!([[p, q], moved], |[p, q]| {
-                let per_v = q * lanes(splat.inverse_v);
-                [p * lanes(splat.inverse_u) - per_v * lanes(splat.shear), per_v]
-            });
-            for axis in 0..2 {
-                self.absolute[axis] += if splat.beyond[axis] { of_centre[axis] } else { of_origin[axis] }.abs();
-            }
+            let [of_u, of_v] = of_centre;
+            let per_v = of_v * lanes(splat.inverse_v);
+            self.absolute[0] += (of_u * lanes(splat.inverse_u) - per_v * lanes(splat.shear)).abs();
+            self.absolute[1] += per_v.abs();
         }
     }
 }

@@ -2,7 +2,8 @@
 
 use super::random::Random;
 use crate::camera::Intrinsics;
-use crate::project::Ellipse;
+use crate::depth_slope::{DEPTH_SLOPE, beyond};
+use crate::project::{COLUMNS, Ellipse};
 
 /// `[count, 7]` ellipses in and around a picture, round and thin, from below a pixel to most of the picture; a tenth are culled.
 /// The values are exact in f32.
@@ -26,4 +27,14 @@ pub fn ellipses(seed: u64, count: usize, camera: &Intrinsics, opacity: [f64; 2])
         packed.extend(if i % 10 == 9 { culled } else { ellipse }.to_row());
     }
     packed.iter().map(|&v| f64::from(v as f32)).collect()
+}
+
+/// Returns rows of `depth_slope` for a pinhole, `[N, 9]`, from packed ellipses and from depth slopes and thicknesses, `[N, 3]`.
+pub fn ray_rows(packed: &[f64], slopes: &[f64], camera: &Intrinsics) -> Vec<f64> {
+    let rows = packed.chunks_exact(COLUMNS).zip(slopes.chunks_exact(DEPTH_SLOPE));
+    let row = |(packed, slopes): (&[f64], &[f64])| {
+        let away = beyond([packed[0], packed[1]], camera).1;
+        [slopes[0], slopes[1], slopes[2], 1.0, away[0], away[1], packed[2], packed[3], packed[4]]
+    };
+    rows.flat_map(row).collect()
 }
