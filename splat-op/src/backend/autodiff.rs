@@ -211,11 +211,15 @@ impl<B: SplatBackend, C: CheckpointStrategy> SplatBackend for Autodiff<B, C> {
         let output = B::depth_slope(inner.clone(), spec);
         let Geometry { means, rotations, scales, cam_from_world, mean2d, .. } = inputs.each_ref().map(|input| &input.0);
         let tracked_inputs = [means, rotations, scales, cam_from_world, mean2d];
-        tracked::<B, C, _, _>(tracked_inputs, output, move |grad, [means, rotations, scales, cam_from_world, mean2d]| {
-            let mask = Geometry { means, rotations, scales, cam_from_world, mean2d, ..Geometry::default() };
-            let found = B::depth_slope_backward(inner, grad, spec, mask);
-            [found.means, found.rotations, found.scales, found.cam_from_world, found.mean2d]
-        })
+        tracked::<B, C, _, _>(
+            tracked_inputs,
+            output,
+            move |grad, [means, rotations, scales, cam_from_world, mean2d]| {
+                let mask = Geometry { means, rotations, scales, cam_from_world, mean2d, ..Geometry::default() };
+                let found = B::depth_slope_backward(inner, grad, spec, mask);
+                [found.means, found.rotations, found.scales, found.cam_from_world, found.mean2d]
+            },
+        )
     }
 
     fn bounds(projected: FloatTensor<Self>, depth_slope: FloatTensor<Self>, spec: RasterizeSpec) -> FloatTensor<Self> {

@@ -86,8 +86,7 @@ fn factor_backward(f: &ProjectionTerms, l: &DepthSlopeTerms, blur_sigma: f32, gr
     let leaning = grad.shear * inverse_u;
     let turned = (of_v * thickness - of_t * slope_v) * inverse_v;
     let first_n = grad.sigma_u - leaning * shear;
-    let first_across =
-        (leaning * f.sigma_v + (of_u * slope_v - of_v * slope_u)) * inverse_u - grad.sigma_v * shear;
+    let first_across = (leaning * f.sigma_v + (of_u * slope_v - of_v * slope_u)) * inverse_u - grad.sigma_v * shear;
     let first_through = (of_u * thickness - of_t * slope_u) * inverse_u - turned * shear;
     let through = Vec3::new(select(free, through.x, 0.0), select(free, through.y, 0.0), select(free, through.z, 0.0));
     // The components of the rows of `N` along the blur of x and of y.
@@ -140,13 +139,7 @@ impl LinearMap {
 
 /// Returns the gradient of a centre through `G` of a lens. The blur alone depends on `G`, whose gradient is `−B G⁻ᵀ`.
 #[cube]
-fn bend_backward(
-    map: &LinearMap,
-    mean: Vec3,
-    grad: &RowsGrad,
-    lens: &ProjectCamera,
-    distortion: &Distortion,
-) -> Vec3 {
+fn bend_backward(map: &LinearMap, mean: Vec3, grad: &RowsGrad, lens: &ProjectCamera, distortion: &Distortion) -> Vec3 {
     let (x, y, bent) = jacobian_at(mean, lens, distortion);
     let zero = 0.0f32.runtime();
     let scaled = -mean.z / (map.x.x * map.y.y - map.x.y * map.y.x);
@@ -160,7 +153,8 @@ fn bend_backward(
         (grad.blur_yy * map.x.x - grad.blur_xy * map.y.x) * scaled,
         zero,
     );
-    let none = PackedEllipse { x: zero, y: zero, sigma_u: zero, shear: zero, sigma_v: zero, depth: zero, opacity: zero };
+    let none =
+        PackedEllipse { x: zero, y: zero, sigma_u: zero, shear: zero, sigma_v: zero, depth: zero, opacity: zero };
     let through = bent_backward(&bent, lens, (of_x, of_y), &none).centre;
     let along = (of_x.x * x.x + of_x.y * x.y + of_y.x * y.x + of_y.y * y.y) / mean.z;
     Vec3::new(through.x, through.y, through.z + along)
@@ -212,11 +206,8 @@ pub(super) fn depth_slope_backward_kernel(
                 let turned_x = of_x.times(map.x.x).plus(of_y.times(map.y.x)).times(inverse_z);
                 let turned_y = of_x.times(map.x.y).plus(of_y.times(map.y.y)).times(inverse_z);
                 let to_last = turned_x.times(map.slopes.x).plus(turned_y.times(map.slopes.y));
-                let turned = Mat3 {
-                    x: turned_x,
-                    y: turned_y,
-                    z: of_m.mz.by_axis(g.scale).times(inverse_z).minus(to_last),
-                };
+                let turned =
+                    Mat3 { x: turned_x, y: turned_y, z: of_m.mz.by_axis(g.scale).times(inverse_z).minus(to_last) };
                 let centre_x = (of_row.centre.x * map.x.x + of_row.centre.y * map.y.x) * inverse_z;
                 let centre_y = (of_row.centre.x * map.x.y + of_row.centre.y * map.y.y) * inverse_z;
                 let along = (of_row.depth + of_m.blur_xx + of_m.blur_yy) * inverse_z;

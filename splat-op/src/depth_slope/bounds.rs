@@ -22,7 +22,7 @@ const CHUNK: usize = 1024;
 
 type Lanes<S, F> = <F as Real>::Lanes<S>;
 
-/// Returns rows `[N, 7]` for `intersect`, from packed ellipses `[N, 7]` and depth slopes `[N, 3]`, with a lens `[N, 9]`. Culled
+/// Returns rows `[N, 7]` for `intersect`, from packed ellipses `[N, 7]` and rows `[N, 9]`, with a lens `[N, 15]`. Culled
 /// Gaussians stay culled.
 pub(crate) fn bounds_cpu<F: Real>(packed: &[F], depth_slopes: &[F], spec: &RasterizeSpec) -> Vec<F> {
     match PictureRays::of(&spec.intrinsics) {

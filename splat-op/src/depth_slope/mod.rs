@@ -1,4 +1,4 @@
-//! Ray-space depth slopes: 3D Gaussians → slope and thickness of each in depth, for per-ray rasterization. Differentiable.
+//! Gaussians in ray space: 3D Gaussians → depth slope, thickness, centre and factor of each, for per-ray rasterization. Differentiable.
 //!
 //! The stage works in the coordinates (px from the origin, px from the origin, depth relative to the centre's depth), a linear
 //! map of the camera frame. The origin is the centre in the picture; with `RayMax` it is the picture's point next to a centre
@@ -29,6 +29,40 @@
 //!
 //! Beyond a thickness of `THICKNESS_MAX` the Gaussian has the same value everywhere, and the thickness is clamped. A row that is
 //! not finite, or whose Gaussian is over 1e30 times as long as it is far, is set to zero, which is the affine projection.
+//!
+//! The row of a Gaussian is `depth_slope`, `thickness`, the centre's relative depth 1 and `away`, and the factor of `project`, which has
+//! the same origin.
+//!
+//! # Gradient
+//!
+//! What a ray sees of a Gaussian depends neither on the origin nor on the linear map: both only say in which coordinates the row is
+//! given. So the gradient of the row is taken with both held fixed, and it is the gradient of a step of the centre in them, which is a step in the
+//! camera's frame, and of the covariance. With the rows `G (1, −t) / z` and `(0, 0, 1) / z` of the map (a pinhole's `G` is its focal lengths), for
+//! `g` the gradient of `away` and `g_z` that of the relative depth,
+//!
+//! ```text
+//! ∂(x, y) = Gᵀ g / z                   ∂z = (g_z + B₀₀ + B₁₁) / z − t·∂(x, y)               ∂G = −B G⁻ᵀ
+//! ```
+//!
+//! The blur alone is given in px, and in the scene it grows with `z` and shrinks with `G`. `B` is its gradient times `√ε`, with one row
+//! per axis of the picture. No term is much larger than the sum. (Taken with the map moving along, `∂z` is a sum of eight terms, one from each number
+//! of the row, and beside the view they are up to 20,000 times as large as the sum.)
+//!
+//! The gradient of the rows `m` of the covariance, including the blur, is that of the triangular factor `F` with `C = F Fᵀ`. The
+//! matrix `N = F⁻¹ m` has the rows
+//!
+//! ```text
+//! n, bᵤ      p × n + bᵤ a, √ε (−shear, 1) / sigma_v      (p (mz·p) + b² c × n + (a × mz) × a + b² bᵤ² mz, …) / thickness
+//! ```
+//!
+//! of length one, written here without and with their components along the blur of x and y, and
+//!
+//! ```text
+//! ∂mz = ∂depth_slope_u N₀ + ∂depth_slope_v N₁ + ∂thickness N₂
+//! ∂m1 = ∂shear / sigma_u N₀ + ∂sigma_v N₁ + w N₂                       w = (∂depth_slope_v thickness − ∂thickness depth_slope_v) / sigma_v
+//! ∂m0 = (∂sigma_u − ∂shear shear / sigma_u) N₀ + ((∂depth_slope_u thickness − ∂thickness depth_slope_u) / sigma_u − w shear) N₂
+//!     + ((∂shear sigma_v / sigma_u + ∂depth_slope_u depth_slope_v − ∂depth_slope_v depth_slope_u) / sigma_u − ∂sigma_v shear) N₁
+//! ```
 //!
 //! # Bounds
 //!
@@ -62,8 +96,7 @@
 //! `t₀` of the centre and the Jacobian `G` of the lens, px per slope, at the centre, `d = G (t − t₀)` takes the place of a pixel's
 //! offset: `J W R` has the rows of `project` for the lens, `(d, 1) λ` is exactly the ray with the slopes `t`, and the blur is that of
 //! the lens's picture around the centre. Everything above holds with this `d`. (For a pinhole `G` is diagonal and `d` the offset.)
-//! The rows of the output gain the columns `t₀` and `G`, row by row. The stage differentiates `G`; the gradient of `t₀` is that of
-//! the projected centre, whose derivative it has: `∂mean_px/∂t₀ = G = −∂d/∂t₀`.
+//! The rows of the output gain the columns `t₀` and `G`, row by row, which say in which coordinates a row is given and have no gradient.
 //!
 //! Where the Jacobian is clamped (perspective lenses with the affine projection), `G` is too. Nothing at 90° from the axis or beyond
 //! has slopes, and nothing is seen there.
@@ -78,7 +111,7 @@
 //! a'' = (θ'' hᵣ² + (θ/r)' hₜ², 2 (θ/r)' hᵣ hₜ)     |θ''| <= min(0.65, 2/r³)     |(θ/r)'| <= min(0.3, π/(2r²))
 //! ```
 //!
-//! Shapes: inputs as in `project` → `[N, 3]`, with a lens `[N, 9]`; packed ellipses `[N, 7]` and depth slopes → bounds
+//! Shapes: inputs as in `project` → `[N, 9]`, with a lens `[N, 15]`; packed ellipses `[N, 7]` and these rows → bounds
 //! `[N, 7]`, not differentiable, for `intersect` only. Rows of Gaussians that `project` culls are undefined and have no gradient.
 
 #[cfg(feature = "cube")]

@@ -144,7 +144,8 @@ impl<S: Simd, F: Real> DepthSlopeSimd<S, F> {
         let turned = free.select((of_v * thickness - of_t * slope_v) * inverse_v, zero);
         let first = [
             of_sigma_u - lean * shear,
-            (lean * sigma_v + self.sound.select(of_u * slope_v - of_v * slope_u, zero)) * inverse_u - of_sigma_v * shear,
+            (lean * sigma_v + self.sound.select(of_u * slope_v - of_v * slope_u, zero)) * inverse_u
+                - of_sigma_v * shear,
             free.select((of_u * thickness - of_t * slope_u) * inverse_u - turned * shear, zero),
         ];
         let second = [lean, of_sigma_v, turned];
@@ -188,7 +189,8 @@ impl<S: Simd, F: Real> DepthSlopeSimd<S, F> {
         let scales = add(scales, hadamard(grad_m[2], self.jz));
         let [grad_j0, grad_j1, grad_jz] = each!(grad_m, |row| hadamard(row, g.scale));
         // `J` has the rows `G (1, −t) / z` and `(0, 0, 1) / z`, and a centre moves in the picture by the former.
-        let mut through = LensProjectionGrad { mean_cam: [zero; 3], rows: [[zero; 3], [zero; 3], scale(grad_jz, inverse_z)] };
+        let mut through =
+            LensProjectionGrad { mean_cam: [zero; 3], rows: [[zero; 3], [zero; 3], scale(grad_jz, inverse_z)] };
         through.mean_cam[2] = (of.depth + blur[0] + blur[2]) * inverse_z;
         let (slopes, by) = self.map(camera);
         for axis in 0..2 {

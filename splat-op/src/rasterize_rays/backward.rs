@@ -159,37 +159,49 @@ pub(super) fn rasterize_rays_sums_kernel(
                 if comptime!(view.shape.depth) {
                     seen = weight * grad[comptime!(features + 1) * plane + pixel.index];
                 }
-                // Negative gradients of `u` and `v`, as in the moments of `rasterize`, and of `α` and `β`.
-                let mut p = h * u;
-                let mut q = h * v;
-                let mut centre_u = p;
-                let mut centre_v = q;
-                if comptime!(!view.exact) {
-                    sums[12] += seen;
-                } else {
+                // The negative gradients of `α` and `β`, and by what they are multiplied for the gradients of the factor.
+                let mut centre_u = h * u;
+                let mut centre_v = h * v;
+                let mut offset_u = u;
+                let mut offset_v = v;
+                if comptime!(view.exact) {
                     let (slope_u, slope_v) = (footprint.depth_slope_u, footprint.depth_slope_v);
-                    let (lambda, apart_s) = (layer.lambda, layer.apart_s);
-                    let of_lambda = seen * footprint.depth;
-                    let (far, along_s, of_depth) = (of_lambda * layer.phi, of_lambda * layer.along, h * apart_s);
+                    let (a, b, c) = (layer.apart_u, layer.apart_v, layer.apart_s);
                     // As `fma`, so that no compiler rounds otherwise where the sums of absolute values read these too.
-                    let reach_u = fma(apart_s, slope_u, -layer.apart_u);
-                    let reach_v = fma(apart_s, slope_v, -layer.apart_v);
-                    centre_u = fma(h, reach_u, fma(far, u, -(along_s * slope_u)));
-                    centre_v = fma(h, reach_v, fma(far, v, -(along_s * slope_v)));
-                    p = fma(lambda, centre_u, far * reach_u);
-                    q = fma(lambda, centre_v, far * reach_v);
-                    let of_s = fma(lambda, of_depth, fma(far, apart_s, -(lambda * along_s)));
-                    sums[6] -= of_s * u;
-                    sums[7] -= of_s * v;
-                    sums[8] += footprint.thickness * apart_s * (of_depth - 2.0 * along_s);
-                    sums[9] += along_s - of_depth;
+                    let (reach_u, reach_v) = (fma(c, slope_u, a), fma(c, slope_v, b));
+                    let of_depth = h * c;
+                    let mut of_gamma = -of_depth;
+                    let mut of_thickness = c * of_depth;
+                    centre_u = h * reach_u;
+                    centre_v = h * reach_v;
+                    offset_u = a;
+                    offset_v = b;
+                    if comptime!(view.shape.depth) {
+                        let of_lambda = seen * footprint.depth;
+                        let (far, along_s) = (of_lambda * layer.phi, of_lambda * layer.along);
+                        of_gamma += along_s;
+                        of_thickness -= 2.0 * c * along_s;
+                        centre_u = fma(h, reach_u, fma(far, u, -(along_s * slope_u)));
+                        centre_v = fma(h, reach_v, fma(far, v, -(along_s * slope_v)));
+                        sums[3] += far * reach_u * u;
+                        sums[4] += far * reach_v * u;
+                        sums[5] += far * reach_v * v;
+                        sums[6] -= far * c * u;
+                        sums[7] -= far * c * v;
+                    }
+                    sums[6] += of_gamma * a;
+                    sums[7] += of_gamma * b;
+                    sums[8] += footprint.thickness * of_thickness;
+                    sums[9] += of_gamma;
+                } else {
+                    sums[12] += seen;
                 }
                 sums[0] += h;
                 sums[1] += centre_u;
                 sums[2] += centre_v;
-                sums[3] += p * u;
-                sums[4] += q * u;
-                sums[5] += q * v;
+                sums[3] += centre_u * offset_u;
+                sums[4] += centre_v * offset_u;
+                sums[5] += centre_v * offset_v;
                 if comptime!(absolute) {
                     let (x, y) = footprint.per_px(centre_u, centre_v);
                     sums[10] += x.abs();
@@ -197,12 +209,6 @@ pub(super) fn rasterize_rays_sums_kernel(
                 }
             }
         }
-        // The origin and the map of the whitened coordinates stay where they are, and the centre moves relative to them.
-        sums[3] -= sums[1] * footprint.alpha;
-        sums[4] -= sums[2] * footprint.alpha;
-        sums[5] -= sums[2] * footprint.beta;
-        sums[6] -= footprint.alpha * sums[9];
-        sums[7] -= footprint.beta * sums[9];
         let at = row as usize * columns;
         #[unroll]
         for column in 0..comptime!(MOMENTS) {

@@ -193,12 +193,9 @@ pub(super) struct RayPixels<S: Simd, F: Real> {
 pub(super) struct RayLayerSimd<S: Simd, F: Real> {
     pub u: F::Block<S>,
     pub v: F::Block<S>,
-    /// `E log₂e`: the Gaussian is two to the power of minus this.
-    pub exponent: F::Block<S>,
-    pub lambda: F::Block<S>,
     /// `1/D`, or zero where `λ` is set to zero.
     pub inverse: F::Block<S>,
-    /// `s/D`, and `α − λu`, `β − λv`, `(γ − λs)/thickness²`, of a Gaussian whose centre is not the origin.
+    /// `s/D`; `a`, `b` and `c`.
     pub along: F::Block<S>,
     pub apart: [F::Block<S>; 3],
     /// Sort key `λ z`.
@@ -259,7 +256,7 @@ impl<S: Simd, F: Real> RayRules<S, F> {
         };
         let [met_u, met_v] = ray.unwrap_or([u, v]);
         let square = u.mul_add(u, v * v);
-        let (mut lambda, mut inverse, mut key, mut along) = (self.zero, self.zero, self.zero, self.zero);
+        let (mut inverse, mut key, mut along) = (self.zero, self.zero, self.zero);
         let mut apart = [self.zero; 3];
         let mut exponent = square * self.half_log2_e;
         let mut near = exponent.simd_le(lanes(splat.extent));
@@ -267,6 +264,7 @@ impl<S: Simd, F: Real> RayRules<S, F> {
             let [slope_u, slope_v] = each!(splat.depth_slope, |slope| lanes(-slope));
             let s = slope_u.mul_add(met_u, slope_v.mul_add(met_v, self.one));
             let d = lanes(splat.thick).mul_add(met_u.mul_add(met_u, met_v * met_v), s * s);
+            let lambda;
             let mut sound = if EXACT { s.simd_gt(self.nearest) } else { d.simd_gt(self.d_min) };
             if EXACT && splat.beyond {
                 let ([alpha, beta], gamma, thick) =
@@ -279,20 +277,21 @@ impl<S: Simd, F: Real> RayRules<S, F> {
                     None => sound.select(self.one / d, self.zero),
                 };
                 (lambda, along) = (product * inverse, s * inverse);
-                apart = [
-                    (-lambda).mul_add(u, alpha),
-                    (-lambda).mul_add(v, beta),
-                    inverse * gamma.mul_add(square, -s * dot),
-                ];
-                let [of_u, of_v, of_s] = apart;
-                exponent = of_u.mul_add(of_u, of_v.mul_add(of_v, thick * of_s * of_s)) * self.half_log2_e;
+                let [a, b] = [lambda.mul_add(u, -alpha), lambda.mul_add(v, -beta)];
+                let c = inverse * gamma.mul_add(square, -s * dot);
+                apart = [a, b, c];
+                exponent = a.mul_add(a, b.mul_add(b, thick * c * c)) * self.half_log2_e;
             } else {
                 inverse = match known {
                     Some(inverse) => inverse,
                     None => sound.select(self.one / d, self.zero),
                 };
                 lambda = s * inverse;
-                exponent = if EXACT { exponent * inverse } else { exponent };
+                along = lambda;
+                if EXACT {
+                    apart = [lambda * u, lambda * v, square * inverse];
+                    exponent = apart[2] * self.half_log2_e;
+                }
             }
             key = lambda * lanes(splat.depth);
             if EXACT {
@@ -308,6 +307,6 @@ impl<S: Simd, F: Real> RayRules<S, F> {
         let value = (lanes(splat.opacity) * power).min(self.alpha_max);
         let shows = near & value.simd_ge(self.alpha_min);
         let alpha = shows.select(value, self.zero);
-        RayLayerSimd { u, v, exponent, lambda, inverse, along, apart, key, alpha, shows }
+        RayLayerSimd { u, v, inverse, along, apart, key, alpha, shows }
     }
 }

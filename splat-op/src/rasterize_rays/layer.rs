@@ -4,7 +4,7 @@ use cubecl::prelude::*;
 
 use super::{D_MIN, WHITENED_MAX};
 use crate::camera::LEAST_NO_RAY;
-use crate::depth_slope::{LENS_FRAME, RAY_SPACE, LensFrameKernel as LensFrame};
+use crate::depth_slope::{LENS_FRAME, LensFrameKernel as LensFrame, RAY_SPACE};
 use crate::gpu::math::{Vec2, Vec3, finite, within};
 use crate::intersect::forward::TileLists;
 use crate::project::forward::PackedEllipse;
@@ -149,12 +149,11 @@ fn base_of(x: f32, y: f32, inputs: &RayInputs, view: &RayFrame) -> (f32, f32) {
 pub(super) struct RayLayer {
     pub u: f32,
     pub v: f32,
-    /// `s/D`, and `α − λu`, `β − λv`, `(γ − λs)/thickness²`.
+    /// `s/D`; `a`, `b` and `c`.
     pub along: f32,
     pub apart_u: f32,
     pub apart_v: f32,
     pub apart_s: f32,
-    pub lambda: f32,
     pub phi: f32,
     /// Sort key `λ z`.
     pub key: f32,
@@ -297,7 +296,7 @@ impl RayGaussian {
         let dot = self.alpha * u + self.beta * v;
         let product = self.gamma * s + thick * dot;
         let lambda = product * inverse;
-        let (apart_u, apart_v) = (self.alpha - lambda * u, self.beta - lambda * v);
+        let (apart_u, apart_v) = (lambda * u - self.alpha, lambda * v - self.beta);
         let apart_s = inverse * (self.gamma * square - s * dot);
         let mut exponent = 0.5 * square;
         let mut seen = sees;
@@ -317,7 +316,6 @@ impl RayGaussian {
             apart_u,
             apart_v,
             apart_s,
-            lambda,
             phi: thick * inverse,
             key,
             alpha: select(known && seen && alpha >= view.frame.alpha_min, alpha, 0.0),

@@ -19,13 +19,13 @@
 //! # Centres beyond the picture
 //!
 //! Seen from a centre far outside, the pixels' `u`, `v` and `s` are small differences of large numbers. With `RayMax` the origin of
-//! `(u, v)`, and of the factor and the depth slope, is therefore the picture's point next to the centre, and the centre lies at
-//! the whitened coordinates `(α, β)` with `γ = 1 − depth_slope·(α, β)`. The point `λ` of a ray is then `λ(u, v) − (α, β)` and
+//! `(u, v)`, and of the factor and the depth slope, is therefore the picture's point next to the centre. The centre lies at the
+//! whitened coordinates `(α, β)`, with `γ = 1 − depth_slope·(α, β)`. The point `λ` of a ray is then `(a, b) = λ(u, v) − (α, β)` and
 //! `(λs − γ)/thickness` from the centre, which for `α = β = 0` is the case above:
 //!
 //! ```text
-//! λ = (sγ + thickness² (uα + vβ)) / D           a = α − λu    b = β − λv    c = (γρ² − s (uα + vβ)) / D
-//! 2E = a² + b² + thickness² c²,  where λ > 0    (c = (γ − λs)/thickness², without the cancellation)
+//! λ = (sγ + thickness² (uα + vβ)) / D           a = λu − α    b = λv − β    c = (γρ² − s (uα + vβ)) / D
+//! 2E = a² + b² + thickness² c²,  where λ > 0    (c = (γ − λs)/thickness², without the cancellation; 2E if the centre is the origin)
 //! ```
 //!
 //! The alphas, thresholds, sums and the gradient back to front are as in `rasterize`, over the same lists. The order is the order
@@ -36,20 +36,21 @@
 //! # Gradient
 //!
 //! The order is piecewise constant, so the gradient is the gradient of the values composited in this order. With the affine
-//! projection the depth slope decides nothing but the order and has no gradient. With `φ = thickness²/D` and
-//! `κ = 2Eφ − λ² = ∂λ/∂s`,
+//! projection the depth slope decides nothing but the order and has no gradient.
+//!
+//! With `RayMax` the row of `depth_slope` is the Gaussian, and what the row is relative to stays: the origin, the camera z `z` by which
+//! depths are divided, and the map of a lens. Only the row has a gradient, and of the ellipse the opacity. With `φ = thickness²/D`,
+//! the gradients by the centre `(α, β, γ)` and by the factor are
 //!
 //! ```text
-//! ∂E/∂(u, v) = λ (λ (u, v) + 2E depth_slope)        ∂E/∂depth_slope = 2Eλ (u, v)      ∂E/∂thickness = −4E² thickness
-//! ∂λ/∂(u, v) = −2λφ (u, v) − κ depth_slope          ∂λ/∂depth_slope = −κ (u, v)       ∂λ/∂thickness = −4Eλ thickness
+//! r = (a, b) + c depth_slope     ∂E/∂(α, β) = −r at a fixed relative depth of the centre            ∂E/∂γ = c
+//!                                ∂λ/∂(α, β) = φ (u, v) − s/D depth_slope                             ∂λ/∂γ = s/D
+//! ∂E/∂depth_slope = c (a, b)     ∂λ/∂depth_slope = s/D (a, b) − φ c (u, v)
+//! ∂E/∂thickness = −thickness c²  ∂λ/∂thickness = −2 thickness c s/D
 //! ```
 //!
-//! and where the centre lies beyond the picture, with `φ` as above and `∂λ/∂γ = s/D`,
-//!
-//! ```text
-//! ∂E/∂(u, v, s) = −λ (a, b, c)                                  ∂E/∂(α, β, γ) = (a, b, c)   ∂E/∂thickness = −thickness c²
-//! ∂λ/∂(u, v, s) = (φ (a − λu), φ (b − λv), φc − λs/D)           ∂λ/∂(α, β) = φ (u, v)       ∂λ/∂thickness = −2 thickness c s/D
-//! ```
+//! `(α, β)` and `(u, v)` are whitened by the same factor. So a change of the factor moves `E` by the products of `r` and `(a, b)`, as in `rasterize` by
+//! those of `(u, v)` with itself, and `λ` besides by those of `φ r` and `(u, v)`.
 //!
 //! No term divides by `1 − α`, and a term divides by `s` or `D` only where the value itself does. Each intersection has its own
 //! row of sums over the tile's pixels, and a Gaussian's rows are added in the order of its intersections: on every device, every
@@ -61,20 +62,7 @@
 //! `depth_slope` in place of the pixel's offset. The affine projection takes them for `λ` alone. A pixel without a ray shows the
 //! background.
 //!
-//! The gradient of `G` follows from those of the factor `L` and of the depth slope `a`. With `U = ∂/∂u`, `V = ∂/∂v`, summed over
-//! pixels,
-//!
-//! ```text
-//! M = | Σ Uu  Σ Uv |     Σ Uu = −sigma_u ∂sigma_u                   Σ Vu = −(sigma_v/sigma_u) ∂shear
-//!     | Σ Vu  Σ Vv |     Σ Uv = Σ Vu + aᵤ ∂aᵥ − aᵥ ∂aᵤ              Σ Vv = −sigma_v ∂sigma_v
-//!
-//! ∂G = L⁻ᵀ M Lᵀ G⁻ᵀ
-//! ```
-//!
-//! because all but the depth slope takes `(u, v)` in `ρ²` alone, and `t − t₀ = G⁻¹ L (u, v)`. The gradient of `t₀` is
-//! that of the projected centre, and its columns have none.
-//!
-//! Shapes: packed ellipses `[N, 7]`, depth slopes `[N, 3]`, with a lens `[N, 9]`, features `[N, C]`, background `[C]` → planes as in `rasterize`.
+//! Shapes: packed ellipses `[N, 7]`, rows of `depth_slope` `[N, 9]`, with a lens `[N, 15]`, features `[N, C]`, background `[C]` → planes as in `rasterize`.
 
 #[cfg(feature = "cube")]
 mod backward;
@@ -115,7 +103,7 @@ record! {
     pub struct RayLayers {
         /// `[N, 7]`, packed by `project`.
         projected,
-        /// `[N, 3]`, with a lens `[N, 9]`, from `depth_slope`.
+        /// `[N, 9]`, with a lens `[N, 15]`, from `depth_slope`.
         depth_slope,
         /// `[N, C]`.
         features,

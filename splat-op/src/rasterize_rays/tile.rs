@@ -77,7 +77,7 @@ pub(super) struct RayTileView<'a, F> {
     /// Gaussians of the tile's intersections, front to back.
     pub gaussians: &'a [u32],
     pub footprints: &'a [RayFootprint<F>],
-    /// `[N, 3]`, with a lens `[N, 9]`: depth slopes.
+    /// `[N, 9]`, with a lens `[N, 15]`: rows of `depth_slope`.
     pub depth_slope: &'a [F],
     /// `[N, channels]`
     pub features: &'a [F],

@@ -256,12 +256,7 @@ fn add_rows<S: Simd, F: Real, const EXACT: bool>(
         }
         let row = &mut rows[in_list as usize * columns..][..columns];
         let splat = tile.splat(i as u32);
-        let mut fixed = RaySums {
-            moments: [zero; MOMENTS],
-            depth: zero,
-            slopes: [zero; SLOPES],
-            absolute: [zero; 2],
-        };
+        let mut fixed = RaySums { moments: [zero; MOMENTS], depth: zero, slopes: [zero; SLOPES], absolute: [zero; 2] };
         let mut features = [zero; TOGETHER];
         let (mut places, mut count) = ([(0, 0); VECTORS], 0);
         let mut left = *vectors;
@@ -309,15 +304,9 @@ impl<S: Simd, F: Real> RaySums<S, F> {
         [features, channels]: [usize; 2],
         absolute: bool,
     ) {
-        let mut moments = each!(self.moments, |sum| sum.reduce_sum());
-        let [slope_u, slope_v, thickness, of_gamma] = each!(self.slopes, |sum| sum.reduce_sum());
-        // The origin and the map of the whitened coordinates stay where they are, and the centre moves relative to them.
-        let (moved, [alpha, beta]) = ([moments[1], moments[2]], splat.centre);
-        moments[3] -= moved[0] * alpha;
-        moments[4] -= moved[1] * alpha;
-        moments[5] -= moved[1] * beta;
-        let thickness = thickness * splat.thick.sqrt();
-        let slopes = [-slope_u - alpha * of_gamma, -slope_v - beta * of_gamma, thickness, of_gamma];
+        let moments = each!(self.moments, |sum| sum.reduce_sum());
+        let [slope_u, slope_v, thickness, centre_depth] = each!(self.slopes, |sum| sum.reduce_sum());
+        let slopes = [slope_u, slope_v, thickness * splat.thick.sqrt(), centre_depth];
         row.iter_mut().zip(moments).for_each(|(out, sum)| *out += sum);
         if channels > features {
             row[MOMENTS + features] += self.depth.reduce_sum();
@@ -343,37 +332,32 @@ impl<S: Simd, F: Real> RaySums<S, F> {
         absolute: bool,
     ) {
         let lanes = |value: F| F::Block::<S>::splat(h.token(), value);
-        let RayLayerSimd { u, v, exponent, lambda, inverse, along, apart, .. } = *layer;
-        // Negative gradients of `u` and `v`; gradients of `α` and `β`, where the origin is not moved with the centre.
-        let (mut of_ray, mut of_centre) = ([h * u, h * v], [h * u, h * v]);
+        let RayLayerSimd { u, v, inverse, along, apart, .. } = *layer;
+        // The negative gradients of `α` and `β`, and by what they are multiplied for the gradients of the factor.
+        let (mut of_centre, mut offset) = ([h * u, h * v], [u, v]);
         if EXACT {
+            let [a, b, c] = apart;
             let [slope_u, slope_v] = each!(splat.depth_slope, |value| lanes(value));
-            // `c`, and `c depth_slope − (a, b)`.
-            let (apart_s, along, reach) = if splat.beyond {
-                let [apart_u, apart_v, apart_s] = apart;
-                (apart_s, along, [apart_s * slope_u - apart_u, apart_s * slope_v - apart_v])
-            } else {
-                let twice = exponent * lanes(F::of(2.0 * std::f64::consts::LN_2));
-                (twice, lambda, [lambda.mul_add(u, twice * slope_u), lambda.mul_add(v, twice * slope_v)])
-            };
-            let of_depth = h * apart_s;
-            let (mut of_gamma, mut of_s, mut of_thickness) = (-of_depth, lambda * of_depth, apart_s * of_depth);
-            of_centre = [h * reach[0], h * reach[1]];
-            of_ray = [lambda * of_centre[0], lambda * of_centre[1]];
+            let reach = [c.mul_add(slope_u, a), c.mul_add(slope_v, b)];
+            let of_depth = h * c;
+            let (mut of_gamma, mut of_thickness) = (-of_depth, c * of_depth);
+            (of_centre, offset) = (each!(reach, |reach| h * reach), [a, b]);
             if let Some(seen) = seen {
                 let of_lambda = seen * lanes(splat.depth);
                 let (far, along_s) = (of_lambda * lanes(splat.thick) * inverse, of_lambda * along);
                 of_gamma += along_s;
-                of_s += far * apart_s - lambda * along_s;
-                of_thickness -= apart_s * (along_s + along_s);
-                let through = [far.mul_add(u, -(along_s * slope_u)), far.mul_add(v, -(along_s * slope_v))];
-                for axis in 0..2 {
-                    of_centre[axis] += through[axis];
-                    of_ray[axis] += lambda.mul_add(through[axis], far * reach[axis]);
-                }
+                of_thickness -= c * (along_s + along_s);
+                of_centre[0] += far.mul_add(u, -(along_s * slope_u));
+                of_centre[1] += far.mul_add(v, -(along_s * slope_v));
+                let (of_ray, of_s) = (each!(reach, |reach| far * reach), far * c);
+                self.moments[3] = of_ray[0].mul_add(u, self.moments[3]);
+                self.moments[4] = of_ray[1].mul_add(u, self.moments[4]);
+                self.moments[5] = of_ray[1].mul_add(v, self.moments[5]);
+                self.slopes[0] -= of_s * u;
+                self.slopes[1] -= of_s * v;
             }
-            self.slopes[0] = of_s.mul_add(u, self.slopes[0]);
-            self.slopes[1] = of_s.mul_add(v, self.slopes[1]);
+            self.slopes[0] = of_gamma.mul_add(a, self.slopes[0]);
+            self.slopes[1] = of_gamma.mul_add(b, self.slopes[1]);
             self.slopes[2] += of_thickness;
             self.slopes[3] += of_gamma;
         } else if let Some(seen) = seen {
@@ -382,9 +366,9 @@ impl<S: Simd, F: Real> RaySums<S, F> {
         self.moments[0] += h;
         self.moments[1] += of_centre[0];
         self.moments[2] += of_centre[1];
-        self.moments[3] = of_ray[0].mul_add(u, self.moments[3]);
-        self.moments[4] = of_ray[1].mul_add(u, self.moments[4]);
-        self.moments[5] = of_ray[1].mul_add(v, self.moments[5]);
+        self.moments[3] = of_centre[0].mul_add(offset[0], self.moments[3]);
+        self.moments[4] = of_centre[1].mul_add(offset[0], self.moments[4]);
+        self.moments[5] = of_centre[1].mul_add(offset[1], self.moments[5]);
         if absolute {
             let [of_u, of_v] = of_centre;
             let per_v = of_v * lanes(splat.inverse_v);

@@ -8,7 +8,7 @@ use glam::DVec2;
 use splat_op::{CameraModel, Intrinsics, Order, Projection, RenderOptions};
 
 use super::{near, needles, sizes};
-use crate::case::{CaseKind, HardCase, Processor};
+use crate::case::{CaseKind, HardCase};
 use crate::random::Random;
 use crate::scene::{HardScene, SMOOTH, Splat, TruthSource};
 
@@ -46,15 +46,6 @@ const SORTED: [&str; 9] = [
     "behind the camera",
 ];
 
-/// The case whose ceiling a gradient cannot meet with the ray-max projection, with the allowed multiple and the reason.
-const LOOSE: (&str, f64, &str) = (
-    "larger than the scene",
-    1e4,
-    "bounded by the rounding of what crosses the stages: beside the view the gradient of the centre's camera z is the sum of terms 1e4 \
-     times as large, each from a gradient that passes between two stages as f32, and with all else in f64 their correct rounding alone \
-     costs 51 to 314 times the ceiling (shown by `splat-op/src/rasterize_rays/crossing_tests.rs`); picture and all other gradients meet it",
-);
-
 pub fn cases() -> Vec<HardCase> {
     let exact = SMOOTH.with_projection(Projection::RayMax);
     let sorted = SMOOTH.with_order(Order::PerPixelSort);
@@ -64,12 +55,7 @@ pub fn cases() -> Vec<HardCase> {
         let chosen = others().filter(|case| names.contains(&case.name.as_str()));
         chosen.map(|case| along_rays(case, what, options)).collect()
     };
-    let (name, factor, why) = LOOSE;
-    let loose = |case: HardCase| match case.name.starts_with(name) {
-        true => case.loose(Processor::Cpu, factor, why).loose(Processor::Gpu, factor, why),
-        false => case,
-    };
-    let mut cases: Vec<HardCase> = again(&PROJECTED, "ray-max projection", exact).into_iter().map(loose).collect();
+    let mut cases: Vec<HardCase> = again(&PROJECTED, "ray-max projection", exact);
     cases.extend(again(&SORTED, "per-pixel sort", sorted));
     for (what, options) in [("per-pixel sort", sorted), ("ray-max projection and per-pixel sort", both)] {
         let seen = |scene: HardScene| vec![scene.with_options(options).with_truth(TruthSource::Twin)];
