@@ -12,13 +12,13 @@ pub(super) const WIDTH: usize = 8;
 pub(super) const HEIGHT: usize = 4;
 
 /// Number of pixels in a block, one unit each.
-pub(super) const BLOCK: usize = WIDTH * HEIGHT;
+pub(crate) const BLOCK: usize = WIDTH * HEIGHT;
 
 /// Number of blocks side by side in a tile.
 const ACROSS: usize = TILE / WIDTH;
 
 /// Number of blocks in a tile.
-pub(super) const BLOCKS: usize = ACROSS * (TILE / HEIGHT);
+pub(crate) const BLOCKS: usize = ACROSS * (TILE / HEIGHT);
 
 /// Number of blocks in a half of a tile, the upper or the lower.
 pub(super) const HALF: usize = BLOCKS / 2;
@@ -28,7 +28,7 @@ const SLIP: f32 = 1e-6;
 
 /// Returns the index within the tile, counted row by row, of the pixel of unit `unit`.
 #[cube]
-pub(super) fn pixel_of(unit: u32) -> u32 {
+pub(crate) fn pixel_of(unit: u32) -> u32 {
     let block = unit / comptime!(BLOCK as u32);
     let lane = unit % comptime!(BLOCK as u32);
     let column = block % comptime!(ACROSS as u32) * comptime!(WIDTH as u32) + lane % comptime!(WIDTH as u32);

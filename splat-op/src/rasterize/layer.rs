@@ -23,7 +23,7 @@ pub(super) const SEGMENT: usize = BUCKETS * BUCKET;
 
 /// Largest number of channels for which colours go through shared memory, sums go through registers, and the trace
 /// keeps the sums of each segment. With more channels, all three would not fit.
-pub(super) const FEW: usize = 4;
+pub(crate) const FEW: usize = 4;
 
 /// Number of values in a [`LayerEllipse`].
 pub(super) const FOOTPRINT: usize = 6;
@@ -247,7 +247,7 @@ pub(super) fn lost_after_bucket(lost: f32, before: f32, left: f32, through: f32,
 
 /// Returns `sum + value` and what rounding takes from it, plus `lost`, what it took before (Kahan 1965).
 #[cube]
-pub(super) fn add_compensated(sum: f32, lost: f32, value: f32) -> (f32, f32) {
+pub(crate) fn add_compensated(sum: f32, lost: f32, value: f32) -> (f32, f32) {
     let change = value + lost;
     let total = sum + change;
     (total, change - (total - sum))

@@ -16,7 +16,7 @@ mod alpha_tests;
 #[cfg(feature = "cube")]
 pub(crate) mod backward;
 #[cfg(feature = "cube")]
-mod blocks;
+pub(crate) mod blocks;
 pub(crate) mod cpu;
 #[cfg(all(test, feature = "cube"))]
 mod dial_kernel_tests;
@@ -39,7 +39,7 @@ mod prepared;
 #[cfg(feature = "cube")]
 pub(crate) mod rows;
 #[cfg(feature = "cube")]
-mod suffix;
+pub(crate) mod suffix;
 #[cfg(test)]
 mod tests;
 pub(crate) mod tile;

@@ -14,7 +14,7 @@ use crate::intersect::TILE_PIXELS;
 use crate::intersect::forward::TileLists;
 
 /// The least transmittance by which anything is divided: 2⁻¹⁰⁰. What lies behind less has no digit in any gradient.
-const FAINTEST: f32 = 1.0 / (1u128 << 100) as f32;
+pub(crate) const FAINTEST: f32 = 1.0 / (1u128 << 100) as f32;
 
 /// Returns the plane of the picture that holds channel `channel`: alpha lies before depth.
 #[cube]

@@ -1,4 +1,4 @@
-//! Backward kernels of `rasterize_rays`. No float is accumulated by two units, so every run gives the same bits.
+//! Backward kernels with the per-pixel sort. No float is accumulated by two units, so every run gives the same bits.
 //!
 //! 1. *Walk*: a cube per tile, a unit per pixel. A unit goes front to back as in the forward pass and stores, at each layer, the
 //!    transmittance before it and a link to the previous layer. It then follows these links back, as many as it stored, and
@@ -11,21 +11,12 @@
 use cubecl::prelude::*;
 
 use super::layer::{RayFrame, RayGaussian, RayInputs, RayPixel};
+use super::pair_sums::{PairSums, row_len};
 use super::walk::front_to_back;
-use crate::depth_slope::SLOPES;
 use crate::intersect::TILE_PIXELS;
 use crate::intersect::forward::TileLists;
-use crate::rasterize::backward::{self, MOMENTS};
-use crate::rasterize::layer::{KernelShape, TilePixel, tile_origin};
-
-/// Number of columns of a row: those of `rasterize` and the gradients of the depth slope, the thickness and the centre's relative
-/// depth.
-pub(super) const fn row_len(shape: KernelShape, absolute: bool) -> usize {
-    backward::row_len(shape, absolute) + SLOPES
-}
-
-/// Number of sums of an intersection over a tile's pixels, besides one per channel.
-const SUMS: usize = MOMENTS + SLOPES + 3;
+use crate::rasterize::backward::MOMENTS;
+use crate::rasterize::layer::{TilePixel, tile_origin};
 
 /// Returns the link to the next layer in front, a place plus one, from the link that the table holds; zero ends the way. `layers` is
 /// the number of layers in front. It bounds the way, whatever the table holds, and a link beyond the list ends it.
@@ -141,79 +132,22 @@ pub(super) fn rasterize_rays_sums_kernel(
         let features = comptime!(view.shape.features);
         let columns = comptime!(row_len(view.shape, absolute));
         let own = ABSOLUTE_POS * comptime!(2 * TILE_PIXELS);
-        // The moments, the gradients of the depth slope, the thickness and the centre's relative depth, the sums of absolute
-        // values and the gradient of the depth.
-        let mut sums = Array::<f32>::new(comptime!(SUMS));
-        #[unroll]
-        for column in 0..comptime!(SUMS) {
-            sums[column] = 0.0f32;
-        }
+        let mut sums = PairSums::new();
         for unit in 0..comptime!(TILE_PIXELS as u32) {
             let weight = f32::reinterpret(table[own + 2 * unit as usize + 1]);
             if weight > 0.0 {
                 let pixel = TilePixel::of(origin, unit, &view.frame);
                 let layer = footprint.at(&RayPixel::of(pixel, &inputs), &view);
-                let (u, v) = (layer.u, layer.v);
                 let h = f32::reinterpret(table[own + 2 * unit as usize]);
                 let mut seen = 0.0f32;
                 if comptime!(view.shape.depth) {
                     seen = weight * grad[comptime!(features + 1) * plane + pixel.index];
                 }
-                // The negative gradients of `α` and `β`, and by what they are multiplied for the gradients of the factor.
-                let mut centre_u = h * u;
-                let mut centre_v = h * v;
-                let mut offset_u = u;
-                let mut offset_v = v;
-                if comptime!(view.exact) {
-                    let (slope_u, slope_v) = (footprint.depth_slope_u, footprint.depth_slope_v);
-                    let (a, b, c) = (layer.apart_u, layer.apart_v, layer.apart_s);
-                    // As `fma`, so that no compiler rounds otherwise where the sums of absolute values read these too.
-                    let (reach_u, reach_v) = (fma(c, slope_u, a), fma(c, slope_v, b));
-                    let of_depth = h * c;
-                    let mut of_gamma = -of_depth;
-                    let mut of_thickness = c * of_depth;
-                    centre_u = h * reach_u;
-                    centre_v = h * reach_v;
-                    offset_u = a;
-                    offset_v = b;
-                    if comptime!(view.shape.depth) {
-                        let of_lambda = seen * footprint.depth;
-                        let (far, along_s) = (of_lambda * layer.phi, of_lambda * layer.along);
-                        of_gamma += along_s;
-                        of_thickness -= 2.0 * c * along_s;
-                        centre_u = fma(h, reach_u, fma(far, u, -(along_s * slope_u)));
-                        centre_v = fma(h, reach_v, fma(far, v, -(along_s * slope_v)));
-                        sums[3] += far * reach_u * u;
-                        sums[4] += far * reach_v * u;
-                        sums[5] += far * reach_v * v;
-                        sums[6] -= far * c * u;
-                        sums[7] -= far * c * v;
-                    }
-                    sums[6] += of_gamma * a;
-                    sums[7] += of_gamma * b;
-                    sums[8] += footprint.thickness * of_thickness;
-                    sums[9] += of_gamma;
-                } else {
-                    sums[12] += seen;
-                }
-                sums[0] += h;
-                sums[1] += centre_u;
-                sums[2] += centre_v;
-                sums[3] += centre_u * offset_u;
-                sums[4] += centre_v * offset_u;
-                sums[5] += centre_v * offset_v;
-                if comptime!(absolute) {
-                    let (x, y) = footprint.per_px(centre_u, centre_v);
-                    sums[10] += x.abs();
-                    sums[11] += y.abs();
-                }
+                sums.add(&footprint, &layer, h, seen, &view, absolute);
             }
         }
-        let at = row as usize * columns;
-        #[unroll]
-        for column in 0..comptime!(MOMENTS) {
-            rows[at + column] = sums[column];
-        }
+        sums.write(rows, row, &view, absolute);
+        let at = row as usize * columns + comptime!(MOMENTS);
         for channel in 0..features {
             let mut sum = 0.0f32;
             for unit in 0..comptime!(TILE_PIXELS as u32) {
@@ -222,15 +156,7 @@ pub(super) fn rasterize_rays_sums_kernel(
                     sum += weight * grad[channel * plane + TilePixel::of(origin, unit, &view.frame).index];
                 }
             }
-            rows[at + comptime!(MOMENTS) + channel] = sum;
-        }
-        if comptime!(view.shape.depth) {
-            rows[at + comptime!(MOMENTS + features)] = sums[12];
-        }
-        let rest = comptime!(MOMENTS + view.shape.channels());
-        #[unroll]
-        for k in 0..comptime!(columns - rest) {
-            rows[at + rest + k] = sums[comptime!(MOMENTS + k)];
+            rows[at + channel] = sum;
         }
     }
 }

@@ -1,8 +1,8 @@
 //! Compares the kernels of `rasterize_rays` with the CPU twin in f64, within f32 precision.
 
-use super::backward::row_len;
 use super::cpu::{rasterize_rays_backward_cpu, rasterize_rays_cpu};
 use super::launch::{launch_rasterize_rays, launch_rasterize_rays_backward};
+use super::pair_sums::row_len;
 use super::{D_MIN, RayLayers};
 use crate::camera::Intrinsics;
 use crate::depth_slope::launch::launch_bounds;
@@ -271,17 +271,19 @@ fn hundreds_of_layers() {
 #[test]
 fn the_same_bits_in_every_run_and_for_any_table() {
     let Some(gpu) = gpu() else { return };
-    let options = RenderOptions::standard().with_projection(Projection::RayMax).with_order(Order::PerPixelSort);
-    let scene = StageInputs::random(400, [70, 50], 3, [0.02, 1.0], options.with_depth(true));
-    let grad = Random::new(4).fill(5 * 70 * 50, -1.0, 1.0);
-    let bits = |room: usize| {
-        let (planes, g) = scene.on(&gpu, &grad, ALL, room);
-        let grads = [g.projected, g.depth_slope, g.features, g.background, g.mean2d_abs];
-        (planes, grads.map(|buffer| buffer.expect("asked for").read(&gpu)))
-    };
-    let first = bits(1 << 20);
-    assert!(first.1.iter().all(|g| g.iter().any(|value| *value != 0.0)));
-    assert!(bits(1 << 20) == first && bits(50) == first && bits(1) == first);
+    for order in [Order::CentreDepth, Order::PerPixelSort] {
+        let options = RenderOptions::standard().with_projection(Projection::RayMax).with_order(order);
+        let scene = StageInputs::random(400, [70, 50], 3, [0.02, 1.0], options.with_depth(true));
+        let grad = Random::new(4).fill(5 * 70 * 50, -1.0, 1.0);
+        let bits = |room: usize| {
+            let (planes, g) = scene.on(&gpu, &grad, ALL, room);
+            let grads = [g.projected, g.depth_slope, g.features, g.background, g.mean2d_abs];
+            (planes, grads.map(|buffer| buffer.expect("asked for").read(&gpu)))
+        };
+        let first = bits(1 << 20);
+        assert!(first.1.iter().all(|g| g.iter().any(|value| *value != 0.0)));
+        assert!(bits(1 << 20) == first && bits(50) == first && bits(1) == first, "{order:?}");
+    }
 }
 
 #[test]

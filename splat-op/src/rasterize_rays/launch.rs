@@ -5,9 +5,11 @@ use std::ops::Range;
 use cubecl::prelude::CubeDim;
 
 use super::RayLayers;
-use super::backward::{rasterize_rays_sums_kernel, rasterize_rays_walk_kernel, row_len};
+use super::backward::{rasterize_rays_sums_kernel, rasterize_rays_walk_kernel};
+use super::buckets::{BUCKET, BucketsLaunch, rasterize_rays_checkpoints_kernel, rasterize_rays_rows_kernel, slots};
 use super::forward::rasterize_rays_forward_kernel;
 use super::layer::{RayFrameLaunch, RayInputsLaunch};
+use super::pair_sums::row_len;
 use crate::camera::{Intrinsics, PictureRays};
 use crate::depth_slope;
 use crate::gpu::reduce::launch_sums;
@@ -16,12 +18,14 @@ use crate::intersect::TILE_PIXELS;
 use crate::intersect::launch::DeviceIntersections;
 use crate::limits::Need;
 use crate::options::{Order, Projection};
+use crate::rasterize::blocks::BLOCKS;
 use crate::rasterize::launch::{frame, launch_gather};
 use crate::rasterize::layer::KernelShape;
 use crate::rasterize::rows::Rows;
 use crate::rasterize::{Layers, RasterizeSpec};
 
-/// Number of places in the table of layers and pixels, unless one tile has more: 64 MiB.
+/// Number of places in the table of layers and pixels, unless one tile has more: 64 MiB. In the order of the list a bucket takes as much as
+/// a place of the table.
 pub(crate) const TABLE: usize = 32_768;
 
 /// Hint for a render whose backward pass needs too much memory.
@@ -74,8 +78,135 @@ pub(crate) fn launch_rasterize_rays(
     planes
 }
 
-/// Returns the gradients of the inputs from `grad`, the gradient of the planes, with a table of at most `room` places. Waits for
-/// the device once, to read the lengths of the lists.
+/// What the launches of the backward pass over layers share.
+struct LayersTask<'a> {
+    gpu: &'a Gpu,
+    inputs: &'a RayLayers<Buffer<f32>>,
+    rays: &'a Option<Buffer<f32>>,
+    grad: &'a Buffer<f32>,
+    lists: &'a DeviceIntersections,
+    spec: &'a RasterizeSpec,
+    shape: KernelShape,
+    /// `[H W]`: the transmittances behind all layers, which the launches write.
+    left: &'a Buffer<f32>,
+    rows: &'a [Rows],
+    absolute: bool,
+    /// `[tiles + 1]`: the first place of each tile.
+    starts: Vec<u32>,
+}
+
+impl LayersTask<'_> {
+    fn places(&self, tiles: &Range<usize>) -> [usize; 2] {
+        [tiles.start, tiles.end].map(|tile| self.starts[tile] as usize)
+    }
+
+    /// Runs of tiles with at most `room` places each, unless one tile has more.
+    fn runs(&self, room: usize) -> Vec<Range<usize>> {
+        split(self.lists.counts.len, room, |tile| self.starts[tile] as usize)
+    }
+
+    fn view(&self, tiles: &Range<usize>) -> RayFrameLaunch {
+        view(self.spec, self.shape, (tiles.start, tiles.end))
+    }
+
+    fn assert_fits(&self, what: &'static str, values: usize) {
+        Need { what, bytes: 4 * values as u64, hint: FEWER_INTERSECTIONS }.assert_fits(self.gpu.buffer_limit);
+    }
+
+    /// With the per-pixel sort: by a table with two values for each place and pixel.
+    fn by_table(&self, room: usize) {
+        let gpu = self.gpu;
+        let runs = self.runs(room.min(gpu.buffer_limit as usize / (8 * TILE_PIXELS)));
+        let len = |[start, end]: [usize; 2]| (end - start) * 2 * TILE_PIXELS;
+        let table_len = runs.iter().map(|run| len(self.places(run))).max().unwrap_or(0);
+        self.assert_fits("the layers of a tile's pixels", table_len);
+        let table: Buffer<u32> = Buffer::with_headroom(gpu, table_len);
+        for run in runs {
+            let [start, end] = self.places(&run);
+            // SAFETY: as in the forward pass; the table holds all places of a run.
+            unsafe {
+                rasterize_rays_walk_kernel::launch_unchecked(
+                    &gpu.client,
+                    cubes(run.len()),
+                    CubeDim::new_1d(TILE_PIXELS as u32),
+                    self.inputs.arg(self.lists, self.rays),
+                    self.grad.arg(),
+                    table.arg(),
+                    self.left.arg(),
+                    self.view(&run),
+                );
+            }
+            for part in self.rows.iter().filter(|_| end > start) {
+                let (grid, dim) = elementwise(end - start);
+                // SAFETY: as above; rows are guarded.
+                unsafe {
+                    rasterize_rays_sums_kernel::launch_unchecked(
+                        &gpu.client,
+                        grid,
+                        dim,
+                        self.inputs.arg(self.lists, self.rays),
+                        self.grad.arg(),
+                        table.arg(),
+                        part.sums.arg(),
+                        part.intersections.start as u32,
+                        part.intersections.end as u32,
+                        self.view(&run),
+                        self.absolute,
+                    );
+                }
+            }
+        }
+    }
+
+    /// In the order of the list: by buckets.
+    fn by_buckets(&self, room: usize) {
+        let gpu = self.gpu;
+        let runs = self.runs(BUCKET * room.min(gpu.buffer_limit as usize / (8 * TILE_PIXELS)));
+        let slots = |run: &Range<usize>| slots([run.start, run.end], self.places(run));
+        let most = runs.iter().map(slots).max().unwrap_or(0);
+        self.assert_fits("the transmittances of a tile's pixels", most * TILE_PIXELS);
+        let [transmittance, rho] = [(); 2].map(|()| Buffer::<f32>::with_headroom(gpu, most * TILE_PIXELS));
+        let words: Buffer<u32> = Buffer::with_headroom(gpu, most * BLOCKS);
+        let buckets = || BucketsLaunch::new(transmittance.arg(), rho.arg(), words.arg());
+        for run in runs {
+            // SAFETY: as in the forward pass; the buckets of a run have slots.
+            unsafe {
+                rasterize_rays_checkpoints_kernel::launch_unchecked(
+                    &gpu.client,
+                    cubes(run.len()),
+                    CubeDim::new_1d(TILE_PIXELS as u32),
+                    self.inputs.arg(self.lists, self.rays),
+                    self.grad.arg(),
+                    buckets(),
+                    self.left.arg(),
+                    self.view(&run),
+                );
+            }
+            for part in self.rows {
+                // SAFETY: as above; rows are guarded.
+                unsafe {
+                    rasterize_rays_rows_kernel::launch_unchecked(
+                        &gpu.client,
+                        cubes(slots(&run)),
+                        CubeDim::new_1d(BUCKET as u32),
+                        self.inputs.arg(self.lists, self.rays),
+                        self.grad.arg(),
+                        buckets(),
+                        part.sums.arg(),
+                        slots(&run) as u32,
+                        part.intersections.start as u32,
+                        part.intersections.end as u32,
+                        self.view(&run),
+                        self.absolute,
+                    );
+                }
+            }
+        }
+    }
+}
+
+/// Returns the gradients of the inputs from `grad`, the gradient of the planes, with as much memory as a table of `room` places takes.
+/// Waits for the device once, to read the lengths of the lists.
 pub(crate) fn launch_rasterize_rays_backward(
     gpu: &Gpu,
     inputs: &RayLayers<Buffer<f32>>,
@@ -86,58 +217,22 @@ pub(crate) fn launch_rasterize_rays_backward(
 ) -> RayLayers<Option<Buffer<f32>>> {
     let (shape, pixels) =
         (KernelShape::of(inputs.background.len, &spec.options), spec.intrinsics.width * spec.intrinsics.height);
-    let rays = rays(gpu, &spec.intrinsics);
+    let rays = &rays(gpu, &spec.intrinsics);
     let starts = lists.tile_start.read(gpu);
-    let start = |tile: usize| starts[tile] as usize;
-    let runs = split(lists.counts.len, room.min(gpu.buffer_limit as usize / (8 * TILE_PIXELS)), start);
-    let places = |run: &Range<usize>| start(run.end) - start(run.start);
-    let table_len = runs.iter().map(places).max().unwrap_or(0) * 2 * TILE_PIXELS;
-    Need { what: "the layers of a tile's pixels", bytes: 4 * table_len as u64, hint: FEWER_INTERSECTIONS }
-        .assert_fits(gpu.buffer_limit);
-    let table: Buffer<u32> = Buffer::with_headroom(gpu, table_len);
     let columns = row_len(shape, needs.mean2d_abs);
-    let left: Buffer<f32> = Buffer::new(gpu, pixels);
+    let left = &Buffer::new(gpu, pixels);
     let of_intersections = needs.projected || needs.depth_slope || needs.features || needs.mean2d_abs;
     let rows = match of_intersections {
         true => Rows::of_intersections(gpu, lists, columns),
         false => Vec::new(),
     };
-    for run in runs {
-        let view = || view(spec, shape, (run.start, run.end));
-        // SAFETY: as in the forward pass; the table holds all places of a run.
-        unsafe {
-            rasterize_rays_walk_kernel::launch_unchecked(
-                &gpu.client,
-                cubes(run.len()),
-                CubeDim::new_1d(TILE_PIXELS as u32),
-                inputs.arg(lists, &rays),
-                grad.arg(),
-                table.arg(),
-                left.arg(),
-                view(),
-            );
-        }
-        for part in rows.iter().filter(|_| places(&run) > 0) {
-            let (grid, dim) = elementwise(places(&run));
-            // SAFETY: as above; rows are guarded.
-            unsafe {
-                rasterize_rays_sums_kernel::launch_unchecked(
-                    &gpu.client,
-                    grid,
-                    dim,
-                    inputs.arg(lists, &rays),
-                    grad.arg(),
-                    table.arg(),
-                    part.sums.arg(),
-                    part.intersections.start as u32,
-                    part.intersections.end as u32,
-                    view(),
-                    needs.mean2d_abs,
-                );
-            }
-        }
+    let absolute = needs.mean2d_abs;
+    let task = LayersTask { gpu, inputs, rays, grad, lists, spec, shape, left, rows: &rows, absolute, starts };
+    match spec.options.order {
+        Order::CentreDepth => task.by_buckets(room),
+        _ => task.by_table(room),
     }
-    let background = needs.background.then(|| launch_sums(gpu, grad, Some(&left), [pixels, shape.features]));
+    let background = needs.background.then(|| launch_sums(gpu, grad, Some(left), [pixels, shape.features]));
     if !of_intersections {
         return RayLayers { background, ..RayLayers::default() };
     }

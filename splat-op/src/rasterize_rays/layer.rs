@@ -293,15 +293,28 @@ impl RayGaussian {
         let d = s * s + thick * ray_square;
         let sound = d > comptime!(D_MIN as f32);
         let inverse = select(sound, 1.0 / select(sound, d, 1.0), 0.0);
-        let dot = self.alpha * u + self.beta * v;
-        let product = self.gamma * s + thick * dot;
-        let lambda = product * inverse;
-        let (apart_u, apart_v) = (lambda * u - self.alpha, lambda * v - self.beta);
-        let apart_s = inverse * (self.gamma * square - s * dot);
+        // With the centre as the origin, `α` and `β` are zero and `γ` is one.
+        let mut product = s;
+        let mut lambda = s * inverse;
+        let mut apart_u = lambda * u;
+        let mut apart_v = lambda * v;
+        let mut apart_s = inverse * square;
         let mut exponent = 0.5 * square;
+        if comptime!(view.exact) {
+            exponent *= inverse;
+            // The same for all pixels.
+            if self.alpha != 0.0 || self.beta != 0.0 || self.gamma != 1.0 {
+                let dot = self.alpha * u + self.beta * v;
+                product = self.gamma * s + thick * dot;
+                lambda = product * inverse;
+                apart_u = lambda * u - self.alpha;
+                apart_v = lambda * v - self.beta;
+                apart_s = inverse * (self.gamma * square - s * dot);
+                exponent = 0.5 * (apart_u * apart_u + apart_v * apart_v + thick * apart_s * apart_s);
+            }
+        }
         let mut seen = sees;
         if comptime!(view.exact) {
-            exponent = 0.5 * (apart_u * apart_u + apart_v * apart_v + thick * apart_s * apart_s);
             seen = sees && product > 0.0 && sound;
         }
         let whole = self.opacity * (-exponent).exp();

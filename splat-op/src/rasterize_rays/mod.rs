@@ -66,6 +66,8 @@
 
 #[cfg(feature = "cube")]
 mod backward;
+#[cfg(feature = "cube")]
+mod buckets;
 #[cfg(test)]
 mod chain_tests;
 pub(crate) mod cpu;
@@ -81,6 +83,8 @@ mod layer;
 #[cfg(test)]
 mod lens_tests;
 mod order;
+#[cfg(feature = "cube")]
+mod pair_sums;
 mod reach;
 #[cfg(test)]
 mod tests;

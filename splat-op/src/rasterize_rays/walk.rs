@@ -1,4 +1,4 @@
-//! The way of a tile's pixels through its list, front to back, which both passes share.
+//! The way of a tile's pixels through its list, front to back: the forward pass, and the backward pass with the per-pixel sort.
 //!
 //! The units of a tile load [`NEAR`] Gaussians at a time, each once, and evaluate them from shared memory. In the order of the list a
 //! layer is passed as soon as it is found. With the per-pixel sort, a pass through the list finds the [`CHUNK`] layers of each pixel that
