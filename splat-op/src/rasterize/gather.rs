@@ -7,26 +7,18 @@ use super::layer::KernelShape;
 use crate::depth_slope::SLOPES;
 use crate::project::COLUMNS;
 
-/// The gradient of the shape of an ellipse.
-#[derive(CubeType, Clone, Copy)]
-#[expand(derive(Clone, Copy))]
-struct ShapeGrad {
-    x: f32,
-    y: f32,
-    sigma_u: f32,
-    shear: f32,
-    sigma_v: f32,
-}
-
+/// Stores the gradient of the shape of the ellipse that begins at `at`, from its moments.
 #[cube]
-impl ShapeGrad {
-    fn store(&self, to: &mut [f32], at: usize) {
-        to[at] = self.x;
-        to[at + 1] = self.y;
-        to[at + 2] = self.sigma_u;
-        to[at + 3] = self.shear;
-        to[at + 4] = self.sigma_v;
-    }
+fn store_shape(out: &mut [f32], to: usize, row: &Array<f32>, projected: &[f32], at: usize) {
+    let sigma_u = projected[at + 2];
+    let shear = projected[at + 3];
+    let sigma_v = projected[at + 4];
+    let per_v = row[2] / sigma_v;
+    out[to] = row[1] / sigma_u - shear * per_v;
+    out[to + 1] = per_v;
+    out[to + 2] = row[3] / sigma_u;
+    out[to + 3] = row[4] * (sigma_u / sigma_v);
+    out[to + 4] = row[5] / sigma_v;
 }
 
 /// Turns rows into gradients. With `e = −(u² + v²)/2`: `∂e/∂sigma_u = u²/sigma_u`, `∂e/∂sigma_v = v²/sigma_v`,
@@ -89,17 +81,6 @@ pub(super) fn rasterize_gather_kernel(
             }
         }
         let at = gaussian * comptime!(COLUMNS);
-        let sigma_u = projected[at + 2];
-        let shear = projected[at + 3];
-        let sigma_v = projected[at + 4];
-        let per_v = row[2] / sigma_v;
-        let of_shape = ShapeGrad {
-            x: row[1] / sigma_u - shear * per_v,
-            y: per_v,
-            sigma_u: row[3] / sigma_u,
-            shear: row[4] * (sigma_u / sigma_v),
-            sigma_v: row[5] / sigma_v,
-        };
         #[comptime]
         if let ComptimeOption::Some(out) = &mut grad_rays {
             let first = gaussian * ray_columns;
@@ -107,12 +88,12 @@ pub(super) fn rasterize_gather_kernel(
             for k in 0..comptime!(SLOPES) {
                 out[first + k] = row[comptime!(MOMENTS + shape.channels() + k)];
             }
-            of_shape.store(out, first + comptime!(SLOPES));
+            store_shape(out, first + comptime!(SLOPES), &row, projected, at);
         }
         #[comptime]
         if let ComptimeOption::Some(out) = &mut grad_projected {
             if comptime!(ray_columns == 0) {
-                of_shape.store(out, at);
+                store_shape(out, at, &row, projected, at);
                 if comptime!(shape.depth) {
                     out[at + 5] = row[comptime!(MOMENTS + shape.features)];
                 }
