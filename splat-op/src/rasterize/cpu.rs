@@ -29,12 +29,12 @@ pub(crate) struct Trace<F> {
     tiles: Vec<TileTrace<F>>,
 }
 
-/// Runs `$body` with the SIMD level of this processor as `$simd` and the number of channels as the constant `$c`, or
+/// Runs `$body` with the SIMD level of this processor as `$simd` and the number of channels, `$channels`, as the constant `$c`, or
 /// zero if no specialised version exists. `$long` is the constant of [`is_long`], and `$library` says whether `exp` is
 /// the standard library's function.
 #[rustfmt::skip] // rustfmt indents the inner macro further at every run
 macro_rules! specialised {
-    ($prepared:expr, $tile:expr, $simd:ident, $c:ident, $long:ident, $library:ident => $body:expr) => {{
+    ($prepared:expr, $channels:expr, $tile:expr, $simd:ident, $c:ident, $long:ident, $library:ident => $body:expr) => {{
         macro_rules! with {
             ($count:literal, $is_long:literal, $is_library:literal) => {{
                 const $c: usize = $count;
@@ -44,7 +44,7 @@ macro_rules! specialised {
             }};
         }
         // Versions in f64, which serves as a reference, would take as long to compile as those in f32.
-        match ($prepared.channels, $prepared.is_long($tile), $prepared.library) {
+        match ($channels, $prepared.is_long($tile), $prepared.library) {
             (1, false, false) if const { is_f32::<F>() } => with!(1, false, false),
             (3, false, false) if const { is_f32::<F>() } => with!(3, false, false),
             (4, false, false) if const { is_f32::<F>() } => with!(4, false, false),
@@ -77,7 +77,7 @@ pub(crate) fn rasterize_cpu<F: Real>(
         |(), tile, planes| {
             let view = prepared.view(tile);
             let mut trace = TileTrace::default();
-            specialised!(prepared, tile, simd, C, IS_LONG, LIBRARY => {
+            specialised!(prepared, prepared.channels, tile, simd, C, IS_LONG, LIBRARY => {
                 let thresholds = Thresholds::<_, F, LIBRARY>::new(simd, prepared.thresholds);
                 rasterize_tile::<_, F, C, IS_LONG, LIBRARY>(simd, &view, &thresholds, planes, keep.then_some(&mut trace));
             });
@@ -235,15 +235,22 @@ fn tile_sums<F: Real>(
     let size = PictureSize { pixels: prepared.size, features, depth: prepared.channels > features };
     let Buffers { grad: of_planes, scratch } = buffers;
     of_planes.read(grad, &size, view.origin, background);
+    let wanted = if needs.background { features } else { 0 };
+    if of_planes.is_zero() {
+        return vec![F::ZERO; wanted];
+    }
+    if size.depth {
+        of_planes.leave_out_if_zero(features);
+    }
     let TilePlanes { planes, background_rho } = of_planes;
     let tile_grad = TileGrad { planes, background_rho, trace, absolute: needs.mean2d_abs };
     let mut transmittance = [F::ZERO; TILE_PIXELS];
-    specialised!(prepared, tile, simd, C, IS_LONG, LIBRARY => {
+    specialised!(prepared, tile_grad.channels(), tile, simd, C, IS_LONG, LIBRARY => {
         let thresholds = Thresholds::<_, F, LIBRARY>::new(simd, prepared.thresholds);
         let out = (sums, &mut transmittance);
         rasterize_tile_backward::<_, F, C, IS_LONG, LIBRARY>(simd, &view, &tile_grad, &thresholds, out, scratch);
     });
-    of_planes.background_gradient(&transmittance, if needs.background { features } else { 0 })
+    of_planes.background_gradient(&transmittance, wanted)
 }
 
 /// Gradients of a tile's planes.
@@ -293,12 +300,28 @@ impl<F: Real> TilePlanes<F> {
         }
     }
 
+    /// Whether no plane has a gradient, as where a mask covers the tile. Then nothing in the tile has one.
+    pub fn is_zero(&self) -> bool {
+        self.planes.iter().all(is_zero)
+    }
+
+    /// Removes a channel without a gradient. Known depths lie in few tiles.
+    fn leave_out_if_zero(&mut self, channel: usize) {
+        if is_zero(&self.planes[channel]) {
+            self.planes.remove(channel);
+        }
+    }
+
     /// Returns the tile's share of the gradient of the background's first `features` values. `transmittance` is that behind
     /// all layers, negated where a pixel is finished.
     pub fn background_gradient(&self, transmittance: &Plane<F>, features: usize) -> Vec<F> {
         let through = |plane: &Plane<F>| plane.iter().zip(transmittance).map(|(&g, t)| g * t.abs()).sum();
         self.planes.iter().take(features).map(through).collect()
     }
+}
+
+fn is_zero<F: Real>(plane: &Plane<F>) -> bool {
+    plane.iter().all(|value| *value == F::ZERO)
 }
 
 /// Sums over each tile, a row per intersection: the moments, the channels (depth is the last), along rays the gradient of the depth

@@ -172,13 +172,17 @@ pub(crate) fn rasterize_rays_backward_cpu<F: Real>(
         let (tile, planes, scratch) = buffers;
         let view = prepared.view(index);
         planes.read(grad, &size, view.origin, inputs.background);
+        let wanted = if needs.background { size.features } else { 0 };
+        if planes.is_zero() {
+            return vec![F::ZERO; wanted];
+        }
         let grad = RayTileGrad { planes, depth: size.depth, absolute: needs.mean2d_abs };
         let transmittance = specialised!(spec, simd, EXACT, SORTED => {
             let rules = RayRules::new(simd, spec);
             tile.read::<_, SORTED>(simd, &view, Reach::Blocks(&trace.seen[index]));
             rasterize_tile_backward::<_, F, EXACT, SORTED>(simd, tile, &rules, &grad, rows, scratch)
         });
-        planes.background_gradient(&transmittance, if needs.background { size.features } else { 0 })
+        planes.background_gradient(&transmittance, wanted)
     });
     let sums = RowSums { rows: &rows, columns, channels: size.channels(), unscale: 1.0 };
     let RayLayers { projected, depth_slope, features, mean2d_abs, .. } = needs;
