@@ -126,7 +126,7 @@ pub mod intersect;
 pub mod rasterize;
 
 // Both replace `rasterize` for per-ray rasterization.
-pub mod depth_slope;
+pub mod ray_space;
 
 pub mod rasterize_rays;
 

@@ -159,7 +159,7 @@ impl RenderOptions {
         Self { alpha_min: 1.0 / 67_108_864.0, transmittance_min: 0.0, ..Self::standard() }
     }
 
-    /// Whether the render uses per-ray rasterization: `depth_slope` and `rasterize_rays` instead of `rasterize`.
+    /// Whether the render uses per-ray rasterization: `ray_space` and `rasterize_rays` instead of `rasterize`.
     pub(crate) fn along_rays(&self) -> bool {
         self.projection != Projection::Affine || self.order != Order::CentreDepth
     }

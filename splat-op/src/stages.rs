@@ -41,8 +41,8 @@ pub struct Ellipses {
 #[derive(Clone, Debug)]
 pub struct Projected {
     packed: Tensor<2>,
-    /// `[N, 9 (+ 6)]`: the Gaussians in ray space, see `depth_slope/`; present for per-ray rasterization only.
-    depth_slope: Option<Tensor<2>>,
+    /// `[N, 9 (+ 6)]`: the Gaussians in ray space, see `ray_space/`; present for per-ray rasterization only.
+    ray_space: Option<Tensor<2>>,
     intrinsics: Intrinsics,
 }
 
@@ -67,9 +67,9 @@ pub struct Rendered<const D: usize> {
 }
 
 impl Projected {
-    /// Takes packed ellipses without depth slopes.
+    /// Takes packed ellipses without rows in ray space.
     pub(crate) fn of(packed: Tensor<2>, intrinsics: Intrinsics) -> Self {
-        Self { packed, depth_slope: None, intrinsics }
+        Self { packed, ray_space: None, intrinsics }
     }
 
     /// Returns the packed ellipses, `[N, 7]`.
@@ -109,7 +109,7 @@ impl Projected {
 impl Ellipses {
     /// Packs the fields for [`intersect`] and [`rasterize`], for a camera with `intrinsics`.
     ///
-    /// The fields do not contain ray-space depth slopes. Packed ellipses can therefore only be rendered with
+    /// The fields do not contain the Gaussians in ray space. Packed ellipses can therefore only be rendered with
     /// [`Projection::Affine`](crate::Projection) and [`Order::CentreDepth`](crate::Order).
     ///
     /// # Errors
@@ -157,13 +157,13 @@ pub fn project(
     reference.check_fits(&[packed_need(splats.means.dims()[0])])?;
     let spec = ProjectSpec { intrinsics: camera.intrinsics, options: options.of_project(&camera.intrinsics) };
     let inputs = geometry(splats, camera, probe);
-    let depth_slope = options.along_rays().then(|| {
-        let depth_slope = Tensor::from_dispatch(<Dispatch as SplatBackend>::depth_slope(inputs.clone(), spec));
-        // With the affine projection the depth slope only decides the order, which has no gradient.
-        if options.projection == Projection::RayMax { depth_slope } else { depth_slope.detach() }
+    let ray_space = options.along_rays().then(|| {
+        let ray_space = Tensor::from_dispatch(<Dispatch as SplatBackend>::ray_space(inputs.clone(), spec));
+        // With the affine projection the row only decides the order, which has no gradient.
+        if options.projection == Projection::RayMax { ray_space } else { ray_space.detach() }
     });
     let packed = <Dispatch as SplatBackend>::project(inputs, spec);
-    Ok(Projected { packed: Tensor::from_dispatch(packed), depth_slope, intrinsics: camera.intrinsics })
+    Ok(Projected { packed: Tensor::from_dispatch(packed), ray_space, intrinsics: camera.intrinsics })
 }
 
 fn geometry(splats: &Splats, camera: &Camera, mean2d_probe: Tensor<2>) -> GeometryTensors<Dispatch> {
@@ -191,8 +191,8 @@ pub fn intersect(projected: &Projected, options: &RenderOptions) -> Result<Inter
     let intersections = IntersectionCell::default();
     let spec = RasterizeSpec { intrinsics: projected.intrinsics, options: *options };
     let mut packed = projected.packed.clone().detach().into_dispatch();
-    if let Some(depth_slope) = projected.depth_slope.clone().filter(|_| options.extends_by_bounds()) {
-        packed = <Dispatch as SplatBackend>::bounds(packed, depth_slope.detach().into_dispatch(), spec);
+    if let Some(ray_space) = projected.ray_space.clone().filter(|_| options.extends_by_bounds()) {
+        packed = <Dispatch as SplatBackend>::bounds(packed, ray_space.detach().into_dispatch(), spec);
     }
     let counts = <Dispatch as SplatBackend>::intersect(packed, spec, intersections.clone());
     Ok(Intersections { counts: Tensor::from_dispatch(counts), cell: intersections })
@@ -234,14 +234,14 @@ pub fn rasterize(
     let mean2d_abs = probe.into();
     let (counts, intersections, parts) =
         (intersections.counts.clone().into_dispatch(), intersections.cell.clone(), PartsCell::default());
-    let planes = match &projected.depth_slope {
+    let planes = match &projected.ray_space {
         None => {
             let inputs = Layers { projected: packed, features, background, mean2d_abs };
             <Dispatch as SplatBackend>::rasterize(inputs, counts, spec, intersections, None, parts.clone())
         }
-        Some(depth_slope) => {
-            let depth_slope = depth_slope.clone().into();
-            let inputs = RayLayers { projected: packed, depth_slope, features, background, mean2d_abs };
+        Some(ray_space) => {
+            let ray_space = ray_space.clone().into();
+            let inputs = RayLayers { projected: packed, ray_space, features, background, mean2d_abs };
             <Dispatch as SplatBackend>::rasterize_rays(inputs, counts, spec, intersections, None, parts.clone())
         }
     };
@@ -274,10 +274,10 @@ fn check_geometry(splats: &Splats, camera: &Camera, options: &RenderOptions) -> 
     Ok(reference)
 }
 
-/// Refuses ellipses without depth slopes for per-ray rasterization, and ellipses with depth slopes for plain rasterization.
+/// Refuses ellipses without rows in ray space for per-ray rasterization, and ellipses with them for plain rasterization.
 fn check_rays(projected: &Projected, options: &RenderOptions) -> Result<(), SplatError> {
     let found = format!("{:?} with {:?}", options.projection, options.order);
-    match (options.along_rays(), projected.depth_slope.is_some()) {
+    match (options.along_rays(), projected.ray_space.is_some()) {
         (true, false) => Err(SplatError::Value {
             field: "projection and order",
             found,

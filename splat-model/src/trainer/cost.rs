@@ -32,8 +32,8 @@ pub struct MeasuredCost {
 
 impl Trainer {
     /// Cost of `effect` in a step on the first photograph, at the current state of the run. Steps with and without it are timed
-    /// in turn; the result is the median of the differences. Effects between render and loss are timed without the render, whose
-    /// time would hide theirs. The update of an effect's own parameters is not included. No parameter changes. `None` for
+    /// in turn; the result is the median of the differences. Maps of colours are timed without the render, whose time would hide
+    /// theirs. The update of an effect's own parameters is not included. No parameter changes. `None` for
     /// effects that are not part of a step, and for effects that are off. Motion blur, rolling shutters and defocus are timed
     /// together.
     ///
@@ -42,7 +42,7 @@ impl Trainer {
     pub fn cost_of(&mut self, effect: EffectKind) -> Result<Option<MeasuredCost>, TrainError> {
         let Some(bytes) = self.bytes_of(effect) else { return Ok(None) };
         let time = match effect {
-            EffectKind::Exposure | EffectKind::BilateralGrid | EffectKind::Masks => Self::time_loss,
+            EffectKind::Exposure | EffectKind::BilateralGrid => Self::time_loss,
             _ => Self::time_step,
         };
         // The first runs compile kernels and prepare photographs.

@@ -206,9 +206,9 @@ impl<B: SplatBackend, C: CheckpointStrategy> SplatBackend for Autodiff<B, C> {
         })
     }
 
-    fn depth_slope(inputs: GeometryTensors<Self>, spec: ProjectSpec) -> FloatTensor<Self> {
+    fn ray_space(inputs: GeometryTensors<Self>, spec: ProjectSpec) -> FloatTensor<Self> {
         let inner = inputs.each_ref().map(InputTensor::inner);
-        let output = B::depth_slope(inner.clone(), spec);
+        let output = B::ray_space(inner.clone(), spec);
         let Geometry { means, rotations, scales, cam_from_world, mean2d, .. } = inputs.each_ref().map(|input| &input.0);
         let tracked_inputs = [means, rotations, scales, cam_from_world, mean2d];
         tracked::<B, C, _, _>(
@@ -216,14 +216,14 @@ impl<B: SplatBackend, C: CheckpointStrategy> SplatBackend for Autodiff<B, C> {
             output,
             move |grad, [means, rotations, scales, cam_from_world, mean2d]| {
                 let mask = Geometry { means, rotations, scales, cam_from_world, mean2d, ..Geometry::default() };
-                let found = B::depth_slope_backward(inner, grad, spec, mask);
+                let found = B::ray_space_backward(inner, grad, spec, mask);
                 [found.means, found.rotations, found.scales, found.cam_from_world, found.mean2d]
             },
         )
     }
 
-    fn bounds(projected: FloatTensor<Self>, depth_slope: FloatTensor<Self>, spec: RasterizeSpec) -> FloatTensor<Self> {
-        FloatTensor::<Self>::new(B::bounds(projected.into_primitive(), depth_slope.into_primitive(), spec))
+    fn bounds(projected: FloatTensor<Self>, ray_space: FloatTensor<Self>, spec: RasterizeSpec) -> FloatTensor<Self> {
+        FloatTensor::<Self>::new(B::bounds(projected.into_primitive(), ray_space.into_primitive(), spec))
     }
 
     fn rasterize_rays(
@@ -285,14 +285,14 @@ impl<B: SplatBackend, C: CheckpointStrategy> SplatBackend for Autodiff<B, C> {
         B::rasterize_backward(inputs, planes, grads, spec, mask, intersections, trace).map(OptionalTensor::constant)
     }
 
-    fn depth_slope_backward(
+    fn ray_space_backward(
         inputs: GeometryTensors<Self>,
         grad: FloatTensor<Self>,
         spec: ProjectSpec,
         mask: Geometry<bool>,
     ) -> GeometryGrads<Self> {
         let inputs = inputs.each_ref().map(InputTensor::inner);
-        B::depth_slope_backward(inputs, grad.into_primitive(), spec, mask).map(OptionalTensor::constant)
+        B::ray_space_backward(inputs, grad.into_primitive(), spec, mask).map(OptionalTensor::constant)
     }
 
     fn rasterize_rays_backward(

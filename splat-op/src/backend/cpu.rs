@@ -15,8 +15,6 @@ use super::tensors::{
     GeometryGrads, GeometryTensors, InputTensor, LayerGrads, LayerTensors, OptionalTensor, PlaneGrads, RayLayerGrads,
     RayLayerTensors, ShadingGrads, ShadingTensors,
 };
-use crate::depth_slope::cpu::{depth_slope_backward_cpu, depth_slope_cpu};
-use crate::depth_slope::{bounds_cpu, columns};
 use crate::intersect::cpu::intersect_cpu;
 use crate::intersect::{Cut, IntersectionCell, IntersectionLists, StoredIntersections, tile_grid};
 use crate::project::cpu::{project_backward_cpu, project_cpu};
@@ -25,6 +23,8 @@ use crate::rasterize::cpu::{Trace, rasterize_backward_cpu, rasterize_cpu};
 use crate::rasterize::{Layers, PartsCell, PlaneParts, RasterizeSpec, TraceCell};
 use crate::rasterize_rays::RayLayers;
 use crate::rasterize_rays::cpu::{RayTrace, rasterize_rays_backward_cpu, rasterize_rays_cpu};
+use crate::ray_space::cpu::{ray_space_backward_cpu, ray_space_cpu};
+use crate::ray_space::{bounds_cpu, columns};
 use crate::sh::Shading;
 use crate::sh::cpu::{ShCpuInputs, Visible, sh_backward_cpu, sh_cpu};
 use crate::simd::real::Real;
@@ -123,7 +123,7 @@ fn ray_lists<'a, F: Real>(
     intersection_lists_by(intersections, || {
         let rows = |packed: &[F]| intersect_cpu(packed, &spec.intrinsics, Cut::of(&spec.options));
         match spec.options.extends_by_bounds() {
-            true => rows(&bounds_cpu(inputs.projected, inputs.depth_slope, spec)),
+            true => rows(&bounds_cpu(inputs.projected, inputs.ray_space, spec)),
             false => rows(inputs.projected),
         }
     })
@@ -241,17 +241,17 @@ macro_rules! cpu_backend {
                 })
             }
 
-            fn depth_slope(inputs: GeometryTensors<Self>, spec: ProjectSpec) -> FloatTensor<Self> {
+            fn ray_space(inputs: GeometryTensors<Self>, spec: ProjectSpec) -> FloatTensor<Self> {
                 by_type!(inputs.means.0, F => {
                     let read = inputs.each_ref().map(host::<Self, F>);
-                    let depth_slopes = depth_slope_cpu(read.each_ref().map(|host| &host[..]), &spec);
+                    let ray_rows = ray_space_cpu(read.each_ref().map(|host| &host[..]), &spec);
                     let columns = columns(&spec.intrinsics);
-                    let count = depth_slopes.len() / columns;
-                    Self::from_host(depth_slopes, &[count, columns], &inputs.means.0)
+                    let count = ray_rows.len() / columns;
+                    Self::from_host(ray_rows, &[count, columns], &inputs.means.0)
                 })
             }
 
-            fn depth_slope_backward(
+            fn ray_space_backward(
                 inputs: GeometryTensors<Self>,
                 grad: FloatTensor<Self>,
                 spec: ProjectSpec,
@@ -260,15 +260,15 @@ macro_rules! cpu_backend {
                 by_type!(inputs.means.0, F => {
                     let read = inputs.each_ref().map(host::<Self, F>);
                     let slices = read.each_ref().map(|host| &host[..]);
-                    let found = depth_slope_backward_cpu(slices, &Self::host(grad), &spec, mask);
+                    let found = ray_space_backward_cpu(slices, &Self::host(grad), &spec, mask);
                     found.zip(mask).zip(inputs.each_ref()).map(gradient)
                 })
             }
 
-            fn bounds(projected: FloatTensor<Self>, depth_slope: FloatTensor<Self>, spec: RasterizeSpec) -> FloatTensor<Self> {
+            fn bounds(projected: FloatTensor<Self>, ray_space: FloatTensor<Self>, spec: RasterizeSpec) -> FloatTensor<Self> {
                 by_type!(projected, F => {
                     let like = projected.clone();
-                    let rows = bounds_cpu::<F>(&Self::host(projected), &Self::host(depth_slope), &spec);
+                    let rows = bounds_cpu::<F>(&Self::host(projected), &Self::host(ray_space), &spec);
                     let count = rows.len() / COLUMNS;
                     Self::from_host(rows, &[count, COLUMNS], &like)
                 })

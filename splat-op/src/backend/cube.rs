@@ -13,8 +13,6 @@ use super::tensors::{
     GeometryGrads, GeometryTensors, InputTensor, LayerGrads, LayerTensors, OptionalTensor, PlaneGrads, RayLayerGrads,
     RayLayerTensors, ShadingGrads, ShadingTensors,
 };
-use crate::depth_slope::columns;
-use crate::depth_slope::launch::{launch_bounds, launch_depth_slope, launch_depth_slope_backward};
 use crate::gpu::{Buffer, Gpu, launch_scale};
 use crate::intersect::launch::{DeviceIntersections, launch_intersect};
 use crate::intersect::{Cut, IntersectionCell, StoredIntersections, tile_grid};
@@ -25,6 +23,8 @@ use crate::rasterize::trace::DeviceTrace;
 use crate::rasterize::{Layers, PartsCell, PlaneParts, RasterizeSpec, TraceCell};
 use crate::rasterize_rays::RayLayers;
 use crate::rasterize_rays::launch::{TABLE, launch_rasterize_rays, launch_rasterize_rays_backward};
+use crate::ray_space::columns;
+use crate::ray_space::launch::{launch_bounds, launch_ray_space, launch_ray_space_backward};
 use crate::sh::Shading;
 use crate::sh::launch::{DeviceShCoefficients, ShDeviceInputs, launch_sh, launch_sh_backward};
 
@@ -145,7 +145,7 @@ fn ray_lists<'a>(
     lists_by(cell, || {
         let rows = |packed: &Buffer<f32>| launch_intersect(gpu, packed, &spec.intrinsics, Cut::of(&spec.options));
         match spec.options.extends_by_bounds() {
-            true => rows(&launch_bounds(gpu, &inputs.projected, &inputs.depth_slope, spec)),
+            true => rows(&launch_bounds(gpu, &inputs.projected, &inputs.ray_space, spec)),
             false => rows(&inputs.projected),
         }
     })
@@ -264,26 +264,26 @@ impl SplatBackend for CubeBackend {
         found.zip(inputs.each_ref()).map(gradient)
     }
 
-    fn depth_slope(inputs: GeometryTensors<Self>, spec: ProjectSpec) -> FloatTensor<Self> {
+    fn ray_space(inputs: GeometryTensors<Self>, spec: ProjectSpec) -> FloatTensor<Self> {
         let like = &inputs.means.0;
-        let depth_slopes = launch_depth_slope(&Gpu::new(&like.client), &inputs.each_ref().map(on_device), &spec);
-        tensor(depth_slopes, [like.shape()[0], columns(&spec.intrinsics)], DType::F32, like)
+        let ray_rows = launch_ray_space(&Gpu::new(&like.client), &inputs.each_ref().map(on_device), &spec);
+        tensor(ray_rows, [like.shape()[0], columns(&spec.intrinsics)], DType::F32, like)
     }
 
-    fn depth_slope_backward(
+    fn ray_space_backward(
         inputs: GeometryTensors<Self>,
         grad: FloatTensor<Self>,
         spec: ProjectSpec,
         mask: Geometry<bool>,
     ) -> GeometryGrads<Self> {
         let gpu = Gpu::new(&grad.client);
-        let found = launch_depth_slope_backward(&gpu, &inputs.each_ref().map(on_device), &buffer(grad), &spec, mask);
+        let found = launch_ray_space_backward(&gpu, &inputs.each_ref().map(on_device), &buffer(grad), &spec, mask);
         found.zip(inputs.each_ref()).map(gradient)
     }
 
-    fn bounds(projected: FloatTensor<Self>, depth_slope: FloatTensor<Self>, spec: RasterizeSpec) -> FloatTensor<Self> {
+    fn bounds(projected: FloatTensor<Self>, ray_space: FloatTensor<Self>, spec: RasterizeSpec) -> FloatTensor<Self> {
         let gpu = Gpu::new(&projected.client);
-        let rows = launch_bounds(&gpu, &buffer(projected.clone()), &buffer(depth_slope), &spec);
+        let rows = launch_bounds(&gpu, &buffer(projected.clone()), &buffer(ray_space), &spec);
         tensor(rows, projected.shape(), DType::F32, &projected)
     }
 

@@ -11,14 +11,14 @@ use super::tensors::{
     GeometryGrads, GeometryTensors, LayerGrads, LayerTensors, OptionalTensor, PlaneGrads, RayLayerGrads,
     RayLayerTensors, ShadingGrads, ShadingTensors,
 };
-#[cfg(feature = "fusion")]
-use crate::depth_slope;
 use crate::intersect::IntersectionCell;
 #[cfg(feature = "fusion")]
 use crate::project::COLUMNS;
 use crate::project::{Geometry, ProjectSpec};
 use crate::rasterize::{Layers, PartsCell, RasterizeSpec, TraceCell};
 use crate::rasterize_rays::RayLayers;
+#[cfg(feature = "fusion")]
+use crate::ray_space;
 use crate::sh::Shading;
 
 /// Gaussian splatting on a Burn backend: the stages, and the backward passes of the differentiable ones.
@@ -96,24 +96,24 @@ pub trait SplatBackend: Backend {
         trace: TraceCell,
     ) -> LayerGrads<Self>;
 
-    /// The Gaussians in ray space; see `depth_slope/`. Returns `[N, 9]`, with a lens `[N, 15]`.
+    /// The Gaussians in ray space; see `ray_space/`. Returns `[N, 9]`, with a lens `[N, 15]`.
     #[fusion(meta = |inputs, spec| fusion::float(
-        [inputs.opacities.0.shape[0], depth_slope::columns(&spec.intrinsics)], &inputs.means.0))]
-    fn depth_slope(#[extension_type] inputs: GeometryTensors<Self>, spec: ProjectSpec) -> FloatTensor<Self>;
+        [inputs.opacities.0.shape[0], ray_space::columns(&spec.intrinsics)], &inputs.means.0))]
+    fn ray_space(#[extension_type] inputs: GeometryTensors<Self>, spec: ProjectSpec) -> FloatTensor<Self>;
 
-    /// Returns the gradients of `depth_slope` that `mask` selects, from the gradient of its output. Opacities have no gradient.
+    /// Returns the gradients of `ray_space` that `mask` selects, from the gradient of its output. Opacities have no gradient.
     #[fusion(meta = |inputs, _, _, mask| inputs.each_ref().zip(*mask).map(fusion::grad(&inputs.means.0)))]
-    fn depth_slope_backward(
+    fn ray_space_backward(
         #[extension_type] inputs: GeometryTensors<Self>,
         grad: FloatTensor<Self>,
         spec: ProjectSpec,
         mask: Geometry<bool>,
     ) -> GeometryGrads<Self>;
 
-    /// Returns bounds as rows `[N, 7]` for `intersect`, from packed ellipses `[N, 7]` and depth slopes; see
-    /// `depth_slope/`. Not differentiable.
+    /// Returns bounds as rows `[N, 7]` for `intersect`, from packed ellipses `[N, 7]` and their rows in ray space; see
+    /// `ray_space/`. Not differentiable.
     #[fusion(dtype = projected, shape = projected)]
-    fn bounds(projected: FloatTensor<Self>, depth_slope: FloatTensor<Self>, spec: RasterizeSpec) -> FloatTensor<Self>;
+    fn bounds(projected: FloatTensor<Self>, ray_space: FloatTensor<Self>, spec: RasterizeSpec) -> FloatTensor<Self>;
 
     /// Rasterizes along rays; see `rasterize_rays/`. Returns planes; they and the other arguments are as in `rasterize`. On GPUs no
     /// trace is kept.

@@ -105,9 +105,9 @@ impl From<Option<&Tensor<1, Int>>> for OptionalIntTensor<Dispatch> {
     }
 }
 
-/// Inputs of `project` and `depth_slope`.
+/// Inputs of `project` and `ray_space`.
 pub type GeometryTensors<B> = Geometry<InputTensor<B>>;
-/// Gradients of the inputs of `project` and `depth_slope`.
+/// Gradients of the inputs of `project` and `ray_space`.
 pub type GeometryGrads<B> = Geometry<OptionalTensor<B>>;
 /// Inputs of `evaluate_sh`.
 pub type ShadingTensors<B> = Shading<InputTensor<B>>;

@@ -1,4 +1,4 @@
-//! The CPU twin of `project`: both passes, generic over the float, parallel over chunks of Gaussians. `depth_slope` runs by the same
+//! The CPU twin of `project`: both passes, generic over the float, parallel over chunks of Gaussians. `ray_space` runs by the same
 //! loops.
 
 use fearless_simd::prelude::*;

@@ -13,9 +13,9 @@ use super::tile::{Plane, Thresholds, TileTrace, in_block_order, rasterize_tile};
 pub(crate) use super::tile_backward::MOMENTS;
 use super::tile_backward::{TileGrad, TileScratch, rasterize_tile_backward};
 use super::{Layers, PlaneParts, RasterizeSpec};
-use crate::depth_slope::{SHAPE, SLOPES};
 use crate::intersect::{IntersectionLists, TILE, TILE_PIXELS, tile_grid};
 use crate::project::{COLUMNS, Ellipse, OPACITY};
+use crate::ray_space::{SHAPE, SLOPES};
 use crate::simd::real::Real;
 
 /// Number of Gaussians per task.
@@ -29,12 +29,12 @@ pub(crate) struct Trace<F> {
     tiles: Vec<TileTrace<F>>,
 }
 
-/// Runs `$body` with the SIMD level of this processor as `$simd` and the number of channels, `$channels`, as the constant `$c`, or
+/// Runs `$body` with the SIMD level of this processor as `$simd` and the number of channels as the constant `$c`, or
 /// zero if no specialised version exists. `$long` is the constant of [`is_long`], and `$library` says whether `exp` is
 /// the standard library's function.
 #[rustfmt::skip] // rustfmt indents the inner macro further at every run
 macro_rules! specialised {
-    ($prepared:expr, $channels:expr, $tile:expr, $simd:ident, $c:ident, $long:ident, $library:ident => $body:expr) => {{
+    ($prepared:expr, $tile:expr, $simd:ident, $c:ident, $long:ident, $library:ident => $body:expr) => {{
         macro_rules! with {
             ($count:literal, $is_long:literal, $is_library:literal) => {{
                 const $c: usize = $count;
@@ -44,7 +44,7 @@ macro_rules! specialised {
             }};
         }
         // Versions in f64, which serves as a reference, would take as long to compile as those in f32.
-        match ($channels, $prepared.is_long($tile), $prepared.library) {
+        match ($prepared.channels, $prepared.is_long($tile), $prepared.library) {
             (1, false, false) if const { is_f32::<F>() } => with!(1, false, false),
             (3, false, false) if const { is_f32::<F>() } => with!(3, false, false),
             (4, false, false) if const { is_f32::<F>() } => with!(4, false, false),
@@ -77,7 +77,7 @@ pub(crate) fn rasterize_cpu<F: Real>(
         |(), tile, planes| {
             let view = prepared.view(tile);
             let mut trace = TileTrace::default();
-            specialised!(prepared, prepared.channels, tile, simd, C, IS_LONG, LIBRARY => {
+            specialised!(prepared, tile, simd, C, IS_LONG, LIBRARY => {
                 let thresholds = Thresholds::<_, F, LIBRARY>::new(simd, prepared.thresholds);
                 rasterize_tile::<_, F, C, IS_LONG, LIBRARY>(simd, &view, &thresholds, planes, keep.then_some(&mut trace));
             });
@@ -239,13 +239,10 @@ fn tile_sums<F: Real>(
     if of_planes.is_zero() {
         return vec![F::ZERO; wanted];
     }
-    if size.depth {
-        of_planes.leave_out_if_zero(features);
-    }
     let TilePlanes { planes, background_rho } = of_planes;
     let tile_grad = TileGrad { planes, background_rho, trace, absolute: needs.mean2d_abs };
     let mut transmittance = [F::ZERO; TILE_PIXELS];
-    specialised!(prepared, tile_grad.channels(), tile, simd, C, IS_LONG, LIBRARY => {
+    specialised!(prepared, tile, simd, C, IS_LONG, LIBRARY => {
         let thresholds = Thresholds::<_, F, LIBRARY>::new(simd, prepared.thresholds);
         let out = (sums, &mut transmittance);
         rasterize_tile_backward::<_, F, C, IS_LONG, LIBRARY>(simd, &view, &tile_grad, &thresholds, out, scratch);
@@ -302,14 +299,7 @@ impl<F: Real> TilePlanes<F> {
 
     /// Whether no plane has a gradient, as where a mask covers the tile. Then nothing in the tile has one.
     pub fn is_zero(&self) -> bool {
-        self.planes.iter().all(is_zero)
-    }
-
-    /// Removes a channel without a gradient. Known depths lie in few tiles.
-    fn leave_out_if_zero(&mut self, channel: usize) {
-        if is_zero(&self.planes[channel]) {
-            self.planes.remove(channel);
-        }
+        self.planes.iter().flatten().all(|value| *value == F::ZERO)
     }
 
     /// Returns the tile's share of the gradient of the background's first `features` values. `transmittance` is that behind
@@ -318,10 +308,6 @@ impl<F: Real> TilePlanes<F> {
         let through = |plane: &Plane<F>| plane.iter().zip(transmittance).map(|(&g, t)| g * t.abs()).sum();
         self.planes.iter().take(features).map(through).collect()
     }
-}
-
-fn is_zero<F: Real>(plane: &Plane<F>) -> bool {
-    plane.iter().all(|value| *value == F::ZERO)
 }
 
 /// Sums over each tile, a row per intersection: the moments, the channels (depth is the last), along rays the gradient of the depth
@@ -335,7 +321,7 @@ pub(crate) struct RowSums<'a, F> {
 }
 
 /// Adds the sums of each Gaussian's intersections in order and turns them into gradients of its ellipse and `features`
-/// features. With `ray_columns` above zero the Gaussian was seen along rays: the gradient of its shape goes to its row of `depth_slope`,
+/// features. With `ray_columns` above zero the Gaussian was seen along rays: the gradient of its shape goes to its row of `ray_space`,
 /// which has as many columns, and the ellipse keeps that of its opacity.
 pub(crate) fn gather<F: Real>(
     ellipses: &[F],

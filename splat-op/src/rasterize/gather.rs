@@ -4,8 +4,8 @@ use cubecl::prelude::*;
 
 use super::backward::MOMENTS;
 use super::layer::KernelShape;
-use crate::depth_slope::SLOPES;
 use crate::project::COLUMNS;
+use crate::ray_space::SLOPES;
 
 /// Stores the gradient of the shape of the ellipse that begins at `at`, from its moments.
 #[cube]
@@ -32,7 +32,7 @@ fn store_shape(out: &mut [f32], to: usize, row: &Array<f32>, projected: &[f32], 
 /// last two columns the sums of absolute values, if they are wanted. Gradients of Gaussians without intersections are not written:
 /// the buffers must hold zeros.
 ///
-/// With `grad_rays` the Gaussian was seen along rays: the gradient of its shape goes to its row of `depth_slope`, which has
+/// With `grad_rays` the Gaussian was seen along rays: the gradient of its shape goes to its row of `ray_space`, which has
 /// `ray_columns` columns, and the ellipse keeps that of its opacity.
 #[cube(launch_unchecked)]
 pub(super) fn rasterize_gather_kernel(

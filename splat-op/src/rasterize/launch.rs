@@ -185,7 +185,7 @@ pub(crate) fn launch_rasterize_backward(
 }
 
 /// Turns rows of `columns` sums, one per intersection if `ordered` is set, else one per Gaussian, into the gradients of
-/// the inputs but the background. With `ray_columns` above zero the gradient of the shape goes to rows of `depth_slope` with as many
+/// the inputs but the background. With `ray_columns` above zero the gradient of the shape goes to rows of `ray_space` with as many
 /// columns. A launch per part of the rows.
 pub(crate) fn launch_gather(
     gpu: &Gpu,

@@ -20,21 +20,13 @@ pub(crate) const MOMENTS: usize = 6;
 
 /// Inputs of a tile's backward pass besides its [`TileView`].
 pub(super) struct TileGrad<'a, F> {
-    /// `[channels + 1, 256]`: gradients of the sums `Σ w c` and of alpha; zero outside the picture. The last of the tile's channels may
-    /// be left out.
+    /// `[channels + 1, 256]`: gradients of the sums `Σ w c` and of alpha; zero outside the picture.
     pub planes: &'a [Plane<F>],
     /// `[256]`: `g · background`, the start of the recursion.
     pub background_rho: &'a [F],
     pub trace: &'a TileTrace<F>,
     /// Whether the sums of absolute values are wanted.
     pub absolute: bool,
-}
-
-impl<F> TileGrad<'_, F> {
-    /// Number of channels with a gradient.
-    pub fn channels(&self) -> usize {
-        self.planes.len() - 1
-    }
 }
 
 /// Buffers that one thread reuses from tile to tile, sized for a chunk whose Gaussians show in every pixel.
@@ -72,7 +64,8 @@ pub(super) fn rasterize_tile_backward<S: Simd, F: Real, const C: usize, const LO
     (intersections, final_transmittance): (&mut [F], &mut [F; TILE_PIXELS]),
     scratch: &mut TileScratch<F>,
 ) {
-    let columns = MOMENTS + view.channels + if grad.absolute { 2 } else { 0 };
+    let channels = if C == 0 { view.channels } else { C };
+    let columns = MOMENTS + channels + if grad.absolute { 2 } else { 0 };
     // `ρ` has two parts, like the transmittances.
     let mut rho = Transmittances::new([F::ZERO; TILE_PIXELS]);
     rho.kept.copy_from_slice(grad.background_rho);
@@ -109,7 +102,7 @@ pub(super) fn rasterize_tile_backward<S: Simd, F: Real, const C: usize, const LO
             let pair = 2 * len::<S, F>();
             let layers = (&mut scratch.layers[layers.start * pair..layers.end * pair], &scratch.places[layers]);
             let splat = FootprintSimd::new(simd, near.footprints[i], view.corner()[1]);
-            let colour = if C == 0 { &view.colour(gaussian)[..grad.channels()] } else { &near.colours[i] };
+            let colour = if C == 0 { view.colour(gaussian) } else { &near.colours[i] };
             backwards::<S, F, C, LONG, LIBRARY>(grad, (&splat, colour, thresholds), &x, layers, (&mut rho, row));
         }
     }
@@ -230,7 +223,8 @@ fn backwards<S: Simd, F: Real, const C: usize, const LONG: bool, const LIBRARY: 
         };
         row[MOMENTS + channel] = sum.reduce_sum();
     }
-    if grad.absolute && let [.., x, y] = row {
-        (*x, *y) = (absolute[0].reduce_sum(), absolute[1].reduce_sum());
+    if grad.absolute {
+        row[MOMENTS + channels] = absolute[0].reduce_sum();
+        row[MOMENTS + channels + 1] = absolute[1].reduce_sum();
     }
 }

@@ -1,16 +1,16 @@
-//! The gradients of Gaussians through `project`, `depth_slope` and `rasterize_rays`, whose rows are given in coordinates of the stages' choice.
+//! The gradients of Gaussians through `project`, `ray_space` and `rasterize_rays`, whose rows are given in coordinates of the stages' choice.
 
 use super::RayLayers;
 use super::cpu::{rasterize_rays_backward_cpu, rasterize_rays_cpu};
 use crate::camera::{CameraModel, Intrinsics};
-use crate::depth_slope::bounds_cpu;
-use crate::depth_slope::cpu::{depth_slope_backward_cpu, depth_slope_cpu};
 use crate::intersect::IntersectionLists;
 use crate::intersect::cpu::intersect_cpu;
 use crate::options::{Projection, RenderOptions};
 use crate::project::cpu::{project_backward_cpu, project_cpu};
 use crate::project::{Geometry, ProjectSpec};
 use crate::rasterize::{PlaneParts, RasterizeSpec};
+use crate::ray_space::bounds_cpu;
+use crate::ray_space::cpu::{ray_space_backward_cpu, ray_space_cpu};
 use crate::testing::blending::{assert_close, smooth};
 use crate::testing::ceiling::{PerturbedReference, rounded};
 use crate::testing::finite::{check_gradient, inner_product};
@@ -50,11 +50,11 @@ impl Scene {
     /// Packed ellipses and their rows.
     fn projected(&self) -> [Vec<f64>; 2] {
         let (spec, _) = self.specs();
-        [project_cpu(self.geometry(), &spec), depth_slope_cpu(self.geometry(), &spec)]
+        [project_cpu(self.geometry(), &spec), ray_space_cpu(self.geometry(), &spec)]
     }
 
-    fn layers<'a>(&'a self, [projected, depth_slope]: &'a [Vec<f64>; 2]) -> RayLayers<&'a [f64]> {
-        RayLayers { projected, depth_slope, features: &self.tensors[5], background: &BACKGROUND, mean2d_abs: &[] }
+    fn layers<'a>(&'a self, [projected, ray_space]: &'a [Vec<f64>; 2]) -> RayLayers<&'a [f64]> {
+        RayLayers { projected, ray_space, features: &self.tensors[5], background: &BACKGROUND, mean2d_abs: &[] }
     }
 
     fn lists(&self, [projected, rows]: &[Vec<f64>; 2]) -> IntersectionLists {
@@ -77,13 +77,13 @@ impl Scene {
     fn backward(&self, grad: &[f64], pass: impl Fn(&[f64]) -> Vec<f64>) -> Geometry<Vec<f64>> {
         let (rows, (project, spec)) = (self.projected(), self.specs());
         let wanted =
-            RayLayers { projected: true, depth_slope: true, features: false, background: false, mean2d_abs: false };
+            RayLayers { projected: true, ray_space: true, features: false, background: false, mean2d_abs: false };
         let grad = PlaneParts::split(grad, &spec, 3);
         let lists = self.lists(&rows);
         let grads = rasterize_rays_backward_cpu(self.layers(&rows), grad, &spec, (&lists, None), wanted);
         let through = [
             project_backward_cpu(self.geometry(), &pass(&grads.projected), &project, ALL),
-            depth_slope_backward_cpu(self.geometry(), &pass(&grads.depth_slope), &project, ALL),
+            ray_space_backward_cpu(self.geometry(), &pass(&grads.ray_space), &project, ALL),
         ];
         let [a, b] = through;
         a.zip(b).map(|(a, b)| a.iter().zip(b).map(|(a, b)| a + b).collect())

@@ -13,12 +13,12 @@ use super::reach::Reach;
 use super::tile::{ColourSlots, RayTile, RayTileView, rasterize_tile};
 use super::tile_backward::{RayScratch, RayTileGrad, columns, rasterize_tile_backward};
 use crate::camera::PictureRays;
-use crate::depth_slope::{self, LensLimits};
 use crate::intersect::{IntersectionLists, TILE, tile_grid};
 use crate::options::{Order, Projection};
 use crate::project::COLUMNS;
 use crate::rasterize::cpu::{PictureSize, RowSums, TilePlanes, gather, picture, tile_rows};
 use crate::rasterize::{Layers, PlaneParts, RasterizeSpec};
+use crate::ray_space::{self, LensLimits};
 use crate::simd::real::Real;
 
 /// Number of Gaussians per task.
@@ -48,7 +48,7 @@ impl<F: Real> RayTrace<F> {
 /// A view with its Gaussians prepared for evaluation at pixels.
 struct PreparedRayView<'a, F: Clone> {
     footprints: Cow<'a, [RayFootprint<F>]>,
-    depth_slope: &'a [F],
+    ray_space: &'a [F],
     features: &'a [F],
     intersections: &'a IntersectionLists,
     size: PictureSize,
@@ -74,7 +74,7 @@ impl<'a, F: Real> PreparedRayView<'a, F> {
         };
         Self {
             footprints,
-            depth_slope: inputs.depth_slope,
+            ray_space: inputs.ray_space,
             features: inputs.features,
             intersections,
             size: PictureSize {
@@ -97,7 +97,7 @@ impl<'a, F: Real> PreparedRayView<'a, F> {
             size: [0, 1].map(|axis| TILE.min(self.size.pixels[axis] - origin[axis])),
             gaussians: &self.intersections.gaussian[starts[tile]..starts[tile + 1]],
             footprints: &self.footprints,
-            depth_slope: self.depth_slope,
+            ray_space: self.ray_space,
             features: self.features,
             channels: self.size.features,
         }
@@ -185,23 +185,23 @@ pub(crate) fn rasterize_rays_backward_cpu<F: Real>(
         planes.background_gradient(&transmittance, wanted)
     });
     let sums = RowSums { rows: &rows, columns, channels: size.channels(), unscale: 1.0 };
-    let RayLayers { projected, depth_slope, features, mean2d_abs, .. } = needs;
+    let RayLayers { projected, ray_space, features, mean2d_abs, .. } = needs;
     let needed = Layers { projected, features, background: false, mean2d_abs };
     let ray_columns = match spec.options.projection {
-        Projection::RayMax => depth_slope::columns(&spec.intrinsics),
+        Projection::RayMax => ray_space::columns(&spec.intrinsics),
         Projection::Affine => 0,
     };
     let (grads, mut of_rays) = gather(inputs.projected, size.features, intersections, &sums, (needed, ray_columns));
     let Layers { projected, features, mean2d_abs, .. } = grads;
-    match (depth_slope, spec.options.projection) {
+    match (ray_space, spec.options.projection) {
         (false, _) => of_rays.clear(),
         // With the affine projection the row decides nothing but the order.
-        (true, Projection::Affine) => of_rays.resize(inputs.depth_slope.len(), F::ZERO),
+        (true, Projection::Affine) => of_rays.resize(inputs.ray_space.len(), F::ZERO),
         (true, Projection::RayMax) => {}
     }
     RayLayers {
         projected,
-        depth_slope: of_rays,
+        ray_space: of_rays,
         features,
         background: if needs.background { background } else { Vec::new() },
         mean2d_abs,

@@ -3,13 +3,13 @@
 use fearless_simd::prelude::*;
 
 use super::{D_MIN, RayLayers, WHITENED_MAX};
-use crate::depth_slope::{LensFrame, LensLimits, beyond, columns};
 use crate::dials::Exponential;
 use crate::intersect::extent::widened_limit;
 use crate::options::{Order, Projection};
 use crate::project::{COLUMNS, Ellipse};
 use crate::rasterize::RasterizeSpec;
 use crate::rasterize::footprint::WHITEN;
+use crate::ray_space::{LensFrame, LensLimits, beyond, columns};
 use crate::simd::each;
 use crate::simd::real::{EXP2_CONSTANTS, Real};
 
@@ -44,7 +44,7 @@ impl<F: Real> RayFootprint<F> {
     pub fn new(inputs: &RayLayers<&[F]>, i: usize, (spec, lens): (&RasterizeSpec, Option<&LensLimits<F>>)) -> Self {
         let row = &inputs.projected[i * COLUMNS..][..COLUMNS];
         let columns = columns(&spec.intrinsics);
-        let slopes = &inputs.depth_slope[i * columns..][..columns];
+        let slopes = &inputs.ray_space[i * columns..][..columns];
         let (mut ellipse, alpha_min) = (Ellipse::from_row(row), F::of(spec.options.alpha_min));
         if !(ellipse.opacity > F::ZERO && row.iter().chain(slopes).all(|value| value.finite())) {
             return Self { extent: -F::ONE, ..Self::default() };

@@ -5,8 +5,6 @@ use super::launch::{launch_rasterize_rays, launch_rasterize_rays_backward};
 use super::pair_sums::row_len;
 use super::{D_MIN, RayLayers};
 use crate::camera::Intrinsics;
-use crate::depth_slope::launch::launch_bounds;
-use crate::depth_slope::{RAY_SPACE, beyond, bounds_cpu};
 use crate::gpu::{Buffer, Gpu};
 use crate::intersect::cpu::intersect_cpu;
 use crate::intersect::launch::{DeviceIntersections, launch_intersect};
@@ -16,13 +14,15 @@ use crate::project::{COLUMNS, Ellipse};
 use crate::rasterize::layer::KernelShape;
 use crate::rasterize::rows::Rows;
 use crate::rasterize::{PlaneParts, RasterizeSpec};
+use crate::ray_space::launch::launch_bounds;
+use crate::ray_space::{RAY_SPACE, beyond, bounds_cpu};
 use crate::testing::ceiling::{PerturbedReference, rounded, to_f32};
 use crate::testing::ellipses::{ellipses, ray_rows};
 use crate::testing::gpu::{gpu, gpus};
 use crate::testing::random::Random;
 
 const ALL: RayLayers<bool> =
-    RayLayers { projected: true, depth_slope: true, features: true, background: true, mean2d_abs: true };
+    RayLayers { projected: true, ray_space: true, features: true, background: true, mean2d_abs: true };
 
 const CHOICES: [(Projection, Order); 3] = [
     (Projection::RayMax, Order::CentreDepth),
@@ -77,8 +77,8 @@ impl StageInputs {
     }
 
     fn view(&self) -> RayLayers<&'_ [f64]> {
-        let [projected, depth_slope, features, background] = &self.inputs[..] else { unreachable!("four inputs") };
-        RayLayers { projected, depth_slope, features, background, mean2d_abs: &[] }
+        let [projected, ray_space, features, background] = &self.inputs[..] else { unreachable!("four inputs") };
+        RayLayers { projected, ray_space, features, background, mean2d_abs: &[] }
     }
 
     fn lists(&self) -> IntersectionLists {
@@ -165,14 +165,14 @@ impl StageInputs {
         let buffer = |i: usize| Buffer::from_slice(gpu, &to_f32(&self.inputs[i]));
         let inputs = RayLayers {
             projected: buffer(0),
-            depth_slope: buffer(1),
+            ray_space: buffer(1),
             features: buffer(2),
             background: buffer(3),
             mean2d_abs: Buffer::new(gpu, 0),
         };
         let (camera, options) = (&self.spec.intrinsics, &self.spec.options);
         let rows = match options.extends_by_bounds() {
-            true => launch_bounds(gpu, &inputs.projected, &inputs.depth_slope, &self.spec),
+            true => launch_bounds(gpu, &inputs.projected, &inputs.ray_space, &self.spec),
             false => inputs.projected.clone(),
         };
         let lists = launch_intersect(gpu, &rows, camera, options.alpha_min.into());
@@ -208,7 +208,7 @@ impl StageInputs {
         let reference = PerturbedReference::new(&inputs, |inputs| {
             let scene = self.with(inputs);
             let g = scene.backward(&inputs[4]);
-            vec![mask(scene.planes()), g.projected, g.depth_slope, g.features, g.background, g.mean2d_abs]
+            vec![mask(scene.planes()), g.projected, g.ray_space, g.features, g.background, g.mean2d_abs]
         });
         let classes = |rows: usize| vec![Some(0); rows];
         for (form, gpu) in gpus() {
@@ -217,9 +217,9 @@ impl StageInputs {
             assert!(planes.iter().all(|v| v.is_finite()), "{}", name("a pixel nobody wrote"));
             let planes: Vec<f32> = planes.iter().enumerate().map(|(i, &v)| outside(i, v.into()) as f32).collect();
             reference.check(&name("planes"), 0, &planes, &classes(planes.len()));
-            let found = [grads.projected, grads.depth_slope, grads.features, grads.background, grads.mean2d_abs];
+            let found = [grads.projected, grads.ray_space, grads.features, grads.background, grads.mean2d_abs];
             for (which, (found, rows)) in found.into_iter().zip([count, count, count, channels, count]).enumerate() {
-                let name = name(["projected", "depth_slope", "features", "background", "mean2d_abs"][which]);
+                let name = name(["projected", "ray_space", "features", "background", "mean2d_abs"][which]);
                 let found = found.expect("asked for").read(&gpu);
                 reference.check_gradient(&name, which + 1, &found, &classes(rows), &[]);
             }
@@ -277,7 +277,7 @@ fn the_same_bits_in_every_run_and_for_any_table() {
         let grad = Random::new(4).fill(5 * 70 * 50, -1.0, 1.0);
         let bits = |room: usize| {
             let (planes, g) = scene.on(&gpu, &grad, ALL, room);
-            let grads = [g.projected, g.depth_slope, g.features, g.background, g.mean2d_abs];
+            let grads = [g.projected, g.ray_space, g.features, g.background, g.mean2d_abs];
             (planes, grads.map(|buffer| buffer.expect("asked for").read(&gpu)))
         };
         let first = bits(1 << 20);
@@ -300,7 +300,7 @@ fn rows_in_several_buffers_change_nothing() {
     assert!(parts > 1, "{} intersections in one part", lists.intersections);
     let [one, several] = [&gpu, &limited].map(|gpu| {
         let g = scene.on(gpu, &grad, ALL, 1 << 20).1;
-        [g.projected, g.depth_slope, g.features, g.background, g.mean2d_abs].map(|b| b.expect("asked for").read(gpu))
+        [g.projected, g.ray_space, g.features, g.background, g.mean2d_abs].map(|b| b.expect("asked for").read(gpu))
     });
     assert!(one == several, "{parts} parts");
 }
@@ -313,12 +313,12 @@ fn only_what_is_needed_and_nothing_to_draw() {
     let grad = Random::new(4).fill(4 * 40 * 33, -1.0, 1.0);
     let read = |scene: &StageInputs, needs: RayLayers<bool>| {
         let g = scene.on(&gpu, &grad, needs, 1 << 20).1;
-        [g.projected, g.depth_slope, g.features, g.background, g.mean2d_abs].map(|b| b.map(|b| b.read(&gpu)))
+        [g.projected, g.ray_space, g.features, g.background, g.mean2d_abs].map(|b| b.map(|b| b.read(&gpu)))
     };
     let all = read(&scene, ALL);
     for alone in 0..5 {
-        let [projected, depth_slope, features, background, mean2d_abs] = std::array::from_fn(|i| i == alone);
-        let needs = RayLayers { projected, depth_slope, features, background, mean2d_abs };
+        let [projected, ray_space, features, background, mean2d_abs] = std::array::from_fn(|i| i == alone);
+        let needs = RayLayers { projected, ray_space, features, background, mean2d_abs };
         for (i, found) in read(&scene, needs).iter().enumerate() {
             let expected = all[i].as_ref().filter(|_| i == alone);
             if i == 0 && alone == 0 {
@@ -340,8 +340,8 @@ fn only_what_is_needed_and_nothing_to_draw() {
         let expected = to_f32(&empty.inputs[3]);
         assert!(planes[..3 * 1320].chunks(1320).zip(expected).all(|(plane, b)| plane.iter().all(|&v| v == b)));
         assert!(planes[3 * 1320..].iter().all(|&v| v == 0.0));
-        let [projected, depth_slope, features, _, absolute] = read(&empty, ALL);
-        let zeros = [projected, depth_slope, features, absolute].into_iter().flatten().flatten();
+        let [projected, ray_space, features, _, absolute] = read(&empty, ALL);
+        let zeros = [projected, ray_space, features, absolute].into_iter().flatten().flatten();
         assert!(zeros.into_iter().all(|v| v == 0.0));
     }
 }

@@ -11,7 +11,6 @@ use super::forward::rasterize_rays_forward_kernel;
 use super::layer::{RayFrameLaunch, RayInputsLaunch};
 use super::pair_sums::row_len;
 use crate::camera::{Intrinsics, PictureRays};
-use crate::depth_slope;
 use crate::gpu::reduce::launch_sums;
 use crate::gpu::{Buffer, Gpu, cubes, elementwise, split};
 use crate::intersect::TILE_PIXELS;
@@ -23,6 +22,7 @@ use crate::rasterize::launch::{frame, launch_gather};
 use crate::rasterize::layer::KernelShape;
 use crate::rasterize::rows::Rows;
 use crate::rasterize::{Layers, RasterizeSpec};
+use crate::ray_space;
 
 /// Number of places in the table of layers and pixels, unless one tile has more: 64 MiB. In the order of the list a bucket takes as much as
 /// a place of the table.
@@ -33,9 +33,9 @@ const FEWER_INTERSECTIONS: &str = "train on smaller pictures, raise `alpha_min`,
 
 impl RayLayers<Buffer<f32>> {
     fn arg(&self, lists: &DeviceIntersections, rays: &Option<Buffer<f32>>) -> RayInputsLaunch {
-        let [projected, depth_slope, features, background, _] = self.each_ref().into_array().map(Buffer::arg);
+        let [projected, ray_space, features, background, _] = self.each_ref().into_array().map(Buffer::arg);
         let rays = rays.as_ref().map(Buffer::arg).into();
-        RayInputsLaunch::new(projected, depth_slope, features, background, rays, lists.arg())
+        RayInputsLaunch::new(projected, ray_space, features, background, rays, lists.arg())
     }
 }
 
@@ -221,7 +221,7 @@ pub(crate) fn launch_rasterize_rays_backward(
     let starts = lists.tile_start.read(gpu);
     let columns = row_len(shape, needs.mean2d_abs);
     let left = &Buffer::new(gpu, pixels);
-    let of_intersections = needs.projected || needs.depth_slope || needs.features || needs.mean2d_abs;
+    let of_intersections = needs.projected || needs.ray_space || needs.features || needs.mean2d_abs;
     let rows = match of_intersections {
         true => Rows::of_intersections(gpu, lists, columns),
         false => Vec::new(),
@@ -236,16 +236,16 @@ pub(crate) fn launch_rasterize_rays_backward(
     if !of_intersections {
         return RayLayers { background, ..RayLayers::default() };
     }
-    let RayLayers { projected, depth_slope, features, mean2d_abs, .. } = needs;
+    let RayLayers { projected, ray_space, features, mean2d_abs, .. } = needs;
     let needed = Layers { projected, features, background: false, mean2d_abs };
     let ray_columns = match spec.options.projection {
-        Projection::RayMax => depth_slope::columns(&spec.intrinsics),
+        Projection::RayMax => ray_space::columns(&spec.intrinsics),
         Projection::Affine => 0,
     };
     let (grads, of_rays) =
         launch_gather(gpu, &inputs.projected, lists, (&rows, columns, true), shape, (needed, ray_columns));
     let Layers { projected, features, mean2d_abs, .. } = grads;
     // With the affine projection the row decides nothing but the order.
-    let of_rays = of_rays.or_else(|| depth_slope.then(|| Buffer::zeros(gpu, inputs.depth_slope.len)));
-    RayLayers { projected, depth_slope: of_rays.filter(|_| depth_slope), features, background, mean2d_abs }
+    let of_rays = of_rays.or_else(|| ray_space.then(|| Buffer::zeros(gpu, inputs.ray_space.len)));
+    RayLayers { projected, ray_space: of_rays.filter(|_| ray_space), features, background, mean2d_abs }
 }

@@ -4,17 +4,17 @@ use cubecl::prelude::*;
 
 use super::{D_MIN, WHITENED_MAX};
 use crate::camera::LEAST_NO_RAY;
-use crate::depth_slope::{LENS_FRAME, LensFrameKernel as LensFrame, RAY_SPACE};
 use crate::gpu::math::{Vec2, Vec3, finite, within};
 use crate::intersect::forward::TileLists;
 use crate::project::forward::PackedEllipse;
 use crate::rasterize::layer::{KernelShape, RasterFrame, TilePixel};
+use crate::ray_space::{LENS_FRAME, LensFrameKernel as LensFrame, RAY_SPACE};
 
 /// The buffers that a launch reads.
 #[derive(CubeType, CubeLaunch)]
 pub(super) struct RayInputs {
     pub projected: Box<[f32]>,
-    pub depth_slopes: Box<[f32]>,
+    pub ray_rows: Box<[f32]>,
     pub features: Box<[f32]>,
     pub background: Box<[f32]>,
     /// `[H, W, 2]`: slopes of the pixels' rays, if the camera has a lens.
@@ -111,7 +111,7 @@ fn whiten(dx: f32, dy: f32, sigma_u: f32, shear: f32, sigma_v: f32) -> Whitened 
 fn frame_of(inputs: &RayInputs, gaussian: usize) -> ComptimeOption<LensFrame> {
     #[comptime]
     match &inputs.rays {
-        ComptimeOption::Some(_rays) => ComptimeOption::new_Some(LensFrame::load(&inputs.depth_slopes, gaussian)),
+        ComptimeOption::Some(_rays) => ComptimeOption::new_Some(LensFrame::load(&inputs.ray_rows, gaussian)),
         ComptimeOption::None => ComptimeOption::new_None(),
     }
 }
@@ -166,7 +166,7 @@ pub(super) struct RayLayer {
 impl RayGaussian {
     pub fn load(inputs: &RayInputs, gaussian: usize, view: &RayFrame) -> RayGaussian {
         let at = gaussian * comptime!(RAY_SPACE + if inputs.rays.is_some() { LENS_FRAME } else { 0 });
-        let row = &inputs.depth_slopes;
+        let row = &inputs.ray_rows;
         let e = PackedEllipse::load(&inputs.projected, gaussian);
         let (base_x, base_y) = base_of(e.x, e.y, inputs, view);
         let (depth_slope_u, depth_slope_v) = (row[at], row[at + 1]);

@@ -3,14 +3,14 @@
 use super::RayLayers;
 use super::cpu::{rasterize_rays_backward_cpu, rasterize_rays_cpu};
 use crate::camera::{CameraModel, Intrinsics, LEAST_NO_RAY, PictureRays};
-use crate::depth_slope::cpu::depth_slope_cpu;
-use crate::depth_slope::{LENS_COLUMNS as ROW, RAY_SPACE, bounds_cpu};
 use crate::intersect::IntersectionLists;
 use crate::intersect::cpu::intersect_cpu;
 use crate::options::{Order, Projection, RenderOptions};
 use crate::project::cpu::project_cpu;
 use crate::project::{COLUMNS, Ellipse, Geometry, OPACITY, ProjectSpec};
 use crate::rasterize::{PlaneParts, RasterizeSpec};
+use crate::ray_space::cpu::ray_space_cpu;
+use crate::ray_space::{LENS_COLUMNS as ROW, RAY_SPACE, bounds_cpu};
 use crate::testing::blending::{PixelLayer, assert_close, blended, smooth};
 use crate::testing::ceiling::rounded;
 use crate::testing::finite::{check_gradient, inner_product};
@@ -18,7 +18,7 @@ use crate::testing::lenses::lenses;
 use crate::testing::random::Random;
 
 const ALL: RayLayers<bool> =
-    RayLayers { projected: true, depth_slope: true, features: true, background: true, mean2d_abs: true };
+    RayLayers { projected: true, ray_space: true, features: true, background: true, mean2d_abs: true };
 
 const CHOICES: [(Projection, Order); 3] = [
     (Projection::RayMax, Order::CentreDepth),
@@ -64,15 +64,15 @@ impl StageInputs {
             mean2d: &[],
         };
         let project = ProjectSpec { intrinsics: spec.intrinsics, options: options.of_project(&spec.intrinsics) };
-        let (packed, slopes) = (project_cpu(geometry, &project), depth_slope_cpu(geometry, &project));
+        let (packed, slopes) = (project_cpu(geometry, &project), ray_space_cpu(geometry, &project));
         let features = random.fill(count * channels, -1.0, 1.0);
         let inputs = [packed, slopes, features, random.fill(channels, -1.0, 1.0)];
         Self { inputs: inputs.map(|values| rounded(&values)), spec }
     }
 
     fn view(&self) -> RayLayers<&'_ [f64]> {
-        let [projected, depth_slope, features, background] = &self.inputs;
-        RayLayers { projected, depth_slope, features, background, mean2d_abs: &[] }
+        let [projected, ray_space, features, background] = &self.inputs;
+        RayLayers { projected, ray_space, features, background, mean2d_abs: &[] }
     }
 
     fn lists(&self) -> IntersectionLists {
@@ -174,9 +174,9 @@ fn every_gradient_agrees_with_finite_differences() {
             let grad = scene.random_grad();
             let g = scene.backward(&grad, ALL);
             let exact = projection == Projection::RayMax;
-            assert!(g.depth_slope.chunks_exact(ROW).all(|row| row[RAY_SPACE..].iter().all(|value| *value == 0.0)));
-            assert_eq!(g.depth_slope.iter().any(|value| *value != 0.0), exact);
-            let gradients = [&g.projected, &g.depth_slope, &g.features, &g.background];
+            assert!(g.ray_space.chunks_exact(ROW).all(|row| row[RAY_SPACE..].iter().all(|value| *value == 0.0)));
+            assert_eq!(g.ray_space.iter().any(|value| *value != 0.0), exact);
+            let gradients = [&g.projected, &g.ray_space, &g.features, &g.background];
             for (i, part) in ["ellipses", "depth slopes", "features", "background"].into_iter().enumerate() {
                 let what = format!("{part}, {lens:?}, {projection:?}, {order:?}");
                 check_gradient(&what, &scene.inputs[i], gradients[i], 1, |moved| {
@@ -200,11 +200,11 @@ fn each_gradient_is_the_same_alone() {
     let options = smooth(0.9).with_projection(Projection::RayMax);
     let scene = StageInputs::random(80, (12, 3), (20, 13), lenses()[1], options);
     let grad = scene.random_grad();
-    let list = |g: RayLayers<Vec<f64>>| [g.projected, g.depth_slope, g.features, g.background, g.mean2d_abs];
+    let list = |g: RayLayers<Vec<f64>>| [g.projected, g.ray_space, g.features, g.background, g.mean2d_abs];
     let all = list(scene.backward(&grad, ALL));
     for alone in 0..5 {
-        let [projected, depth_slope, features, background, mean2d_abs] = std::array::from_fn(|i| i == alone);
-        let needs = RayLayers { projected, depth_slope, features, background, mean2d_abs };
+        let [projected, ray_space, features, background, mean2d_abs] = std::array::from_fn(|i| i == alone);
+        let needs = RayLayers { projected, ray_space, features, background, mean2d_abs };
         for (i, gradient) in list(scene.backward(&grad, needs)).iter().enumerate() {
             let expected = if i == alone { all[i].as_slice() } else { &[] };
             assert_eq!(gradient, expected, "gradient {i}, asked for {alone}");
@@ -235,13 +235,13 @@ mod kernels {
             let reference = PerturbedReference::new(&inputs, |inputs| {
                 let at = StageInputs { inputs: std::array::from_fn(|i| inputs[i].clone()), ..scene.clone() };
                 let g = at.backward(&inputs[4], ALL);
-                vec![at.planes(), g.projected, g.depth_slope, g.features, g.background, g.mean2d_abs]
+                vec![at.planes(), g.projected, g.ray_space, g.features, g.background, g.mean2d_abs]
             });
             for (form, gpu) in gpus() {
                 let buffer = |i: usize| Buffer::from_slice(&gpu, &to_f32(&inputs[i]));
                 let device = RayLayers {
                     projected: buffer(0),
-                    depth_slope: buffer(1),
+                    ray_space: buffer(1),
                     features: buffer(2),
                     background: buffer(3),
                     mean2d_abs: Buffer::new(&gpu, 0),
@@ -253,7 +253,7 @@ mod kernels {
                 let needs = ALL;
                 let g =
                     launch_rasterize_rays_backward(&gpu, &device, &buffer(4), (&lists, 1 << 20), &scene.spec, needs);
-                let found = [g.projected, g.depth_slope, g.features, g.background, g.mean2d_abs];
+                let found = [g.projected, g.ray_space, g.features, g.background, g.mean2d_abs];
                 for (which, (found, rows)) in found.into_iter().zip([14, 14, 14, 3, 14]).enumerate() {
                     let name = name(["projected", "depth slopes", "features", "background", "mean2d_abs"][which]);
                     let found = found.expect("asked for").read(&gpu);

@@ -2,7 +2,7 @@
 //! where [`RenderOptions::projection`](crate::RenderOptions) or `order` differs from its default.
 //!
 //! A pixel evaluates a Gaussian at the whitened coordinates `(u, v)` of `project`. With `ρ² = u² + v²` and the Gaussian's
-//! `depth_slope` and `thickness` (see `depth_slope/`):
+//! `depth_slope` and `thickness` (see `ray_space/`):
 //!
 //! ```text
 //! s = 1 − depth_slope·(u, v)    D = s² + thickness² ρ²    λ = s / D
@@ -38,7 +38,7 @@
 //! The order is piecewise constant, so the gradient is the gradient of the values composited in this order. With the affine
 //! projection the depth slope decides nothing but the order and has no gradient.
 //!
-//! With `RayMax` the row of `depth_slope` is the Gaussian, and what the row is relative to stays: the origin, the camera z `z` by which
+//! With `RayMax` the row of `ray_space` is the Gaussian, and what the row is relative to stays: the origin, the camera z `z` by which
 //! depths are divided, and the map of a lens. Only the row has a gradient, and of the ellipse the opacity. With `φ = thickness²/D`,
 //! the gradients by the centre `(α, β, γ)` and by the factor are
 //!
@@ -59,10 +59,10 @@
 //! # Lenses
 //!
 //! With a lens, a pixel's ray has the slopes `t`, which the host computes once for a camera, and `(u, v)` are the whitened `G (t − t₀)` of
-//! `depth_slope` in place of the pixel's offset. The affine projection takes them for `λ` alone. A pixel without a ray shows the
+//! `ray_space` in place of the pixel's offset. The affine projection takes them for `λ` alone. A pixel without a ray shows the
 //! background.
 //!
-//! Shapes: packed ellipses `[N, 7]`, rows of `depth_slope` `[N, 9]`, with a lens `[N, 15]`, features `[N, C]`, background `[C]` → planes as in `rasterize`.
+//! Shapes: packed ellipses `[N, 7]`, rows of `ray_space` `[N, 9]`, with a lens `[N, 15]`, features `[N, C]`, background `[C]` → planes as in `rasterize`.
 
 #[cfg(feature = "cube")]
 mod backward;
@@ -107,8 +107,8 @@ record! {
     pub struct RayLayers {
         /// `[N, 7]`, packed by `project`.
         projected,
-        /// `[N, 9]`, with a lens `[N, 15]`, from `depth_slope`.
-        depth_slope,
+        /// `[N, 9]`, with a lens `[N, 15]`, from `ray_space`.
+        ray_space,
         /// `[N, C]`.
         features,
         /// `[C]`.

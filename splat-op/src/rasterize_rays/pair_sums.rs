@@ -3,9 +3,9 @@
 use cubecl::prelude::*;
 
 use super::layer::{RayFrame, RayGaussian, RayLayer};
-use crate::depth_slope::SLOPES;
 use crate::rasterize::backward::{self, MOMENTS};
 use crate::rasterize::layer::KernelShape;
+use crate::ray_space::SLOPES;
 
 /// Number of columns of a row: those of `rasterize` and the gradients of the depth slope, the thickness and the centre's relative
 /// depth.

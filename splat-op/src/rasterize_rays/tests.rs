@@ -3,20 +3,20 @@
 use super::RayLayers;
 use super::cpu::{rasterize_rays_backward_cpu, rasterize_rays_cpu};
 use crate::camera::Intrinsics;
-use crate::depth_slope::{RAY_SPACE, beyond, bounds_cpu};
 use crate::intersect::IntersectionLists;
 use crate::intersect::cpu::intersect_cpu;
 use crate::options::{Order, Projection, RenderOptions};
 use crate::project::{COLUMNS, Ellipse, OPACITY};
 use crate::rasterize::cpu::rasterize_cpu;
 use crate::rasterize::{PlaneParts, RasterizeSpec};
+use crate::ray_space::{RAY_SPACE, beyond, bounds_cpu};
 use crate::testing::blending::{PixelLayer, assert_close, blended, small_ellipse, smooth};
 use crate::testing::ellipses::ray_rows;
 use crate::testing::finite::{check_gradient, inner_product};
 use crate::testing::random::Random;
 
 const ALL: RayLayers<bool> =
-    RayLayers { projected: true, depth_slope: true, features: true, background: true, mean2d_abs: true };
+    RayLayers { projected: true, ray_space: true, features: true, background: true, mean2d_abs: true };
 
 const CHOICES: [(Projection, Order); 4] = [
     (Projection::RayMax, Order::CentreDepth),
@@ -136,7 +136,7 @@ impl StageInputs {
     fn check(&self, name: &str, stride: usize) {
         let grad = self.random_grad(77);
         let g = self.backward(&grad, ALL);
-        let gradients = [&g.projected, &g.depth_slope, &g.features, &g.background];
+        let gradients = [&g.projected, &g.ray_space, &g.features, &g.background];
         for (i, part) in ["ellipses", "depth slopes", "features", "background"].into_iter().enumerate() {
             check_gradient(&format!("{name}: {part}"), &self.inputs[i], gradients[i], stride, |moved| {
                 let mut scene = self.clone();
@@ -152,8 +152,8 @@ impl StageInputs {
     }
 }
 
-fn inputs<F>([projected, depth_slope, features, background]: &[Vec<F>; 4]) -> RayLayers<&'_ [F]> {
-    RayLayers { projected, depth_slope, features, background, mean2d_abs: &[] }
+fn inputs<F>([projected, ray_space, features, background]: &[Vec<F>; 4]) -> RayLayers<&'_ [F]> {
+    RayLayers { projected, ray_space, features, background, mean2d_abs: &[] }
 }
 
 /// Planes by the definition, pixel by pixel.
@@ -235,7 +235,7 @@ fn every_gradient_agrees_with_finite_differences() {
             if projection == Projection::Affine {
                 // The depth slope has no gradient, and finite differences agree.
                 let g = scene.backward(&scene.random_grad(77), ALL);
-                assert!(g.depth_slope.iter().all(|g| *g == 0.0), "{what}");
+                assert!(g.ray_space.iter().all(|g| *g == 0.0), "{what}");
             }
             scene.check(&what, 1);
             // The camera is inside some of the Gaussians.
@@ -273,7 +273,7 @@ fn absolute_gradients_are_the_sum_over_pixels_of_absolute_values() {
             planes.for_each(|i| alone[i] = grad[i]);
             let g = scene.backward(&alone, RayLayers { mean2d_abs: false, ..ALL });
             let moved = |i: usize| match projection {
-                Projection::RayMax => &g.depth_slope[i * RAY_SPACE + 4..],
+                Projection::RayMax => &g.ray_space[i * RAY_SPACE + 4..],
                 Projection::Affine => &g.projected[i * COLUMNS..],
             };
             for (i, sum) in expected.chunks_exact_mut(2).enumerate() {
@@ -289,11 +289,11 @@ fn each_gradient_is_the_same_alone() {
     let options = RenderOptions::standard().with_projection(Projection::RayMax).with_order(Order::PerPixelSort);
     let scene = StageInputs::random(80, 120, (20, 13), 3, ([0.05, 0.9], 0.3, 0.2), options.with_depth(true));
     let grad = scene.random_grad(81);
-    let list = |g: RayLayers<Vec<f64>>| [g.projected, g.depth_slope, g.features, g.background, g.mean2d_abs];
+    let list = |g: RayLayers<Vec<f64>>| [g.projected, g.ray_space, g.features, g.background, g.mean2d_abs];
     let all = list(scene.backward(&grad, ALL));
     for alone in 0..5 {
-        let [projected, depth_slope, features, background, mean2d_abs] = std::array::from_fn(|i| i == alone);
-        let needs = RayLayers { projected, depth_slope, features, background, mean2d_abs };
+        let [projected, ray_space, features, background, mean2d_abs] = std::array::from_fn(|i| i == alone);
+        let needs = RayLayers { projected, ray_space, features, background, mean2d_abs };
         for (i, gradient) in list(scene.backward(&grad, needs)).iter().enumerate() {
             let expected = if i == alone { all[i].as_slice() } else { &[] };
             assert_eq!(gradient, expected, "gradient {i}, asked for {alone}");
@@ -316,7 +316,7 @@ fn the_trace_leaves_out_only_what_contributes_nothing() {
         let with = |trace| {
             let grad = PlaneParts::split(&grad, &scene.spec, scene.channels());
             let g = rasterize_rays_backward_cpu(inputs(&scene.inputs), grad, &scene.spec, (&lists, Some(trace)), ALL);
-            [g.projected, g.depth_slope, g.features, g.background, g.mean2d_abs]
+            [g.projected, g.ray_space, g.features, g.background, g.mean2d_abs]
         };
         assert!(with(&kept) == with(&whole), "{projection:?}, {order:?}");
     }
@@ -353,7 +353,7 @@ fn the_number_of_threads_changes_no_bit() {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a small pool");
         pool.install(|| {
             let g = scene.backward(&grad, ALL);
-            [scene.planes(), g.projected, g.depth_slope, g.features, g.background, g.mean2d_abs]
+            [scene.planes(), g.projected, g.ray_space, g.features, g.background, g.mean2d_abs]
         })
     };
     assert!(with(1) == with(2), "one thread and two give different bits");

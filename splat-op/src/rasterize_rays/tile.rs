@@ -6,12 +6,12 @@ use super::footprint::{RayFootprint, RayPixels, RayRules};
 use super::order::LayerSlots;
 use super::reach::{BlockLists, Reach};
 use crate::camera::LEAST_NO_RAY;
-use crate::depth_slope::{LENS_COLUMNS, LensFrame};
 use crate::intersect::{PixelBox, TILE, TILE_PIXELS};
 use crate::rasterize::footprint::{TileBlocks, WIDTH};
 use crate::rasterize::tile::{
     BLOCK, BLOCK_ROW, Plane, centres, in_block_order, in_rows, lanes, len, open_transmittance, pixel_rows, store,
 };
+use crate::ray_space::{LENS_COLUMNS, LensFrame};
 use crate::simd::real::Real;
 
 /// The place, in the order of blocks, of the pixel on row 7 of column 7.
@@ -77,8 +77,8 @@ pub(super) struct RayTileView<'a, F> {
     /// Gaussians of the tile's intersections, front to back.
     pub gaussians: &'a [u32],
     pub footprints: &'a [RayFootprint<F>],
-    /// `[N, 9]`, with a lens `[N, 15]`: rows of `depth_slope`.
-    pub depth_slope: &'a [F],
+    /// `[N, 9]`, with a lens `[N, 15]`: rows of `ray_space`.
+    pub ray_space: &'a [F],
     /// `[N, channels]`
     pub features: &'a [F],
     /// Number of features.
@@ -122,7 +122,7 @@ impl<F: Real> RayTile<F> {
         self.frames.clear();
         if view.rays.is_some() {
             for (place, splat) in self.places.iter().zip(&self.near) {
-                let row = &view.depth_slope[view.gaussian(*place) * LENS_COLUMNS..][..LENS_COLUMNS];
+                let row = &view.ray_space[view.gaussian(*place) * LENS_COLUMNS..][..LENS_COLUMNS];
                 self.frames.push(splat.whitening(LensFrame::of(row).unwrap_or_default()));
             }
         }

@@ -7,10 +7,10 @@ use fearless_simd::prelude::*;
 use super::footprint::{RayFootprint, RayLayerSimd, RayRules};
 use super::order::{Ids, LayerSlots};
 use super::tile::{Open, RayTile, TOGETHER};
-use crate::depth_slope::SLOPES;
 use crate::intersect::TILE_PIXELS;
 use crate::rasterize::cpu::{MOMENTS, TilePlanes};
 use crate::rasterize::tile::{Plane, lanes, len, store};
+use crate::ray_space::SLOPES;
 use crate::simd::each;
 use crate::simd::real::Real;
 

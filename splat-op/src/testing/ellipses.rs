@@ -2,8 +2,8 @@
 
 use super::random::Random;
 use crate::camera::Intrinsics;
-use crate::depth_slope::{DEPTH_SLOPE, beyond};
 use crate::project::{COLUMNS, Ellipse};
+use crate::ray_space::{DEPTH_SLOPE, beyond};
 
 /// `[count, 7]` ellipses in and around a picture, round and thin, from below a pixel to most of the picture; a tenth are culled.
 /// The values are exact in f32.
@@ -29,7 +29,7 @@ pub fn ellipses(seed: u64, count: usize, camera: &Intrinsics, opacity: [f64; 2])
     packed.iter().map(|&v| f64::from(v as f32)).collect()
 }
 
-/// Returns rows of `depth_slope` for a pinhole, `[N, 9]`, from packed ellipses and from depth slopes and thicknesses, `[N, 3]`.
+/// Returns rows of `ray_space` for a pinhole, `[N, 9]`, from packed ellipses and from depth slopes and thicknesses, `[N, 3]`.
 pub fn ray_rows(packed: &[f64], slopes: &[f64], camera: &Intrinsics) -> Vec<f64> {
     let rows = packed.chunks_exact(COLUMNS).zip(slopes.chunks_exact(DEPTH_SLOPE));
     let row = |(packed, slopes): (&[f64], &[f64])| {

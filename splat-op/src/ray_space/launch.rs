@@ -1,9 +1,9 @@
-//! Launches of `depth_slope`.
+//! Launches of `ray_space`.
 
-use super::backward::depth_slope_backward_kernel;
+use super::backward::ray_space_backward_kernel;
 use super::bounds_kernel::bounds_kernel;
 use super::columns;
-use super::forward::depth_slope_forward_kernel;
+use super::forward::ray_space_forward_kernel;
 use super::lens_bounds_kernel::lens_limits;
 use crate::gpu::{Buffer, Gpu, elementwise};
 use crate::project::launch::{geometry_grads, lens};
@@ -11,16 +11,16 @@ use crate::project::{COLUMNS, Geometry, ProjectSpec};
 use crate::rasterize::RasterizeSpec;
 
 /// Launches the forward pass and returns the rows, `[N, 9 (+ 6)]`.
-pub(crate) fn launch_depth_slope(gpu: &Gpu, inputs: &Geometry<Buffer<f32>>, spec: &ProjectSpec) -> Buffer<f32> {
+pub(crate) fn launch_ray_space(gpu: &Gpu, inputs: &Geometry<Buffer<f32>>, spec: &ProjectSpec) -> Buffer<f32> {
     let count = inputs.opacities.len;
-    let depth_slopes = Buffer::new(gpu, count * columns(&spec.intrinsics));
+    let ray_rows = Buffer::new(gpu, count * columns(&spec.intrinsics));
     if count == 0 {
-        return depth_slopes;
+        return ray_rows;
     }
     let (grid, dim) = elementwise(count);
     // SAFETY: every access is guarded by the number of Gaussians.
     unsafe {
-        depth_slope_forward_kernel::launch_unchecked(
+        ray_space_forward_kernel::launch_unchecked(
             &gpu.client,
             grid,
             dim,
@@ -29,19 +29,19 @@ pub(crate) fn launch_depth_slope(gpu: &Gpu, inputs: &Geometry<Buffer<f32>>, spec
             inputs.scales.arg(),
             inputs.opacities.arg(),
             inputs.cam_from_world.arg(),
-            depth_slopes.arg(),
+            ray_rows.arg(),
             lens(spec),
             count as u32,
         );
     }
-    depth_slopes
+    ray_rows
 }
 
 /// Launches the bounds and returns rows for `intersect`, `[N, 7]`, from packed ellipses and their depth slopes.
 pub(crate) fn launch_bounds(
     gpu: &Gpu,
     projected: &Buffer<f32>,
-    depth_slopes: &Buffer<f32>,
+    ray_rows: &Buffer<f32>,
     spec: &RasterizeSpec,
 ) -> Buffer<f32> {
     let count = projected.len / COLUMNS;
@@ -57,7 +57,7 @@ pub(crate) fn launch_bounds(
             grid,
             dim,
             projected.arg(),
-            depth_slopes.arg(),
+            ray_rows.arg(),
             bounds.arg(),
             spec.intrinsics.width as f32,
             spec.intrinsics.height as f32,
@@ -70,7 +70,7 @@ pub(crate) fn launch_bounds(
 }
 
 /// Returns the gradients of the inputs from `grad`, `[N, 9 (+ 6)]`. Opacities have no gradient.
-pub(crate) fn launch_depth_slope_backward(
+pub(crate) fn launch_ray_space_backward(
     gpu: &Gpu,
     inputs: &Geometry<Buffer<f32>>,
     grad: &Buffer<f32>,
@@ -83,7 +83,7 @@ pub(crate) fn launch_depth_slope_backward(
         let (grid, dim) = elementwise(count);
         // SAFETY: every access is guarded by the number of Gaussians.
         unsafe {
-            depth_slope_backward_kernel::launch_unchecked(
+            ray_space_backward_kernel::launch_unchecked(
                 &gpu.client,
                 grid,
                 dim,

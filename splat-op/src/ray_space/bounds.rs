@@ -24,27 +24,24 @@ type Lanes<S, F> = <F as Real>::Lanes<S>;
 
 /// Returns rows `[N, 7]` for `intersect`, from packed ellipses `[N, 7]` and rows `[N, 9]`, with a lens `[N, 15]`. Culled
 /// Gaussians stay culled.
-pub(crate) fn bounds_cpu<F: Real>(packed: &[F], depth_slopes: &[F], spec: &RasterizeSpec) -> Vec<F> {
+pub(crate) fn bounds_cpu<F: Real>(packed: &[F], ray_rows: &[F], spec: &RasterizeSpec) -> Vec<F> {
     match PictureRays::of(&spec.intrinsics) {
-        None => by_chunks::<F, RAY_SPACE>(packed, depth_slopes, (spec, None)),
+        None => by_chunks::<F, RAY_SPACE>(packed, ray_rows, (spec, None)),
         Some(rays) => {
             let limits = LensLimits::new(&spec.intrinsics, &rays);
-            by_chunks::<F, LENS_COLUMNS>(packed, depth_slopes, (spec, Some(&limits)))
+            by_chunks::<F, LENS_COLUMNS>(packed, ray_rows, (spec, Some(&limits)))
         }
     }
 }
 
 fn by_chunks<F: Real, const C: usize>(
     packed: &[F],
-    depth_slopes: &[F],
+    ray_rows: &[F],
     picture: (&RasterizeSpec, Option<&LensLimits<F>>),
 ) -> Vec<F> {
     let mut bounds = vec![F::ZERO; packed.len()];
-    let chunks = (
-        bounds.par_chunks_mut(CHUNK * COLUMNS),
-        packed.par_chunks(CHUNK * COLUMNS),
-        depth_slopes.par_chunks(CHUNK * C),
-    );
+    let chunks =
+        (bounds.par_chunks_mut(CHUNK * COLUMNS), packed.par_chunks(CHUNK * COLUMNS), ray_rows.par_chunks(CHUNK * C));
     chunks.into_par_iter().for_each(|(out, rows, slopes)| {
         dispatch!(Level::new(), simd => chunk::<_, F, C>(simd, out, rows, slopes, picture));
     });
@@ -57,14 +54,14 @@ fn chunk<S: Simd, F: Real, const C: usize>(
     simd: S,
     out: &mut [F],
     packed: &[F],
-    depth_slopes: &[F],
+    ray_rows: &[F],
     (spec, limits): (&RasterizeSpec, Option<&LensLimits<F>>),
 ) {
     let (mut ellipses, mut slopes, mut found) =
         (Columns::<F, COLUMNS>::new(), Columns::<F, C>::new(), Columns::<F, COLUMNS>::new());
     let rules = BoundsRules::<S, F>::new(simd, spec, limits);
     let blocks = out.chunks_mut(BLOCK * COLUMNS).zip(packed.chunks(BLOCK * COLUMNS));
-    for ((out, rows), of_slopes) in blocks.zip(depth_slopes.chunks(BLOCK * C)) {
+    for ((out, rows), of_slopes) in blocks.zip(ray_rows.chunks(BLOCK * C)) {
         ellipses.read(rows);
         slopes.read(of_slopes);
         for at in (0..rows.len() / COLUMNS).step_by(LANES) {

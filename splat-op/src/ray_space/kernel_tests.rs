@@ -1,7 +1,7 @@
-//! Compares the kernels of `depth_slope` with the CPU twin in f64.
+//! Compares the kernels of `ray_space` with the CPU twin in f64.
 
-use super::cpu::{depth_slope_backward_cpu, depth_slope_cpu};
-use super::launch::{launch_bounds, launch_depth_slope, launch_depth_slope_backward};
+use super::cpu::{ray_space_backward_cpu, ray_space_cpu};
+use super::launch::{launch_bounds, launch_ray_space, launch_ray_space_backward};
 use super::{RAY_SPACE, bounds_cpu};
 use crate::camera::Intrinsics;
 use crate::gpu::{Buffer, Gpu};
@@ -92,16 +92,16 @@ fn list(g: Geometry<Vec<f64>>) -> Vec<Vec<f64>> {
 fn kernels_agree_with_the_twin() {
     for (seed, spec) in specs().into_iter().enumerate() {
         let (tensors, classes) = scene(seed as u64, 1_200);
-        let forward = PerturbedReference::new(&tensors, |tensors| vec![depth_slope_cpu(inputs(tensors), &spec)]);
+        let forward = PerturbedReference::new(&tensors, |tensors| vec![ray_space_cpu(inputs(tensors), &spec)]);
         let backward = PerturbedReference::new(&tensors, |tensors| {
-            list(depth_slope_backward_cpu(inputs(tensors), &tensors[GRAD], &spec, ALL))
+            list(ray_space_backward_cpu(inputs(tensors), &tensors[GRAD], &spec, ALL))
         });
         for (form, gpu) in gpus() {
             let what = |what: &str| format!("{what}, {form}, spec {seed}");
             let (device, grad) = upload(&gpu, &tensors);
-            let found = launch_depth_slope(&gpu, &device, &spec).read(&gpu);
+            let found = launch_ray_space(&gpu, &device, &spec).read(&gpu);
             forward.check(&what("depth slopes"), 0, &found, &classes);
-            let g = launch_depth_slope_backward(&gpu, &device, &grad, &spec, ALL);
+            let g = launch_ray_space_backward(&gpu, &device, &grad, &spec, ALL);
             for (i, found) in [g.means, g.rotations, g.scales].into_iter().enumerate() {
                 let (name, found) = (what(["means", "rotations", "scales"][i]), found.expect("asked for").read(&gpu));
                 backward.check_gradient(&name, i, &found, &classes, &[CULLED, ORDINARY]);
@@ -120,7 +120,7 @@ fn only_what_is_needed() {
     for (form, gpu) in gpus() {
         let (device, grad) = upload(&gpu, &tensors);
         let read = |needs: Geometry<bool>| {
-            let g = launch_depth_slope_backward(&gpu, &device, &grad, &spec, needs);
+            let g = launch_ray_space_backward(&gpu, &device, &grad, &spec, needs);
             let all = [g.means, g.rotations, g.scales, g.cam_from_world, g.mean2d];
             all.map(|buffer| buffer.map(|buffer| buffer.read(&gpu)))
         };
@@ -143,8 +143,7 @@ fn bounds_agree_with_the_twin() {
         let mut spec = specs()[0];
         spec.options.alpha_min = f64::from(alpha_min as f32);
         let rasterize = RasterizeSpec { intrinsics: CAMERA, options: spec.options };
-        let rows =
-            [project_cpu(inputs(&tensors), &spec), depth_slope_cpu(inputs(&tensors), &spec)].map(|t| rounded(&t));
+        let rows = [project_cpu(inputs(&tensors), &spec), ray_space_cpu(inputs(&tensors), &spec)].map(|t| rounded(&t));
         let reference = PerturbedReference::new(&rows, |rows| vec![bounds_cpu(&rows[0], &rows[1], &rasterize)]);
         // Where a region is hardly bounded, or two bounds are equally large, a row may fall on either side.
         let near = [1.0 - 1e-4, 1.0 + 1e-4].map(|share| {
@@ -161,8 +160,8 @@ fn bounds_agree_with_the_twin() {
         let classes: Vec<_> = classes.iter().enumerate().map(|(i, class)| class.filter(|_| !jumps(i))).collect();
         assert!(classes.iter().flatten().count() > 1_000, "too many jump");
         for (form, gpu) in gpus() {
-            let [projected, depth_slopes] = rows.each_ref().map(|values| Buffer::from_slice(&gpu, &to_f32(values)));
-            let found = launch_bounds(&gpu, &projected, &depth_slopes, &rasterize).read(&gpu);
+            let [projected, ray_rows] = rows.each_ref().map(|values| Buffer::from_slice(&gpu, &to_f32(values)));
+            let found = launch_bounds(&gpu, &projected, &ray_rows, &rasterize).read(&gpu);
             reference.check(&format!("bounds, {form}, alpha_min {alpha_min}"), 0, &found, &classes);
         }
     }
@@ -176,8 +175,8 @@ fn an_opacity_that_is_not_finite_gets_no_bound() {
     let rows = [row(f32::NAN), row(f32::INFINITY), row(0.5)].concat();
     for (form, gpu) in gpus() {
         let projected = Buffer::from_slice(&gpu, &rows);
-        let depth_slopes = Buffer::from_slice(&gpu, &[0.1_f32, -0.1, 0.05, 1.0, 0.0, 0.0, 3.0, 0.1, 2.0].repeat(3));
-        let found = launch_bounds(&gpu, &projected, &depth_slopes, &spec).read(&gpu);
+        let ray_rows = Buffer::from_slice(&gpu, &[0.1_f32, -0.1, 0.05, 1.0, 0.0, 0.0, 3.0, 0.1, 2.0].repeat(3));
+        let found = launch_bounds(&gpu, &projected, &ray_rows, &spec).read(&gpu);
         assert!(found[6].is_nan() && found[13] == f32::INFINITY, "{form}: {found:?}");
         assert!(
             found[..6] == rows[..6] && found[7..13] == rows[7..13] && found[14..] != rows[14..],

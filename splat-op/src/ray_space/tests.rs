@@ -1,8 +1,8 @@
-//! Compares `depth_slope` with a factorisation of the covariance and with central finite differences, and checks the bounds.
+//! Compares `ray_space` with a factorisation of the covariance and checks the bounds. `rasterize_rays` has the proof of its gradient.
 
 use glam::{DMat3, DQuat, DVec3};
 
-use super::cpu::{depth_slope_backward_cpu, depth_slope_cpu};
+use super::cpu::{ray_space_backward_cpu, ray_space_cpu};
 use super::{EXTENT, RAY_SPACE, THICKNESS_MAX, beyond, bounds_cpu};
 use crate::camera::Intrinsics;
 use crate::intersect::cpu::needed_intersections;
@@ -45,8 +45,8 @@ impl StageInputs {
         Self([means, random.fill(4 * count, -1.5, 1.5), scales, vec![0.5; count], pose])
     }
 
-    fn depth_slopes(&self, spec: &ProjectSpec) -> Vec<f64> {
-        depth_slope_cpu(inputs(&self.0), spec)
+    fn ray_rows(&self, spec: &ProjectSpec) -> Vec<f64> {
+        ray_space_cpu(inputs(&self.0), spec)
     }
 }
 
@@ -76,17 +76,17 @@ fn it_is_the_last_row_of_the_factor() {
     for blur in [0.3, 0.0] {
         let (scene, spec) = (StageInputs::random(1, 200), spec(Projection::RayMax, blur));
         let packed = project_cpu(inputs(&scene.0), &spec);
-        for (i, (row, depth_slope)) in
-            packed.chunks_exact(COLUMNS).zip(scene.depth_slopes(&spec).chunks_exact(RAY_SPACE)).enumerate()
+        for (i, (row, ray)) in
+            packed.chunks_exact(COLUMNS).zip(scene.ray_rows(&spec).chunks_exact(RAY_SPACE)).enumerate()
         {
             let e = Ellipse::from_row(row);
-            assert_eq!([e.sigma_u, e.shear, e.sigma_v], depth_slope[6..]);
+            assert_eq!([e.sigma_u, e.shear, e.sigma_v], ray[6..]);
             let away = beyond(e.mean_px, &CAMERA).1;
-            let centre = [1.0, away[0], away[1]].into_iter().zip(&depth_slope[3..6]);
+            let centre = [1.0, away[0], away[1]].into_iter().zip(&ray[3..6]);
             centre.for_each(|(expected, found)| assert!((found - expected).abs() < 1e-11, "Gaussian {i}: {found}"));
-            let u = DVec3::new(e.sigma_u, e.shear * e.sigma_u, depth_slope[0]);
-            let v = DVec3::new(0.0, e.sigma_v, depth_slope[1]);
-            let w = DVec3::new(0.0, 0.0, depth_slope[2]);
+            let u = DVec3::new(e.sigma_u, e.shear * e.sigma_u, ray[0]);
+            let v = DVec3::new(0.0, e.sigma_v, ray[1]);
+            let w = DVec3::new(0.0, 0.0, ray[2]);
             let factor = DMat3::from_cols(u, v, w);
             let (found, expected) = (factor * factor.transpose(), covariance(&scene, i, blur));
             // Depths are thousands of times smaller than pixels: each entry is compared relative to its row and column.
@@ -112,11 +112,11 @@ fn extreme_sizes_stay_finite_in_f32() {
     let single = scene.0.each_ref().map(|values| values.iter().map(|v| *v as f32).collect::<Vec<f32>>());
     for blur in [0.3, 0.0] {
         let spec = spec(Projection::RayMax, blur);
-        let depth_slopes = depth_slope_cpu(inputs(&single), &spec);
-        assert!(depth_slopes.iter().all(|value| value.is_finite()), "{depth_slopes:?}");
-        assert!(depth_slopes[..2 * RAY_SPACE].iter().all(|value| *value == 0.0), "behind the camera, and nowhere");
-        assert!(depth_slopes.chunks_exact(RAY_SPACE).any(|row| f64::from(row[2]) == f64::from(THICKNESS_MAX as f32)));
-        let g = depth_slope_backward_cpu(inputs(&single), &vec![1.0; depth_slopes.len()], &spec, ALL);
+        let ray_rows = ray_space_cpu(inputs(&single), &spec);
+        assert!(ray_rows.iter().all(|value| value.is_finite()), "{ray_rows:?}");
+        assert!(ray_rows[..2 * RAY_SPACE].iter().all(|value| *value == 0.0), "behind the camera, and nowhere");
+        assert!(ray_rows.chunks_exact(RAY_SPACE).any(|row| f64::from(row[2]) == f64::from(THICKNESS_MAX as f32)));
+        let g = ray_space_backward_cpu(inputs(&single), &vec![1.0; ray_rows.len()], &spec, ALL);
         for (name, gradient) in [("means", g.means), ("rotations", g.rotations), ("scales", g.scales)] {
             assert!(gradient.iter().all(|value| value.is_finite()), "{name}: {gradient:?}");
         }
@@ -206,11 +206,11 @@ fn check_tiles<F: Real>(seed: u64, alpha_min: f64) -> [usize; 3] {
     let options = RenderOptions { alpha_min, ..RenderOptions::standard().with_projection(Projection::RayMax) };
     let spec = RasterizeSpec { intrinsics: project.intrinsics, options };
     let of = |values: Vec<f64>| values.into_iter().map(F::of).collect::<Vec<F>>();
-    let (packed, depth_slopes) = (of(project_cpu(inputs(&scene.0), &project)), of(scene.depth_slopes(&project)));
-    let bounds = bounds_cpu(&packed, &depth_slopes, &spec);
+    let (packed, ray_rows) = (of(project_cpu(inputs(&scene.0), &project)), of(scene.ray_rows(&project)));
+    let bounds = bounds_cpu(&packed, &ray_rows, &spec);
     let tiles = |rows: &[F]| needed_intersections(rows, &spec.intrinsics, alpha_min);
     let mut counts = [0; 3];
-    for ((row, bound), t) in packed.chunks(COLUMNS).zip(bounds.chunks(COLUMNS)).zip(depth_slopes.chunks(RAY_SPACE)) {
+    for ((row, bound), t) in packed.chunks(COLUMNS).zip(bounds.chunks(COLUMNS)).zip(ray_rows.chunks(RAY_SPACE)) {
         let e = Ellipse::from_row(row);
         if !(e.depth > F::ZERO) {
             continue;

@@ -13,7 +13,7 @@ use crate::simd::each;
 use crate::simd::real::Real;
 
 /// Intermediate values of the forward pass, with the names of the module's documentation.
-pub(super) struct DepthSlopeSimd<S: Simd, F: Real> {
+pub(super) struct RaySpaceSimd<S: Simd, F: Real> {
     simd: S,
     projection: ProjectionTermsSimd<S, F>,
     inverse_z: F::Lanes<S>,
@@ -34,7 +34,7 @@ pub(super) struct DepthSlopeSimd<S: Simd, F: Real> {
     lens: Option<LensProjectionSimd<S, F>>,
 }
 
-impl<S: Simd, F: Real> DepthSlopeSimd<S, F> {
+impl<S: Simd, F: Real> RaySpaceSimd<S, F> {
     /// `BENDS` says whether the camera has a lens; it keeps lenses out of the code for pinholes.
     #[inline(always)]
     pub fn new<const BENDS: bool>(
@@ -126,7 +126,7 @@ impl<S: Simd, F: Real> DepthSlopeSimd<S, F> {
         let ProjectionTermsSimd { n, sigma_u, sigma_v, shear, .. } = self.projection;
         let (zero, one) = (self.lanes(F::ZERO), self.lanes(F::ONE));
         let (inverse_u, inverse_v) = (one / sigma_u, one / sigma_v);
-        // The rows of `N`, each at most of length one; the last one without what a clamp or a row of zeros takes.
+        // The rows of `N`, each at most of length one. The last one is zero where the thickness is clamped or the row was set to zero.
         let across = add(cross(p, n), scale(a, b_u));
         let [slope_u, slope_v, thickness] = self.depth_slope;
         let free = self.thickness_free & thickness.simd_gt(zero) & self.sound;
@@ -149,14 +149,13 @@ impl<S: Simd, F: Real> DepthSlopeSimd<S, F> {
             free.select((of_u * thickness - of_t * slope_u) * inverse_u - turned * shear, zero),
         ];
         let second = [lean, of_sigma_v, turned];
-        let rows = |[of_n, of_across, of_through]: [F::Lanes<S>; 3]| {
-            add(add(scale(n, of_n), scale(across, of_across)), scale(through, of_through))
-        };
         // The components of the rows of `N` along the blur of x and of y.
         let across_blur = [-(shear * b), b];
         let through_blur = [(slope_v * shear * b - slope_u * b_u) * inverse, -(slope_v * b) * inverse];
         RowsGrad {
-            m: [rows(first), rows(second), rows([of_u, of_v, of_t])],
+            m: each!([first, second, [of_u, of_v, of_t]], |of| {
+                add(add(scale(n, of[0]), scale(across, of[1])), scale(through, of[2]))
+            }),
             blur: [
                 blur_sigma * (first[0] * b_u + first[1] * across_blur[0] + first[2] * through_blur[0]),
                 blur_sigma * (first[1] * across_blur[1] + first[2] * through_blur[1]),

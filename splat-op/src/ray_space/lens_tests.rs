@@ -1,6 +1,6 @@
 //! The columns of a lens, their gradients and the bounds in its picture, in the twin and in the kernels.
 
-use super::cpu::{depth_slope_backward_cpu, depth_slope_cpu};
+use super::cpu::{ray_space_backward_cpu, ray_space_cpu};
 use super::{LENS_COLUMNS as ROW, RAY_SPACE, bounds_cpu};
 use crate::camera::{CameraModel, Intrinsics, PictureRays};
 use crate::intersect::cpu::needed_intersections;
@@ -54,7 +54,7 @@ fn the_rim_of_a_fisheye_keeps_the_digits_along_its_radius() {
         let ray = [angle.sin() * turn.cos(), angle.sin() * turn.sin(), angle.cos()];
         let mean = ray.map(|c| (6.9 * c) as f32);
         let scene = [mean.to_vec(), vec![1.0, 0.0, 0.0, 0.0], vec![0.2; 3], vec![0.5], POSE.to_vec()];
-        let row = depth_slope_cpu(inputs(&scene), &spec);
+        let row = ray_space_cpu(inputs(&scene), &spec);
         let [x, y, z] = mean.map(f64::from);
         let across = x.hypot(y);
         let (n, cos) = ([x / across, y / across], z / across.hypot(z));
@@ -73,7 +73,7 @@ fn the_rim_of_a_fisheye_keeps_the_digits_along_its_radius() {
 fn the_columns_are_slopes_and_the_jacobian_of_the_lens() {
     for lens in lenses() {
         let (spec, tensors) = (spec(lens, 130.0, Projection::RayMax), scene(3, 32, 0.8));
-        let rows = depth_slope_cpu(inputs(&tensors), &spec);
+        let rows = ray_space_cpu(inputs(&tensors), &spec);
         let p = &tensors[4];
         for (mean, row) in tensors[0].chunks_exact(3).zip(rows.chunks_exact(ROW)).filter(|(mean, _)| mean[2] > 0.0) {
             let cam: Vec<f64> =
@@ -101,10 +101,10 @@ fn check_tiles<F: Real>(lens: (CameraModel, [f64; 8]), focal: f64, (slope, alpha
     let rays = PictureRays::of(&spec.intrinsics).expect("a lens");
     let of = |values: Vec<f64>| values.into_iter().map(F::of).collect::<Vec<F>>();
     let packed = of(project_cpu(inputs(&tensors), &project));
-    let depth_slopes = of(depth_slope_cpu(inputs(&tensors), &project));
-    let bounds = bounds_cpu(&packed, &depth_slopes, &spec);
+    let ray_rows = of(ray_space_cpu(inputs(&tensors), &project));
+    let bounds = bounds_cpu(&packed, &ray_rows, &spec);
     let mut counts = [0; 2];
-    for ((row, bound), t) in packed.chunks(COLUMNS).zip(bounds.chunks(COLUMNS)).zip(depth_slopes.chunks(ROW)) {
+    for ((row, bound), t) in packed.chunks(COLUMNS).zip(bounds.chunks(COLUMNS)).zip(ray_rows.chunks(ROW)) {
         let e = Ellipse::from_row(row);
         if !(e.depth > F::ZERO) {
             continue;
@@ -155,8 +155,8 @@ fn bounds_hold_what_shows_and_little_more() {
 #[cfg(feature = "cube")]
 mod kernels {
     use super::*;
-    use crate::depth_slope::launch::{launch_bounds, launch_depth_slope, launch_depth_slope_backward};
     use crate::gpu::Buffer;
+    use crate::ray_space::launch::{launch_bounds, launch_ray_space, launch_ray_space_backward};
     use crate::testing::ceiling::{PerturbedReference, rounded, to_f32};
     use crate::testing::gpu::gpus;
 
@@ -177,9 +177,9 @@ mod kernels {
             let tensors: Vec<Vec<f64>> = tensors.iter().map(|tensor| rounded(tensor)).collect();
             let classes: Vec<Option<u8>> =
                 (0..600).map(|i| Some(if i % 16 == 15 { CULLED } else { ORDINARY })).collect();
-            let forward = PerturbedReference::new(&tensors, |tensors| vec![depth_slope_cpu(inputs(tensors), &spec)]);
+            let forward = PerturbedReference::new(&tensors, |tensors| vec![ray_space_cpu(inputs(tensors), &spec)]);
             let backward = PerturbedReference::new(&tensors, |tensors| {
-                list(depth_slope_backward_cpu(inputs(tensors), &tensors[5], &spec, ALL))
+                list(ray_space_backward_cpu(inputs(tensors), &tensors[5], &spec, ALL))
             });
             for (form, gpu) in gpus() {
                 let what = |what: &str| format!("{what}, {form}, {lens:?}");
@@ -192,9 +192,9 @@ mod kernels {
                     cam_from_world: buffer(4),
                     mean2d: Buffer::new(&gpu, 0),
                 };
-                let found = launch_depth_slope(&gpu, &device, &spec).read(&gpu);
+                let found = launch_ray_space(&gpu, &device, &spec).read(&gpu);
                 forward.check(&what("depth slopes"), 0, &found, &classes);
-                let g = launch_depth_slope_backward(&gpu, &device, &buffer(5), &spec, ALL);
+                let g = launch_ray_space_backward(&gpu, &device, &buffer(5), &spec, ALL);
                 for (i, found) in [g.means, g.rotations, g.scales].into_iter().enumerate() {
                     let name = what(["means", "rotations", "scales"][i]);
                     let found = found.expect("asked for").read(&gpu);
@@ -214,7 +214,7 @@ mod kernels {
             let spec = RasterizeSpec { intrinsics: project.intrinsics, options: project.options };
             let tensors = scene(4, 800, 1.0);
             let packed = to_f32(&project_cpu(inputs(&tensors), &project));
-            let slopes = to_f32(&depth_slope_cpu(inputs(&tensors), &project));
+            let slopes = to_f32(&ray_space_cpu(inputs(&tensors), &project));
             let expected = bounds_cpu(&packed, &slopes, &spec);
             for (form, gpu) in gpus() {
                 let [packed, slopes] = [&packed, &slopes].map(|values| Buffer::from_slice(&gpu, values));

@@ -1,9 +1,9 @@
-//! Backward kernel of `depth_slope`: one unit per Gaussian projects it again and differentiates the result. Gradients that are
+//! Backward kernel of `ray_space`: one unit per Gaussian projects it again and differentiates the result. Gradients that are
 //! not needed are not kernel arguments.
 
 use cubecl::prelude::*;
 
-use super::forward::{DepthSlopeTerms, lean};
+use super::forward::{RaySpaceTerms, lean};
 use super::lens_bounds_kernel::jacobian_at;
 use super::{LENS_FRAME, RAY_SPACE};
 use crate::gpu::math::{Mat3, Pose, Vec2, Vec3};
@@ -64,9 +64,9 @@ struct RowsGrad {
 }
 
 #[cube]
-fn factor_backward(f: &ProjectionTerms, l: &DepthSlopeTerms, blur_sigma: f32, grad: &RayGrad) -> RowsGrad {
+fn factor_backward(f: &ProjectionTerms, l: &RaySpaceTerms, blur_sigma: f32, grad: &RayGrad) -> RowsGrad {
     let (inverse_u, inverse_v) = (1.0 / f.sigma_u, 1.0 / f.sigma_v);
-    // The rows of `N`, each at most of length one; the last one without what a clamp or a row of zeros takes.
+    // The rows of `N`, each at most of length one. The last one is zero where the thickness is clamped or the row was set to zero.
     let across = l.p.cross(f.n).plus(l.a.times(l.b_u));
     let free = l.free && l.sound && l.thickness > 0.0;
     let inverse = select(free, 1.0 / select(free, l.thickness, 1.0), 0.0);
@@ -161,7 +161,7 @@ fn bend_backward(map: &LinearMap, mean: Vec3, grad: &RowsGrad, lens: &ProjectCam
 }
 
 #[cube(launch_unchecked)]
-pub(super) fn depth_slope_backward_kernel(
+pub(super) fn ray_space_backward_kernel(
     means: &[f32],
     rotations: &[Vector<f32, Const<4>>],
     scales: &[f32],

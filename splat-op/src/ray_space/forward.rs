@@ -1,4 +1,4 @@
-//! Forward kernel of `depth_slope`: one unit per Gaussian. The code of `project` projects the Gaussians.
+//! Forward kernel of `ray_space`: one unit per Gaussian. The code of `project` projects the Gaussians.
 
 use cubecl::prelude::*;
 
@@ -10,7 +10,7 @@ use crate::project::forward::{Gaussian, ProjectCamera, ProjectionTerms, project_
 /// Intermediate results of the forward pass that the backward pass needs again, with the names of the module's documentation.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
-pub(super) struct DepthSlopeTerms {
+pub(super) struct RaySpaceTerms {
     /// False if the Gaussian has no depth slope, because it is culled or too long.
     pub sound: bool,
     /// `j`: the last row of `W R` over z; `mz`: `j` times the scales.
@@ -29,7 +29,7 @@ pub(super) struct DepthSlopeTerms {
 }
 
 #[cube]
-pub(super) fn lean(projection: &ProjectionTerms, gaussian: &Gaussian, lens: &ProjectCamera) -> DepthSlopeTerms {
+pub(super) fn lean(projection: &ProjectionTerms, gaussian: &Gaussian, lens: &ProjectCamera) -> RaySpaceTerms {
     let j = projection.last.times(1.0 / projection.depth);
     let mz = j.by_axis(gaussian.scale);
     let inverse_v = 1.0 / projection.sigma_v;
@@ -45,7 +45,7 @@ pub(super) fn lean(projection: &ProjectionTerms, gaussian: &Gaussian, lens: &Pro
     let depth_slope_v = p.dot(c) + b_u * a.dot(mz);
     let held = min(thickness, comptime!(THICKNESS_MAX as f32));
     let known = finite(depth_slope_u) && finite(depth_slope_v) && finite(thickness);
-    DepthSlopeTerms {
+    RaySpaceTerms {
         sound: projection.visible && length <= 1e30 && known,
         j,
         mz,
@@ -75,13 +75,13 @@ fn away(projection: &ProjectionTerms, lens: &ProjectCamera) -> (f32, f32) {
 
 /// Writes the rows, `[N, 9]`, with a lens `[N, 15]`.
 #[cube(launch_unchecked)]
-pub(super) fn depth_slope_forward_kernel(
+pub(super) fn ray_space_forward_kernel(
     means: &[f32],
     rotations: &[Vector<f32, Const<4>>],
     scales: &[f32],
     opacities: &[f32],
     cam_from_world: &[f32],
-    depth_slopes: &mut [f32],
+    ray_rows: &mut [f32],
     lens: ProjectCamera,
     count: u32,
 ) {
@@ -92,16 +92,16 @@ pub(super) fn depth_slope_forward_kernel(
         let found = lean(&projection, &gaussian, &lens);
         let at = ABSOLUTE_POS * comptime!(RAY_SPACE + if lens.distortion.is_some() { LENS_FRAME } else { 0 });
         let seen = projection.visible;
-        depth_slopes[at] = select(found.sound, found.depth_slope_u, 0.0);
-        depth_slopes[at + 1] = select(found.sound, found.depth_slope_v, 0.0);
-        depth_slopes[at + 2] = select(found.sound, found.thickness, 0.0);
-        depth_slopes[at + 3] = select(seen, 1.0f32, 0.0);
+        ray_rows[at] = select(found.sound, found.depth_slope_u, 0.0);
+        ray_rows[at + 1] = select(found.sound, found.depth_slope_v, 0.0);
+        ray_rows[at + 2] = select(found.sound, found.thickness, 0.0);
+        ray_rows[at + 3] = select(seen, 1.0f32, 0.0);
         let (away_x, away_y) = away(&projection, &lens);
-        depth_slopes[at + 4] = select(seen, away_x, 0.0);
-        depth_slopes[at + 5] = select(seen, away_y, 0.0);
-        depth_slopes[at + 6] = select(seen, projection.sigma_u, 0.0);
-        depth_slopes[at + 7] = select(seen, projection.shear, 0.0);
-        depth_slopes[at + 8] = select(seen, projection.sigma_v, 0.0);
+        ray_rows[at + 4] = select(seen, away_x, 0.0);
+        ray_rows[at + 5] = select(seen, away_y, 0.0);
+        ray_rows[at + 6] = select(seen, projection.sigma_u, 0.0);
+        ray_rows[at + 7] = select(seen, projection.shear, 0.0);
+        ray_rows[at + 8] = select(seen, projection.sigma_v, 0.0);
         #[comptime]
         if let ComptimeOption::Some(distortion) = lens.distortion {
             let mean = pose.apply(gaussian.mean);
@@ -111,7 +111,7 @@ pub(super) fn depth_slope_forward_kernel(
                 x: Vec2::new(mean.z * x.x, mean.z * x.y),
                 y: Vec2::new(mean.z * y.x, mean.z * y.y),
             };
-            frame.store(depth_slopes, ABSOLUTE_POS, seen);
+            frame.store(ray_rows, ABSOLUTE_POS, seen);
         }
     }
 }

@@ -197,7 +197,7 @@ fn bounded(
     slope: Vec2,
     visible: (f32, f32, bool),
     size: (f32, f32),
-    depth_slopes: &[f32],
+    ray_rows: &[f32],
     lens: &ComptimeOption<LensLimits>,
 ) -> BentRow {
     let (slope_u, slope_v) = (slope.x, slope.y);
@@ -207,7 +207,7 @@ fn bounded(
     #[comptime]
     match lens {
         ComptimeOption::Some(lens) => {
-            let found = lens.bent(&whole.row(e, reached), e, &LensFrame::load(depth_slopes, ABSOLUTE_POS));
+            let found = lens.bent(&whole.row(e, reached), e, &LensFrame::load(ray_rows, ABSOLUTE_POS));
             BentRow { row: found.row, known: whole.known && found.known, hidden: ends && whole.known && found.hidden }
         }
         ComptimeOption::None => {
@@ -224,7 +224,7 @@ fn bounded(
 #[cube(launch_unchecked)]
 pub(super) fn bounds_kernel(
     projected: &[f32],
-    depth_slopes: &[f32],
+    ray_rows: &[f32],
     bounds: &mut [f32],
     width: f32,
     height: f32,
@@ -241,7 +241,7 @@ pub(super) fn bounds_kernel(
             away_x = e.x - within(e.x, 0.0, width);
             away_y = e.y - within(e.y, 0.0, height);
         }
-        let (moved, slope) = about_centre(&e, Vec3::load(depth_slopes, at), away_x, away_y);
+        let (moved, slope) = about_centre(&e, Vec3::load(ray_rows, at), away_x, away_y);
         let (slope_u, slope_v, thickness) = (slope.x, slope.y, slope.z);
         let least = comptime!(LEAST as f32);
         let reached = alpha_min * comptime!((0.5 * EXTENT * EXTENT).exp() as f32);
@@ -252,7 +252,7 @@ pub(super) fn bounds_kernel(
         let ends = alpha_min > 0.0 && thin > least && finite(thin);
         let square = tau / max(thin, least);
         let found =
-            bounded(&moved, Vec2::new(slope_u, slope_v), (square, reached, ends), (width, height), depth_slopes, &lens);
+            bounded(&moved, Vec2::new(slope_u, slope_v), (square, reached, ends), (width, height), ray_rows, &lens);
         let (row, hidden) = (found.row, found.hidden);
         let sound = finite(row.x) && finite(row.y) && finite(row.sigma_u) && finite(row.shear) && finite(row.sigma_v);
         if !(finite(e.opacity) && e.opacity > 0.0 && e.opacity >= alpha_min) {

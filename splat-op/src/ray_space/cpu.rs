@@ -1,8 +1,8 @@
-//! The CPU twin of `depth_slope`: both passes, generic over the float, by the loops of `project`.
+//! The CPU twin of `ray_space`: both passes, generic over the float, by the loops of `project`.
 
 use fearless_simd::prelude::*;
 
-use super::simd::DepthSlopeSimd;
+use super::simd::RaySpaceSimd;
 use super::{LENS_COLUMNS, RAY_SPACE, columns};
 use crate::project::cpu::{GaussianStage, stage_gradients, stage_rows};
 use crate::project::simd::{GaussiansSimd, GradientsSimd, ProjectCameraSimd};
@@ -10,16 +10,16 @@ use crate::project::{Geometry, ProjectSpec};
 use crate::simd::real::Real;
 
 /// Rows of depth slopes.
-struct DepthSlope;
+struct RaySpace;
 
-impl<const C: usize> GaussianStage<C> for DepthSlope {
+impl<const C: usize> GaussianStage<C> for RaySpace {
     #[inline(always)]
     fn rows<S: Simd, F: Real, const BENDS: bool>(
         simd: S,
         g: &GaussiansSimd<F::Lanes<S>>,
         camera: &ProjectCameraSimd<F::Lanes<S>>,
     ) -> [F::Lanes<S>; C] {
-        DepthSlopeSimd::<S, F>::new::<BENDS>(simd, g, camera).row(camera)
+        RaySpaceSimd::<S, F>::new::<BENDS>(simd, g, camera).row(camera)
     }
 
     #[inline(always)]
@@ -30,27 +30,27 @@ impl<const C: usize> GaussianStage<C> for DepthSlope {
         grad: &[F::Lanes<S>; C],
         pose: Option<&mut [F::Lanes<S>; 12]>,
     ) -> GradientsSimd<F::Lanes<S>> {
-        DepthSlopeSimd::<S, F>::new::<BENDS>(simd, g, camera).backward::<BENDS, C>(camera, g, grad, pose)
+        RaySpaceSimd::<S, F>::new::<BENDS>(simd, g, camera).backward::<BENDS, C>(camera, g, grad, pose)
     }
 }
 
 /// Returns the rows, `[N, 9 (+ 6)]`.
-pub(crate) fn depth_slope_cpu<F: Real>(inputs: Geometry<&[F]>, spec: &ProjectSpec) -> Vec<F> {
+pub(crate) fn ray_space_cpu<F: Real>(inputs: Geometry<&[F]>, spec: &ProjectSpec) -> Vec<F> {
     match columns(&spec.intrinsics) {
-        LENS_COLUMNS => stage_rows::<F, DepthSlope, LENS_COLUMNS, true>(inputs, spec),
-        _ => stage_rows::<F, DepthSlope, RAY_SPACE, false>(inputs, spec),
+        LENS_COLUMNS => stage_rows::<F, RaySpace, LENS_COLUMNS, true>(inputs, spec),
+        _ => stage_rows::<F, RaySpace, RAY_SPACE, false>(inputs, spec),
     }
 }
 
 /// Returns the gradients of the inputs from `grad`, `[N, 9 (+ 6)]`. Those of opacities are zero.
-pub(crate) fn depth_slope_backward_cpu<F: Real>(
+pub(crate) fn ray_space_backward_cpu<F: Real>(
     inputs: Geometry<&[F]>,
     grad: &[F],
     spec: &ProjectSpec,
     needs: Geometry<bool>,
 ) -> Geometry<Vec<F>> {
     match columns(&spec.intrinsics) {
-        LENS_COLUMNS => stage_gradients::<F, DepthSlope, LENS_COLUMNS, true>(inputs, grad, spec, needs),
-        _ => stage_gradients::<F, DepthSlope, RAY_SPACE, false>(inputs, grad, spec, needs),
+        LENS_COLUMNS => stage_gradients::<F, RaySpace, LENS_COLUMNS, true>(inputs, grad, spec, needs),
+        _ => stage_gradients::<F, RaySpace, RAY_SPACE, false>(inputs, grad, spec, needs),
     }
 }
