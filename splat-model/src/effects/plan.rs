@@ -152,7 +152,7 @@ impl Conditions {
 /// Times per step: a constant part, ms, and a part per megapixel, ms, measured on the demo capture at 0.02 megapixels and on
 /// `fox_colmap` at 0.52, masks on the demo and `statue_wild` at 0.61 (see `docs/EFFECTS.md`).
 const ANTIALIAS_MS: (f64, f64) = (0.15, 0.0);
-const MASKS_MS: (f64, f64) = (0.04, 2.3);
+const MASKS_MS: (f64, f64) = (0.04, 1.0);
 const ENVIRONMENT_MS: (f64, f64) = (0.16, 3.2);
 const ALPHA_MS: (f64, f64) = (0.2, 0.0);
 const POSE_MS: (f64, f64) = (0.15, 0.3);
