@@ -71,6 +71,7 @@ mod forward;
 mod kernel_tests;
 #[cfg(feature = "cube")]
 pub(crate) mod launch;
+mod simd;
 #[cfg(test)]
 mod tests;
 

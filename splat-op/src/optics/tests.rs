@@ -1,10 +1,13 @@
 use burn::tensor::{DType, Device, Tensor, TensorData};
+use fearless_simd::prelude::*;
+use fearless_simd::{Level, dispatch};
 use glam::{DQuat, DVec3};
 
-use super::cpu::{Ellipse, Moving, Rolled, Widened, expose_backward_cpu, expose_cpu};
+use super::cpu::{expose_backward_cpu, expose_cpu};
+use super::simd::{Ellipse, Moving, Rolled, Widened};
 use super::*;
 use crate::project::COLUMNS;
-use crate::simd::real::Real;
+use crate::simd::real::{LANES, Real};
 use crate::testing::finite::{check_gradient, inner_product};
 use crate::testing::random::Random;
 
@@ -75,18 +78,47 @@ fn check_covariance(before: &[f64], after: &[f64], right: [f64; 3], grows: bool,
     assert!((after[6] / light - 1.0).abs() <= 4.0 * tolerance + lost, "{} instead of {light}", after[6]);
 }
 
+/// Returns the first of the lanes, which hold the same value.
+fn first<S: Simd, F: Real>(lanes: F::Lanes<S>) -> f64 {
+    let mut all = [F::ZERO; LANES];
+    lanes.store_slice(&mut all);
+    all[0].f64()
+}
+
 fn widened<F: Real>(row: &[f64], w: [f64; 2], round: f64) -> [f64; COLUMNS] {
-    let row: [F; COLUMNS] = std::array::from_fn(|i| F::of(row[i]));
-    let (e, mut after) = (Ellipse::load(&row), row);
-    Widened::new(&e, w.map(F::of), F::of(round)).of(e).store(&mut after);
-    after.map(Real::f64)
+    dispatch!(Level::new(), simd => widened_by::<_, F>(simd, row, w, round))
+}
+
+fn widened_by<S: Simd, F: Real>(simd: S, row: &[f64], w: [f64; 2], round: f64) -> [f64; COLUMNS] {
+    let lanes = |value: f64| F::Lanes::<S>::splat(simd, F::of(value));
+    let e = Ellipse::of_row(std::array::from_fn(|i| lanes(row[i])));
+    Widened::<S, F>::new(&e, w.map(lanes), lanes(round)).of(e).to_row().map(first::<S, F>)
 }
 
 fn rolled<F: Real>(row: &[f64], velocity: [f64; 2], height: f64) -> [f64; COLUMNS] {
-    let row: [F; COLUMNS] = std::array::from_fn(|i| F::of(row[i]));
-    let (e, mut after) = (Ellipse::load(&row), row);
-    Rolled::new(&e, velocity.map(F::of), F::of(height)).of(e).store(&mut after);
-    after.map(Real::f64)
+    dispatch!(Level::new(), simd => rolled_by::<_, F>(simd, row, velocity, height))
+}
+
+fn rolled_by<S: Simd, F: Real>(simd: S, row: &[f64], velocity: [f64; 2], height: f64) -> [f64; COLUMNS] {
+    let lanes = |value: f64| F::Lanes::<S>::splat(simd, F::of(value));
+    let e = Ellipse::of_row(std::array::from_fn(|i| lanes(row[i])));
+    Rolled::<S, F>::new(&e, velocity.map(lanes), lanes(height)).of(e).to_row().map(first::<S, F>)
+}
+
+fn velocity_by<S: Simd>(simd: S, row: [f64; COLUMNS], twist: [f64; PARAMETERS], axes: [[f64; 4]; 2]) -> [f64; 2] {
+    let lanes = |value: f64| <f64 as Real>::Lanes::<S>::splat(simd, value);
+    let moving =
+        Moving::<S, f64>::new(&Ellipse::of_row(row.map(lanes)), &twist.map(lanes), &axes.map(|a| a.map(lanes)));
+    moving.velocity.map(first::<S, f64>)
+}
+
+/// The gradients of `sigma_u`, the shear, `sigma_v`, the opacity, `w` and `round`.
+fn widened_backward<S: Simd, F: Real>(simd: S, [row, grad]: [[f64; COLUMNS]; 2], w: [f64; 2], round: f64) -> [f64; 7] {
+    let lanes = |value: f64| F::Lanes::<S>::splat(simd, F::of(value));
+    let [e, grad] = [row, grad].map(|row| Ellipse::of_row(row.map(lanes)));
+    let of = Widened::<S, F>::new(&e, w.map(lanes), lanes(round)).backward(&e, &grad);
+    let row = of.ellipse.to_row();
+    [row[2], row[3], row[4], row[6], of.w[0], of.w[1], of.round].map(first::<S, F>)
 }
 
 #[test]
@@ -154,11 +186,11 @@ fn velocities_are_the_slopes_of_where_points_go() {
     let px = |point: DVec3| CAMERA.projector().px_from_cam(point).unwrap();
     for point in [DVec3::new(-0.4, 0.3, 2.0), DVec3::new(0.7, -0.9, 3.5), DVec3::new(0.0, 0.0, 1.0)] {
         let centre = px(point);
-        let e = Ellipse::load(&[centre.x, centre.y, 1.0, 0.0, 1.0, point.z, 1.0]);
+        let row = [centre.x, centre.y, 1.0, 0.0, 1.0, point.z, 1.0];
         for axis in 0..6 {
             let mut unit = [0.0; PARAMETERS];
             unit[axis] = 1.0;
-            let found = Moving::new(&e, &unit, &axes).velocity;
+            let found = dispatch!(Level::new(), simd => velocity_by(simd, row, unit, axes));
             let moved = |by: f64| {
                 let (rotation, shift) = (DVec3::from_slice(&unit[..3]) * by, DVec3::from_slice(&unit[3..]) * by);
                 px(DQuat::from_scaled_axis(rotation) * point + shift)
@@ -227,24 +259,11 @@ fn gradients_keep_their_digits_where_widths_differ() {
     for (w, round) in [([3e4, -2e4], 0.0), ([0.0, 0.0], 3e4), ([1e-4, 2e-4], 1e-4)] {
         let row = [0.0, 0.0, 0.7, -0.4, 1.3, 1.0, 0.8];
         let grad = [0.0, 0.0, 0.3, -0.7, 0.9, 0.0, 0.6];
-        let backward = |e: [f64; COLUMNS]| {
-            let e = Ellipse::load(&e);
-            let of = Widened::new(&e, w, round).backward(&e, &Ellipse::load(&grad));
-            let mut row = [0.0; COLUMNS];
-            of.ellipse.store(&mut row);
-            [row[2], row[3], row[4], row[6], of.w[0], of.w[1], of.round]
-        };
-        let in_f32 = {
-            let e = Ellipse::load(&row.map(|value| value as f32));
-            let of = Widened::new(&e, w.map(|w| w as f32), round as f32)
-                .backward(&e, &Ellipse::load(&grad.map(|value| value as f32)));
-            let mut row = [0.0; COLUMNS];
-            of.ellipse.store(&mut row);
-            [row[2], row[3], row[4], row[6], of.w[0], of.w[1], of.round]
-        };
-        let expected = backward(row.map(|value| f64::from(value as f32)));
+        let rounded = [row, grad].map(|row| row.map(|value| f64::from(value as f32)));
+        let in_f32 = dispatch!(Level::new(), simd => widened_backward::<_, f32>(simd, rounded, w, round));
+        let expected = dispatch!(Level::new(), simd => widened_backward::<_, f64>(simd, rounded, w, round));
         for (i, (found, expected)) in in_f32.into_iter().zip(expected).enumerate() {
-            let error = (f64::from(found) - expected).abs();
+            let error = (found - expected).abs();
             assert!(error <= 4e-6 * expected.abs() + 1e-30, "{w:?}, {i}: {found:e} instead of {expected:e}");
         }
     }
