@@ -157,8 +157,8 @@ const ENVIRONMENT_MS: (f64, f64) = (0.16, 3.2);
 const ALPHA_MS: (f64, f64) = (0.2, 0.0);
 const POSE_MS: (f64, f64) = (0.15, 0.3);
 const DEPTH_MS: (f64, f64) = (0.16, 3.0);
-const MOTION_MS: (f64, f64) = (0.6, 2.5);
-const SHUTTER_MS: (f64, f64) = (0.75, 0.0);
+const MOTION_MS: (f64, f64) = (0.25, 2.2);
+const SHUTTER_MS: (f64, f64) = (0.25, 0.25);
 const DEFOCUS_MS: (f64, f64) = (14.0, 118.0);
 
 /// The part per megapixel of an environment's viewing directions where they are computed anew in each step: a root and a division in f64
