@@ -19,7 +19,7 @@ pub(super) struct Ellipse<L> {
     sigma_u: L,
     shear: L,
     sigma_v: L,
-    pub depth: L,
+    depth: L,
     opacity: L,
 }
 

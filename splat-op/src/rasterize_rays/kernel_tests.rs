@@ -33,7 +33,7 @@ const CHOICES: [(Projection, Order); 3] = [
 /// Relative distance of two keys below which rounding may swap them.
 const NEAR: f64 = 2e-5;
 
-/// Projected ellipses, depth slopes, features, background.
+/// Packed ellipses, rows in ray space, features, background.
 #[derive(Clone)]
 struct StageInputs {
     name: String,

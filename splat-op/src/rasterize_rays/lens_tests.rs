@@ -26,7 +26,7 @@ const CHOICES: [(Projection, Order); 3] = [
     (Projection::RayMax, Order::PerPixelSort),
 ];
 
-/// Packed ellipses, depth slopes, features, background.
+/// Packed ellipses, rows in ray space, features, background.
 #[derive(Clone)]
 struct StageInputs {
     inputs: [Vec<f64>; 4],

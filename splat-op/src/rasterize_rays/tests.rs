@@ -25,7 +25,7 @@ const CHOICES: [(Projection, Order); 4] = [
     (Projection::Affine, Order::CentreDepth),
 ];
 
-/// Packed ellipses, depth slopes, features, background.
+/// Packed ellipses, rows in ray space, features, background.
 #[derive(Clone)]
 struct StageInputs {
     inputs: [Vec<f64>; 4],

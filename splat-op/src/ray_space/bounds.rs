@@ -48,7 +48,7 @@ fn by_chunks<F: Real, const C: usize>(
     bounds
 }
 
-/// Writes the bounds of consecutive Gaussians, whose depth slopes have `C` columns.
+/// Writes the bounds of consecutive Gaussians, whose rows have `C` columns.
 #[inline(always)]
 fn chunk<S: Simd, F: Real, const C: usize>(
     simd: S,
@@ -170,7 +170,7 @@ impl<S: Simd, F: Real> BoundsRules<S, F> {
         F::Lanes::<S>::splat(self.simd, F::of(value))
     }
 
-    /// Returns the bounds of Gaussians from their packed ellipses and their rows of depth slopes. The row of a Gaussian that shows
+    /// Returns the bounds of Gaussians from their packed ellipses and their rows. The row of a Gaussian that shows
     /// nowhere in the picture has no opacity.
     #[inline(always)]
     fn bound(&self, given: &Ellipse<Lanes<S, F>>, row: &[Lanes<S, F>]) -> Ellipse<Lanes<S, F>> {

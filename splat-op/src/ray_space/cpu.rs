@@ -9,7 +9,7 @@ use crate::project::simd::{GaussiansSimd, GradientsSimd, ProjectCameraSimd};
 use crate::project::{Geometry, ProjectSpec};
 use crate::simd::real::Real;
 
-/// Rows of depth slopes.
+/// Rows in ray space.
 struct RaySpace;
 
 impl<const C: usize> GaussianStage<C> for RaySpace {

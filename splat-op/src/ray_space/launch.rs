@@ -37,7 +37,7 @@ pub(crate) fn launch_ray_space(gpu: &Gpu, inputs: &Geometry<Buffer<f32>>, spec: 
     ray_rows
 }
 
-/// Launches the bounds and returns rows for `intersect`, `[N, 7]`, from packed ellipses and their depth slopes.
+/// Launches the bounds and returns rows for `intersect`, `[N, 7]`, from packed ellipses and their rows.
 pub(crate) fn launch_bounds(
     gpu: &Gpu,
     projected: &Buffer<f32>,

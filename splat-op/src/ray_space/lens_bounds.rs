@@ -13,7 +13,7 @@ use crate::project::simd::{MaskOf, norm};
 use crate::simd::each;
 use crate::simd::real::Real;
 
-/// Columns of a lens in a row of depth slopes.
+/// Columns of a lens in a row.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct LensFrame<F> {
     /// Slopes of the centre.

@@ -10,7 +10,7 @@ use crate::gpu::math::{Mat3, Vec2, Vec2Launch, Vec3, finite};
 use crate::project::forward::{PackedEllipse, ProjectCamera};
 use crate::project::lens_forward::{Distortion, LensProjection, bent_rows};
 
-/// Columns of a lens in a row of depth slopes.
+/// Columns of a lens in a row.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub(crate) struct LensFrame {

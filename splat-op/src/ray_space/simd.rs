@@ -1,4 +1,4 @@
-//! The depth slopes of eight Gaussians at a time and their gradient, one per SIMD lane, from the terms of `project`. Values in the
+//! The rows of eight Gaussians at a time and their gradient, one per SIMD lane, from the terms of `project`. Values in the
 //! lanes of culled Gaussians are meaningless and are masked before they are stored.
 
 use fearless_simd::prelude::*;
