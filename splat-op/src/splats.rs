@@ -41,6 +41,8 @@ pub struct Extras {
     /// `[N, 2]`: tracked leaf tensor whose gradient becomes `∂L/∂mean2d` at the projected centres, per px, summed over the
     /// cameras. (Burn keeps no gradients of intermediate tensors.) Its values are not read. The field's densification threshold,
     /// 2e-4, is per unit of normalised device coordinates: multiply the gradient by `[width / 2, height / 2]` before comparing.
+    /// With [`Projection::RayMax`](crate::Projection) it is the gradient of a step of the Gaussian across the camera's axis, a pixel wide at its
+    /// centre's depth.
     pub mean2d_probe: Option<Tensor<2>>,
     /// `[N, 2]`: as `mean2d_probe`, with the absolute value of each pixel's contribution (AbsGrad, Ye et al. 2024).
     pub mean2d_abs_probe: Option<Tensor<2>>,
