@@ -23,7 +23,7 @@ pub(super) struct Ellipse<L> {
     opacity: L,
 }
 
-impl<L> Ellipse<L> {
+impl<L: Copy> Ellipse<L> {
     #[inline(always)]
     pub fn of_row([x, y, sigma_u, shear, sigma_v, depth, opacity]: [L; COLUMNS]) -> Self {
         Self { x, y, sigma_u, shear, sigma_v, depth, opacity }
@@ -182,6 +182,12 @@ impl<S: Simd, F: Real> Moving<S, F> {
     }
 }
 
+/// Gradients of a map by a rolling shutter.
+struct RolledGrad<L> {
+    ellipse: Ellipse<L>,
+    velocity: [L; 2],
+}
+
 /// A map of an ellipse by a rolling shutter, and its parts that the derivative needs.
 pub(super) struct Rolled<S: Simd, F: Real> {
     /// Velocity over the picture's height.
@@ -235,7 +241,7 @@ impl<S: Simd, F: Real> Rolled<S, F> {
         e: &Ellipse<Lanes<S, F>>,
         grad: &Ellipse<Lanes<S, F>>,
         height: Lanes<S, F>,
-    ) -> (Ellipse<Lanes<S, F>>, [Lanes<S, F>; 2]) {
+    ) -> RolledGrad<Lanes<S, F>> {
         let &Self { shares, k, q, sigma_u, along, across, share, ratio, turned, .. } = self;
         let (grad_turned, grad_narrow) = (grad.shear * k, grad.sigma_v * k);
         // Derivatives of `turned` with differences taken by hand: with `c = 1 + q shear`, `c − q shear = 1`.
@@ -257,7 +263,7 @@ impl<S: Simd, F: Real> Rolled<S, F> {
             ..*grad
         };
         let down = self.free.select(grad_down / height, lanes::<S, F>(height.token(), F::ZERO));
-        (ellipse, [(grad.x * self.lag + grad_q * k) / height, down])
+        RolledGrad { ellipse, velocity: [(grad.x * self.lag + grad_q * k) / height, down] }
     }
 }
 
@@ -365,7 +371,7 @@ impl<S: Simd, F: Real> Change<S, F> {
             }
             Exposure::RollingShutter => {
                 let moving = Moving::<S, F>::new(e, parameters, axes);
-                let (mut ellipse, velocity) =
+                let RolledGrad { mut ellipse, velocity } =
                     Rolled::<S, F>::new(e, moving.velocity, self.height).backward(e, grad, self.height);
                 let twist = moving.backward(parameters, axes, velocity, &mut ellipse);
                 (ellipse, twist)

@@ -191,7 +191,7 @@ impl<S: Simd, F: Real> RaySpaceSimd<S, F> {
         let mut through =
             LensProjectionGrad { mean_cam: [zero; 3], rows: [[zero; 3], [zero; 3], scale(grad_jz, inverse_z)] };
         through.mean_cam[2] = (of.depth + blur[0] + blur[2]) * inverse_z;
-        let (slopes, by) = self.map(camera);
+        let LinearMap { slopes, by } = self.map(camera);
         for axis in 0..2 {
             let [by_x, by_y] = [by[0][axis] * inverse_z, by[1][axis] * inverse_z];
             let of_row = add(scale(grad_j0, by_x), scale(grad_j1, by_y));
@@ -222,16 +222,20 @@ impl<S: Simd, F: Real> RaySpaceSimd<S, F> {
         }
     }
 
-    /// Returns the slopes `t` and `G`, px per slope, of the linear map of this Gaussian.
+    /// Returns the linear map of this Gaussian.
     #[inline(always)]
-    fn map(&self, camera: &ProjectCameraSimd<F::Lanes<S>>) -> ([F::Lanes<S>; 2], [[F::Lanes<S>; 2]; 2]) {
+    fn map(&self, camera: &ProjectCameraSimd<F::Lanes<S>>) -> LinearMap<F::Lanes<S>> {
         let zero = self.lanes(F::ZERO);
         match &self.lens {
             Some(lens) => {
                 let ([x, y, z], jacobian) = (self.projection.mean_cam, lens.rows(camera.focal));
-                ([x / z, y / z], each!([0, 1], |row| [jacobian[row][0] * z, jacobian[row][1] * z]))
+                let by = each!([0, 1], |row| [jacobian[row][0] * z, jacobian[row][1] * z]);
+                LinearMap { slopes: [x / z, y / z], by }
             }
-            None => (self.projection.slope, [[camera.focal[0], zero], [zero, camera.focal[1]]]),
+            None => {
+                let by = [[camera.focal[0], zero], [zero, camera.focal[1]]];
+                LinearMap { slopes: self.projection.slope, by }
+            }
         }
     }
 }
@@ -243,6 +247,12 @@ struct RayGrad<L> {
     depth: L,
     centre: [L; 2],
     factor: [L; 3],
+}
+
+/// The slopes `t` and `G`, px per slope.
+struct LinearMap<L> {
+    slopes: [L; 2],
+    by: [[L; 2]; 2],
 }
 
 /// Gradients of the rows of `m`, and `B₀₀, B₀₁, B₁₁`.
