@@ -1,4 +1,5 @@
-//! The gradients of Gaussians through `project`, `ray_space` and `rasterize_rays`, whose rows are given in coordinates of the stages' choice.
+//! The gradients of Gaussians through `project`, `ray_space` and `rasterize_rays`. Only all three stages together have a gradient that
+//! finite differences can prove: the gradient of a row holds its coordinates fixed, which move with the Gaussian.
 
 use super::RayLayers;
 use super::cpu::{rasterize_rays_backward_cpu, rasterize_rays_cpu};
@@ -9,8 +10,8 @@ use crate::options::{Projection, RenderOptions};
 use crate::project::cpu::{project_backward_cpu, project_cpu};
 use crate::project::{Geometry, ProjectSpec};
 use crate::rasterize::{PlaneParts, RasterizeSpec};
-use crate::ray_space::bounds_cpu;
 use crate::ray_space::cpu::{ray_space_backward_cpu, ray_space_cpu};
+use crate::ray_space::{RAY_SPACE, bounds_cpu};
 use crate::testing::blending::{assert_close, smooth};
 use crate::testing::ceiling::{PerturbedReference, rounded};
 use crate::testing::finite::{check_gradient, inner_product};
@@ -21,7 +22,6 @@ const POSE: [f64; 12] = [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 
 
 const BACKGROUND: [f64; 3] = [0.1, 0.2, 0.3];
 
-/// Everything but the opacities, whose gradient is that of `project`.
 const ALL: Geometry<bool> =
     Geometry { means: true, rotations: true, scales: true, opacities: true, cam_from_world: true, mean2d: true };
 
@@ -81,16 +81,13 @@ impl Scene {
         let grad = PlaneParts::split(grad, &spec, 3);
         let lists = self.lists(&rows);
         let grads = rasterize_rays_backward_cpu(self.layers(&rows), grad, &spec, (&lists, None), wanted);
-        let through = [
-            project_backward_cpu(self.geometry(), &pass(&grads.projected), &project, ALL),
-            ray_space_backward_cpu(self.geometry(), &pass(&grads.ray_space), &project, ALL),
-        ];
-        let [a, b] = through;
-        a.zip(b).map(|(a, b)| a.iter().zip(b).map(|(a, b)| a + b).collect())
+        let through_ellipses = project_backward_cpu(self.geometry(), &pass(&grads.projected), &project, ALL);
+        let through_rows = ray_space_backward_cpu(self.geometry(), &pass(&grads.ray_space), &project, ALL);
+        through_ellipses.zip(through_rows).map(|(a, b)| a.iter().zip(b).map(|(a, b)| a + b).collect())
     }
 }
 
-/// Gaussians in the picture and beside it, some of them flat, thin or with the camera inside.
+/// Gaussians in the picture and beside it, small, wide and thin.
 fn gaussians(seed: u64, intrinsics: Intrinsics, options: RenderOptions) -> Scene {
     let mut random = Random::new(seed);
     let mut tensors = vec![Vec::new(); 6];
@@ -120,7 +117,8 @@ fn every_gradient_agrees_with_finite_differences() {
             let options = RenderOptions { blur, antialias, ..smooth(0.99) };
             let options = options.with_projection(Projection::RayMax).with_depth(seed % 2 == 0);
             let scene = gaussians(seed as u64, intrinsics, options);
-            let beyond = scene.projected()[1].chunks_exact(9).filter(|row| row[4] != 0.0 || row[5] != 0.0).count();
+            let beyond =
+                scene.projected()[1].chunks_exact(RAY_SPACE).filter(|row| row[4] != 0.0 || row[5] != 0.0).count();
             assert!(intrinsics.model != CameraModel::Pinhole || beyond > 1, "{beyond} beyond the picture");
             let grad = scene.grad(seed as u64 + 40);
             let g = scene.backward(&grad, <[f64]>::to_vec);

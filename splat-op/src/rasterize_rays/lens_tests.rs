@@ -177,7 +177,7 @@ fn every_gradient_agrees_with_finite_differences() {
             assert!(g.ray_space.chunks_exact(ROW).all(|row| row[RAY_SPACE..].iter().all(|value| *value == 0.0)));
             assert_eq!(g.ray_space.iter().any(|value| *value != 0.0), exact);
             let gradients = [&g.projected, &g.ray_space, &g.features, &g.background];
-            for (i, part) in ["ellipses", "depth slopes", "features", "background"].into_iter().enumerate() {
+            for (i, part) in ["ellipses", "rows", "features", "background"].into_iter().enumerate() {
                 let what = format!("{part}, {lens:?}, {projection:?}, {order:?}");
                 check_gradient(&what, &scene.inputs[i], gradients[i], 1, |moved| {
                     let mut at = scene.clone();
@@ -255,7 +255,7 @@ mod kernels {
                     launch_rasterize_rays_backward(&gpu, &device, &buffer(4), (&lists, 1 << 20), &scene.spec, needs);
                 let found = [g.projected, g.ray_space, g.features, g.background, g.mean2d_abs];
                 for (which, (found, rows)) in found.into_iter().zip([14, 14, 14, 3, 14]).enumerate() {
-                    let name = name(["projected", "depth slopes", "features", "background", "mean2d_abs"][which]);
+                    let name = name(["projected", "rows", "features", "background", "mean2d_abs"][which]);
                     let found = found.expect("asked for").read(&gpu);
                     reference.check_gradient(&name, which + 1, &found, &vec![Some(0); rows], &[]);
                 }

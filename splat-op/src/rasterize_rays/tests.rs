@@ -137,7 +137,7 @@ impl StageInputs {
         let grad = self.random_grad(77);
         let g = self.backward(&grad, ALL);
         let gradients = [&g.projected, &g.ray_space, &g.features, &g.background];
-        for (i, part) in ["ellipses", "depth slopes", "features", "background"].into_iter().enumerate() {
+        for (i, part) in ["ellipses", "rows", "features", "background"].into_iter().enumerate() {
             check_gradient(&format!("{name}: {part}"), &self.inputs[i], gradients[i], stride, |moved| {
                 let mut scene = self.clone();
                 scene.inputs[i] = moved.to_vec();

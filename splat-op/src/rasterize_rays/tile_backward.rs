@@ -338,6 +338,7 @@ impl<S: Simd, F: Real> RaySums<S, F> {
         if EXACT {
             let [a, b, c] = apart;
             let [slope_u, slope_v] = each!(splat.depth_slope, |value| lanes(value));
+            // `r` of the module's documentation.
             let reach = [c.mul_add(slope_u, a), c.mul_add(slope_v, b)];
             let of_depth = h * c;
             let (mut of_gamma, mut of_thickness) = (-of_depth, c * of_depth);

@@ -100,7 +100,7 @@ fn kernels_agree_with_the_twin() {
             let what = |what: &str| format!("{what}, {form}, spec {seed}");
             let (device, grad) = upload(&gpu, &tensors);
             let found = launch_ray_space(&gpu, &device, &spec).read(&gpu);
-            forward.check(&what("depth slopes"), 0, &found, &classes);
+            forward.check(&what("rows"), 0, &found, &classes);
             let g = launch_ray_space_backward(&gpu, &device, &grad, &spec, ALL);
             for (i, found) in [g.means, g.rotations, g.scales].into_iter().enumerate() {
                 let (name, found) = (what(["means", "rotations", "scales"][i]), found.expect("asked for").read(&gpu));

@@ -193,7 +193,7 @@ mod kernels {
                     mean2d: Buffer::new(&gpu, 0),
                 };
                 let found = launch_ray_space(&gpu, &device, &spec).read(&gpu);
-                forward.check(&what("depth slopes"), 0, &found, &classes);
+                forward.check(&what("rows"), 0, &found, &classes);
                 let g = launch_ray_space_backward(&gpu, &device, &buffer(5), &spec, ALL);
                 for (i, found) in [g.means, g.rotations, g.scales].into_iter().enumerate() {
                     let name = what(["means", "rotations", "scales"][i]);
