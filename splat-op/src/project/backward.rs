@@ -142,6 +142,33 @@ pub(crate) fn no_gradient() -> GaussianGrad {
     }
 }
 
+/// Sets the gradients of the centre, of the rotation and of the pose from those of `W R` and of the centre in the camera's frame.
+#[cube]
+pub(crate) fn world_backward(
+    of: &mut GaussianGrad,
+    seen: &SeenGrad,
+    g: &Gaussian,
+    p: &ProjectionTerms,
+    pose: &Pose,
+    #[comptime] wanted: GeometryGradMask,
+) {
+    let (turned, centre) = (seen.turned, seen.centre);
+    if comptime!(wanted.means) {
+        of.mean = pose.matrix.apply_transposed(centre);
+    }
+    if comptime!(wanted.rotations) {
+        let unturned = pose.matrix.transposed().times(turned);
+        of.rotation = p.quaternion.backward(p.quaternion_length, unturned);
+    }
+    if comptime!(wanted.pose) {
+        let from = p.world_from_gaussian;
+        of.pose.matrix.x = from.apply(turned.x).plus(g.mean.times(centre.x));
+        of.pose.matrix.y = from.apply(turned.y).plus(g.mean.times(centre.y));
+        of.pose.matrix.z = from.apply(turned.z).plus(g.mean.times(centre.z));
+        of.pose.translation = centre;
+    }
+}
+
 /// Gradients of a Gaussian from the gradient of its row; zero if it is culled.
 #[cube]
 pub(crate) fn gaussian_backward(
@@ -165,21 +192,8 @@ pub(crate) fn gaussian_backward(
             }
             if comptime!(through_rows) {
                 let grad_j = (grad_m0.by_axis(g.scale), grad_m1.by_axis(g.scale));
-                let SeenGrad { turned, centre } = seen_backward(&p, lens, grad_j, grad);
-                if comptime!(wanted.means) {
-                    of.mean = pose.matrix.apply_transposed(centre);
-                }
-                if comptime!(wanted.rotations) {
-                    let unturned = pose.matrix.transposed().times(turned);
-                    of.rotation = p.quaternion.backward(p.quaternion_length, unturned);
-                }
-                if comptime!(wanted.pose) {
-                    let from = p.world_from_gaussian;
-                    of.pose.matrix.x = from.apply(turned.x).plus(g.mean.times(centre.x));
-                    of.pose.matrix.y = from.apply(turned.y).plus(g.mean.times(centre.y));
-                    of.pose.matrix.z = from.apply(turned.z).plus(g.mean.times(centre.z));
-                    of.pose.translation = centre;
-                }
+                let seen = seen_backward(&p, lens, grad_j, grad);
+                world_backward(&mut of, &seen, g, &p, pose, wanted);
             }
         }
     }

@@ -7,10 +7,10 @@ use super::forward::{RaySpaceTerms, lean};
 use super::lens_bounds_kernel::jacobian_at;
 use super::{LENS_FRAME, RAY_SPACE};
 use crate::gpu::math::{Mat3, Pose, Vec2, Vec3};
-use crate::project::backward::{GeometryGradMask, no_gradient, store_pose};
+use crate::project::backward::{GeometryGradMask, no_gradient, store_pose, world_backward};
 use crate::project::forward::{Gaussian, PackedEllipse, ProjectCamera, ProjectionTerms, project_one};
 use crate::project::lens_backward::bent_backward;
-use crate::project::lens_forward::Distortion;
+use crate::project::lens_forward::{Distortion, SeenGrad};
 
 /// Gradient of a row.
 #[derive(CubeType, Clone, Copy)]
@@ -217,20 +217,7 @@ pub(super) fn ray_space_backward_kernel(
                 if let ComptimeOption::Some(distortion) = lens.distortion {
                     centre = centre.plus(bend_backward(&map, mean, &of_m, &lens, &distortion));
                 }
-                if comptime!(wanted.means) {
-                    of.mean = pose.matrix.apply_transposed(centre);
-                }
-                if comptime!(wanted.rotations) {
-                    let unturned = pose.matrix.transposed().times(turned);
-                    of.rotation = f.quaternion.backward(f.quaternion_length, unturned);
-                }
-                if comptime!(wanted.pose) {
-                    let from = f.world_from_gaussian;
-                    of.pose.matrix.x = from.apply(turned.x).plus(g.mean.times(centre.x));
-                    of.pose.matrix.y = from.apply(turned.y).plus(g.mean.times(centre.y));
-                    of.pose.matrix.z = from.apply(turned.z).plus(g.mean.times(centre.z));
-                    of.pose.translation = centre;
-                }
+                world_backward(&mut of, &SeenGrad { turned, centre }, &g, &f, &pose, wanted);
             }
         }
         #[comptime]
