@@ -3,7 +3,7 @@
 //! Known depths come from the depth maps of a capture, or else from the sparse points in the photographs of their tracks
 //! (Deng et al. 2022, "Depth-supervised NeRF"). The render's depth is `D/α` with `D = Σ wᵢ zᵢ`. The loss is the mean of the
 //! relative error `|D/α − z| / z` over the known pixels, so that near and far count alike. Pixels with an alpha below one
-//! half are left out.
+//! half are left out. One of three steps is supervised, with three times the weight.
 //!
 //! The gradient includes the opacity `α = Σ wᵢ`. If `α` is held constant, as is sometimes done, lower opacities reduce `D`
 //! as well as movement does. On the capture of `known_depths_pull_the_scene`, depths are then further off at the end (0.73
@@ -34,11 +34,14 @@ pub struct DepthConfig {
     /// Weight of the relative error in the loss, 0.5 throughout. A larger weight helps where little else is known and harms
     /// where photographs are more accurate (`docs/EFFECTS.md`).
     pub weight: Falling,
+    /// Number of steps of which one is supervised, with as many times the weight: 3. Only supervised steps render depth, so that the
+    /// cost falls with this number. The gain does not (`docs/EFFECTS.md`).
+    pub every: usize,
 }
 
 impl Default for DepthConfig {
     fn default() -> Self {
-        Self { weight: Falling { from: 0.5, to: 0.5 } }
+        Self { weight: Falling { from: 0.5, to: 0.5 }, every: 3 }
     }
 }
 
@@ -146,15 +149,19 @@ impl Depths {
         Self { config, samples, on_device, device: device.clone() }
     }
 
-    /// Whether a photograph has known depths, so that its depth must be rendered.
-    pub fn knows(&self, view: usize) -> bool {
-        self.samples.get(view).is_some_and(|samples| !samples.is_empty())
+    /// Whether a view's depth must be rendered: the step is supervised, and the photograph has known depths.
+    fn supervises(&self, at: EffectContext) -> bool {
+        at.step.is_multiple_of(self.every()) && self.samples.get(at.view).is_some_and(|samples| !samples.is_empty())
     }
 
-    /// The loss of a step, `[1]`, from the render's accumulated depth and alpha, `[H, W, 1]` each.
+    /// The loss of a supervised view, `[1]`, from the render's accumulated depth and alpha, `[H, W, 1]` each.
     fn miss(&mut self, depth: Tensor<3>, alpha: Tensor<3>, at: EffectContext) -> Option<Tensor<1>> {
+        if !self.supervises(at) {
+            return None;
+        }
         let EffectContext { view, step, steps, .. } = at;
-        let samples = self.samples.get(view).filter(|samples| !samples.is_empty())?;
+        let weight = self.config.weight.at(step, steps) * self.every() as f64;
+        let samples = &self.samples[view];
         let [height, width, _] = depth.dims();
         let size = [width, height];
         let kept = &mut self.on_device[view];
@@ -163,7 +170,7 @@ impl Depths {
         }
         let DeviceDepths { pixels, depths, .. } = kept.as_ref()?;
         let miss = depth_miss(&depth, &alpha, depths, pixels).expect("depth and alpha of one render, on one device");
-        Some(miss * self.config.weight.at(step, steps))
+        Some(miss * weight)
     }
 }
 
@@ -174,11 +181,15 @@ impl Effect for Depths {
     }
 
     fn before(&mut self, input: &mut RenderInput, _: &Gaussians, at: EffectContext) {
-        input.options = input.options.with_depth(input.options.depth || self.knows(at.view));
+        input.options = input.options.with_depth(input.options.depth || self.supervises(at));
     }
 
     fn penalty(&mut self, _: &RenderInput, picture: &Rendered<3>, at: EffectContext) -> Option<Tensor<1>> {
         self.miss(picture.depth.clone()?, picture.alpha.clone(), at)
+    }
+
+    fn every(&self) -> usize {
+        self.config.every.max(1)
     }
 
     fn bytes(&self) -> usize {
@@ -211,9 +222,9 @@ mod tests {
     use crate::capture::demo::{self, DemoOptions};
     use crate::gaussians::values_of;
 
-    fn depths(samples: Vec<DepthSample>) -> Depths {
+    fn depths(samples: Vec<DepthSample>, every: usize) -> Depths {
         let weight = Falling { from: 2.0, to: 1.0 };
-        Depths::new(DepthConfig { weight }, vec![samples, vec![]], &Device::flex())
+        Depths::new(DepthConfig { weight, every }, vec![samples, vec![]], &Device::flex())
     }
 
     fn at(view: usize) -> EffectContext<'static> {
@@ -236,7 +247,7 @@ mod tests {
             sample(1.0, 0.0, 1.0),
             sample(0.5, 0.5, -1.0),
         ];
-        let mut depths = depths(samples);
+        let mut depths = depths(samples, 1);
         let depth = tracked(&[1.2, 0.1, 9.0, 3.0], [2, 2, 1]);
         let alpha = tracked(&[0.8, 0.4, 1.0, 1.0], [2, 2, 1]);
         let loss = depths.miss(depth.clone(), alpha.clone(), at(0)).unwrap();
@@ -250,13 +261,32 @@ mod tests {
         let gradient = values_of(alpha.grad(&gradients).unwrap());
         let expected = [1.2 / (0.8 * 0.8 * 2.0), 0.0, 0.0, 0.75];
         assert!(gradient.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-6), "{gradient:?}");
-        assert!(depths.knows(0) && !depths.knows(1) && !depths.knows(7));
+        assert!(depths.supervises(at(0)) && !depths.supervises(at(1)) && !depths.supervises(at(7)));
         assert!(depths.miss(depth.clone(), alpha.clone(), at(1)).is_none());
         assert_eq!(depths.bytes(), 3 * 8);
         // At another picture size, samples map to other pixels.
         let small = |values: &[f32]| tracked(values, [1, 1, 1]);
         let loss = depths.miss(small(&[2.0]), small(&[1.0]), at(0)).unwrap().inner().into_scalar::<f32>();
         assert!((loss - 2.0 * (0.0 + 0.5 + 0.6) / 3.0).abs() < 1e-6, "{loss}");
+    }
+
+    #[test]
+    fn one_of_so_many_steps_is_supervised_with_as_many_times_the_weight() {
+        let known = DepthSample { at: [0.5, 0.5], depth: 2.0 };
+        let small = |value: f32| tracked(&[value], [1, 1, 1]);
+        let loss = |every: usize, step: usize| {
+            let at = EffectContext { step, ..at(0) };
+            let miss = depths(vec![known], every).miss(small(1.0), small(1.0), at);
+            miss.map(|miss| miss.inner().into_scalar::<f32>())
+        };
+        let always: Vec<_> = (1..=9).map(|step| loss(1, step).unwrap()).collect();
+        assert_eq!(always, (1..=9).map(|step| loss(0, step).unwrap()).collect::<Vec<_>>());
+        for step in 1..=9 {
+            match loss(3, step) {
+                Some(loss) if step % 3 == 0 => assert!((loss / always[step - 1] - 3.0).abs() < 1e-6, "step {step}"),
+                loss => assert!(loss.is_none() && step % 3 > 0, "step {step}: {loss:?}"),
+            }
+        }
     }
 
     #[test]

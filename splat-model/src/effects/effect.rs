@@ -184,6 +184,12 @@ pub trait Effect: Any {
         None
     }
 
+    /// Number of steps of which the effect works in one, that whose number is a multiple of it. Measured costs are means over all
+    /// steps (see [`Trainer::cost_of`](crate::trainer::Trainer::cost_of)).
+    fn every(&self) -> usize {
+        1
+    }
+
     /// Memory kept between steps, bytes. The default counts the saved arrays.
     fn bytes(&self) -> usize {
         saved_bytes(self)

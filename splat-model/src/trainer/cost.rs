@@ -22,7 +22,7 @@ const VIEW: usize = 0;
 /// Measured cost of an effect.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct MeasuredCost {
-    /// Time that the effect adds to a step, ms.
+    /// Time that the effect adds to a step, ms: the mean over steps with and without it, if it does not work in all of them.
     pub ms_per_step: f64,
     /// Time of a step without it, from the render to the gradients, ms.
     pub without_ms: f64,
@@ -33,7 +33,8 @@ pub struct MeasuredCost {
 impl Trainer {
     /// Cost of `effect` in a step on the first photograph, at the current state of the run. Steps with and without it are timed
     /// in turn; the result is the median of the differences. Maps of colours are timed without the render, whose time would hide
-    /// theirs. The update of an effect's own parameters is not included. No parameter changes. `None` for
+    /// theirs. An effect that works in one of `n` steps costs the `n`th part of its difference. The update of an effect's own
+    /// parameters is not included. No parameter changes. `None` for
     /// effects that are not part of a step, and for effects that are off. Motion blur, rolling shutters and defocus are timed
     /// together.
     ///
@@ -41,6 +42,18 @@ impl Trainer {
     /// If the render operation rejects the scene.
     pub fn cost_of(&mut self, effect: EffectKind) -> Result<Option<MeasuredCost>, TrainError> {
         let Some(bytes) = self.bytes_of(effect) else { return Ok(None) };
+        let step = self.step;
+        let every = self.effects.named(effect.in_stack()).map_or(1, Effect::every);
+        self.step = step.max(1).next_multiple_of(every);
+        let times = self.step_times(effect);
+        self.step = step;
+        let (difference_ms, without_ms) = times?;
+        let mib = bytes as f64 / (1 << 20) as f64;
+        Ok(Some(MeasuredCost { ms_per_step: difference_ms / every as f64, without_ms, mib }))
+    }
+
+    /// The medians of the difference that `effect` makes to a step, and of a step without it, ms.
+    fn step_times(&mut self, effect: EffectKind) -> Result<(f64, f64), TrainError> {
         let time = match effect {
             EffectKind::Exposure | EffectKind::BilateralGrid => Self::time_loss,
             _ => Self::time_step,
@@ -58,9 +71,7 @@ impl Trainer {
                 steps_ms.push(self.without(effect, Self::time_step)?);
             }
         }
-        let mib = bytes as f64 / (1 << 20) as f64;
-        let [ms_per_step, without_ms] = [median(&mut differences_ms), median(&mut steps_ms)];
-        Ok(Some(MeasuredCost { ms_per_step, without_ms, mib }))
+        Ok((median(&mut differences_ms), median(&mut steps_ms)))
     }
 
     /// Runs a measurement while an effect is off.

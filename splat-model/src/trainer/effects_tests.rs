@@ -190,8 +190,8 @@ fn known_depths_pull_the_scene() {
     let place = |x: usize, y: usize| [(x as f32 + 0.5) / 8.0, (y as f32 + 0.5) / 6.0];
     let samples: Vec<DepthSample> = (0..48).map(|i| DepthSample { at: place(i % 8, i / 8), depth: 2.5 }).collect();
     let depth_of = |weight: f64| {
-        let config =
-            TrainConfig { depth: Some(DepthConfig { weight: Falling { from: weight, to: weight } }), ..config(160) };
+        let weight = Falling { from: weight, to: weight };
+        let config = TrainConfig { depth: Some(DepthConfig { weight, ..DepthConfig::default() }), ..config(160) };
         let trainer = Trainer::new(photos([0.0; 3]), &points(), config, &Device::flex()).unwrap();
         let mut trainer = trainer.with_depths(vec![samples.clone(), vec![], vec![], vec![]]);
         losses(&mut trainer);
