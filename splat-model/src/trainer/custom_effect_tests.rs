@@ -11,7 +11,7 @@ use super::testing::{photos, points};
 use super::*;
 use crate::density::AdaptiveConfig;
 use crate::effects::background::Background;
-use crate::effects::{Learned, RenderInput};
+use crate::effects::{EffectKind, Learned, RenderInput};
 use crate::gaussians::{GaussianRows, values_of};
 use crate::state::{State, StateError};
 
