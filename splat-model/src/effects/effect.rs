@@ -184,8 +184,8 @@ pub trait Effect: Any {
         None
     }
 
-    /// Number of steps of which the effect works in one, that whose number is a multiple of it. Measured costs are means over all
-    /// steps (see [`Trainer::cost_of`](crate::trainer::Trainer::cost_of)).
+    /// The effect works in the steps whose number is a multiple of this, at least 1. The trainer calls the effect in the other steps
+    /// too; [`Trainer::cost_of`](crate::trainer::Trainer::cost_of) measures a step in which it works, and divides.
     fn every(&self) -> usize {
         1
     }

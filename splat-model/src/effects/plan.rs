@@ -150,7 +150,7 @@ impl Conditions {
 }
 
 /// Times per step: a constant part, ms, and a part per megapixel, ms, measured on the demo capture at 0.02 megapixels and on
-/// `fox_colmap` at 0.52, masks on the demo and `statue_wild` at 0.61 (see `docs/EFFECTS.md`).
+/// `fox_colmap` at 0.52, masks on the demo and `statue_wild` at 0.61 (see `docs/EFFECTS.md`). Depth is a third of a supervised step's.
 const ANTIALIAS_MS: (f64, f64) = (0.15, 0.0);
 const MASKS_MS: (f64, f64) = (0.04, 1.0);
 const ENVIRONMENT_MS: (f64, f64) = (0.16, 3.2);

@@ -22,7 +22,7 @@ const VIEW: usize = 0;
 /// Measured cost of an effect.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct MeasuredCost {
-    /// Time that the effect adds to a step, ms: the mean over steps with and without it, if it does not work in all of them.
+    /// Time that the effect adds to a step, ms, as a mean over all steps (see [`Effect::every`]).
     pub ms_per_step: f64,
     /// Time of a step without it, from the render to the gradients, ms.
     pub without_ms: f64,
@@ -33,7 +33,7 @@ pub struct MeasuredCost {
 impl Trainer {
     /// Cost of `effect` in a step on the first photograph, at the current state of the run. Steps with and without it are timed
     /// in turn; the result is the median of the differences. Maps of colours are timed without the render, whose time would hide
-    /// theirs. An effect that works in one of `n` steps costs the `n`th part of its difference. The update of an effect's own
+    /// theirs. An effect that works in one of `n` steps costs an `n`th of that (see [`Effect::every`]). The update of an effect's own
     /// parameters is not included. No parameter changes. `None` for
     /// effects that are not part of a step, and for effects that are off. Motion blur, rolling shutters and defocus are timed
     /// together.

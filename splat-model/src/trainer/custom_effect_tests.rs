@@ -213,7 +213,7 @@ impl Effect for Waiting {
     }
 }
 
-/// A fourth of what a step with it takes longer, after any number of steps, none of which changes.
+/// The cost does not depend on the step at which it is measured, and measuring leaves the step as it is.
 #[test]
 fn an_effect_of_one_of_four_steps_costs_a_fourth() {
     let config = TrainConfig { steps: 9, ..TrainConfig::default() };
