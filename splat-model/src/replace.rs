@@ -18,8 +18,8 @@ pub(crate) struct Refused {
     pub source: io::Error,
 }
 
-/// Writes a file by calling `fill`. It replaces an existing file once it is complete and on the disk. No temporary file is left
-/// behind unless the process is killed.
+/// Writes a file by calling `fill`. It replaces an existing file once it is complete and on the disk; nothing at all replaces none. No
+/// temporary file is left behind unless the process is killed.
 pub(crate) fn replace(path: &Path, fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>) -> Result<(), Refused> {
     let refused = |action| move |source| Refused { action, source };
     let temporary = temporary_name(path).map_err(refused("name the file"))?;
@@ -47,17 +47,19 @@ pub fn temporary_name(path: &Path) -> io::Result<PathBuf> {
     Ok(path.with_file_name(temporary))
 }
 
-/// Whether [`temporary_name`] made this name. A process that was killed leaves such files.
-pub fn is_temporary(name: &str) -> bool {
-    let parts = name.strip_prefix('.').and_then(|name| name.rsplit_once(TEMPORARY));
-    let are_numbers = |text: &str| text.split('-').all(|number| number.parse::<u64>().is_ok());
-    parts.is_some_and(|(name, writer)| !name.is_empty() && are_numbers(writer))
+/// The name that [`temporary_name`] made this one of, if it did. A process that was killed leaves such files.
+pub fn name_of_temporary(name: &str) -> Option<&str> {
+    let (name, writer) = name.strip_prefix('.')?.rsplit_once(TEMPORARY)?;
+    writer.split('-').all(|number| number.parse::<u64>().is_ok()).then_some(name)
 }
 
 fn write_file(path: &Path, fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>) -> io::Result<()> {
     let mut out = BufWriter::with_capacity(1 << 20, File::create(path)?);
     fill(&mut out)?;
     out.flush()?;
+    if out.get_ref().metadata()?.len() == 0 {
+        return Err(io::Error::other("nothing was written"));
+    }
     // Without this, a power cut after the rename could leave an empty file in place of a good one.
     out.get_ref().sync_all()
 }

@@ -74,7 +74,8 @@ pub(super) fn load(folder: &Path) -> Result<Capture, CaptureError> {
         false => Vec::new(),
     };
     let capture = assemble(folder, &files, cameras, images, &points)?;
-    Ok(Capture { remarks: remark.into_iter().collect(), ..capture })
+    let read = [files.cameras, files.images, files.points].into_iter().filter(|file| file.exists()).collect();
+    Ok(Capture { files: read, remarks: remark.into_iter().collect(), ..capture })
 }
 
 /// The number of photographs in a model's folder, such as `sparse/0`.

@@ -59,6 +59,8 @@ pub struct Capture {
     pub masks: Vec<Option<PathBuf>>,
     /// The part of the scene on which the capture focuses, if it is a block of another; see [`blocks`].
     pub focus: Option<Bounds>,
+    /// The files that it was read from, besides pictures: cameras, points, the list of a block, the size of a unit.
+    pub files: Vec<PathBuf>,
     /// Notes for the user about how the files were read.
     pub remarks: Vec<String>,
 }
@@ -94,7 +96,10 @@ impl Capture {
             true => transforms::load(folder),
             false => colmap::load(folder),
         }?;
-        Ok(Self { scale: Scale::load(folder)?, ..capture })
+        let mut files = capture.files;
+        let scale = Scale::load(folder)?;
+        files.extend(scale.is_some().then(|| folder.join(scale::SCALE_FILE)));
+        Ok(Self { scale, files, ..capture })
     }
 
     /// Whether a folder holds a capture's cameras in one of the formats of [`load`](Self::load). They may be damaged.
@@ -111,8 +116,8 @@ impl Capture {
         }
         let positions = positions.iter().map(|&position| (position - origin).as_vec3().to_array()).collect();
         let points = PointCloud { positions, colours };
-        let (tracks, scale, split, masks, focus, remarks) = Default::default();
-        Self { folder: folder.to_owned(), views, points, tracks, origin, scale, split, masks, focus, remarks }
+        let (tracks, scale, split, masks, focus, files, remarks) = Default::default();
+        Self { folder: folder.to_owned(), views, points, tracks, origin, scale, split, masks, focus, files, remarks }
     }
 
     /// What a file of a scene in this capture's world states about it.

@@ -99,7 +99,7 @@ pub(super) fn is_there(folder: &Path) -> bool {
 
 /// See [`Capture::load`].
 pub(super) fn load(folder: &Path) -> Result<Capture, CaptureError> {
-    let mut reading = Reading { folder, named: HashMap::new(), views: Vec::new(), points: None };
+    let mut reading = Reading { folder, files: Vec::new(), named: HashMap::new(), views: Vec::new(), points: None };
     let train = folder.join(TRAIN);
     let split = if train.is_file() {
         let count = reading.add(&train)?.0;
@@ -125,6 +125,7 @@ const LISTS: [&str; 3] = ["train_filenames", "val_filenames", "test_filenames"];
 /// The capture as read so far.
 struct Reading<'a> {
     folder: &'a Path,
+    files: Vec<PathBuf>,
     /// The view of a name, by its picture's name and by its name in the file.
     named: HashMap<String, usize>,
     /// The views, with their masks where they name one.
@@ -152,6 +153,7 @@ impl Reading<'_> {
         if let Some(points) = whole.optional(&fields, "ply_file_path", Value::text, "the path of a PLY file")? {
             self.points = Some(self.folder.join(whole.path("ply_file_path", points)?));
         }
+        self.files.push(file.to_owned());
         Ok((self.views.len(), fields))
     }
 
@@ -247,6 +249,7 @@ impl Reading<'_> {
         };
         let split = split.map(|Split { train, test }| Split { train: ranked(train), test: ranked(test) });
         let (views, masks) = views.into_iter().map(|(_, view)| view).unzip();
-        Ok(Capture { split, masks, ..Capture::near_zero(self.folder, views, &positions, colours) })
+        let files = self.files.into_iter().chain(self.points).collect();
+        Ok(Capture { split, masks, files, ..Capture::near_zero(self.folder, views, &positions, colours) })
     }
 }

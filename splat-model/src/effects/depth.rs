@@ -72,6 +72,9 @@ pub fn from_tracks(capture: &Capture, views: &[usize]) -> Vec<Vec<DepthSample>> 
     })
 }
 
+/// The file beside depth maps that holds their scale.
+pub(super) const DEPTH_SCALE: &str = "depth.json";
+
 /// The contents of `depth.json`.
 #[derive(Deserialize)]
 struct DepthScale {
@@ -88,7 +91,7 @@ struct DepthScale {
 /// If `depth.json` is missing or its scale is not positive, or if a map cannot be read or is not a 16-bit grey picture.
 pub fn from_maps(capture: &Capture, folder: &str, views: &[usize]) -> Result<Vec<Vec<DepthSample>>, CaptureError> {
     let folder = capture.folder.join(folder);
-    let file = folder.join("depth.json");
+    let file = folder.join(DEPTH_SCALE);
     let wrong = |file: &Path, reason: String| CaptureError::Depth { file: file.to_owned(), reason };
     let unread = |error: io::Error| wrong(&file, error.to_string());
     let DepthScale { scale } = json::read(&file, LARGEST_TEXT, unread, |reason| wrong(&file, reason))?;

@@ -33,6 +33,7 @@
 
 mod compressed;
 mod extras;
+mod files;
 mod frame;
 mod gltf;
 mod loss;
@@ -55,6 +56,7 @@ use std::path::{Path, PathBuf};
 use glam::DVec3;
 use thiserror::Error;
 
+pub use files::files;
 pub use loss::{Deviation, QuantisationError, QuantisationSums};
 pub use sog::SogOptions;
 pub use spz::{SpzOptions, SpzVersion};
@@ -277,11 +279,10 @@ pub fn read(path: &Path) -> Result<(SceneFile, Format), FormatError> {
 /// The file appears under its name only when it is complete; a file that was there before is replaced.
 ///
 /// # Errors
-/// If the rows' fields differ in length, the degree is above 4, the origin is not finite, the size of a unit is not positive, or the
-/// file cannot be written. No temporary file is left behind.
+/// If the rows' fields differ in length, the degree is above 4, the origin is not finite, the size of a unit is not positive, no Gaussian
+/// can be rendered, or the file cannot be written. No temporary file is left behind.
 pub fn write<'a>(path: &Path, scene: &'a SceneFile, format: Format) -> Result<Written<'a>, FormatError> {
-    ply::check(path, &scene.rows, scene.world())?;
-    let written = fitted(&scene.rows, format);
+    let written = checked(path, scene, format)?;
     let rows = &written.rows;
     match format {
         Format::Ply => ply::write(path, rows, scene.world())?,
@@ -298,8 +299,7 @@ pub fn write<'a>(path: &Path, scene: &'a SceneFile, format: Format) -> Result<Wr
 /// # Errors
 /// As [`write`](fn@write).
 pub fn write_spz<'a>(path: &Path, scene: &'a SceneFile, options: SpzOptions) -> Result<Written<'a>, FormatError> {
-    ply::check(path, &scene.rows, scene.world())?;
-    let written = fitted(&scene.rows, Format::Spz);
+    let written = checked(path, scene, Format::Spz)?;
     spz::write(path, &written.rows, scene.antialiased, options)?;
     Ok(written)
 }
@@ -309,9 +309,16 @@ pub fn write_spz<'a>(path: &Path, scene: &'a SceneFile, options: SpzOptions) -> 
 /// # Errors
 /// As [`write`](fn@write).
 pub fn write_sog<'a>(path: &Path, scene: &'a SceneFile, options: SogOptions) -> Result<Written<'a>, FormatError> {
-    ply::check(path, &scene.rows, scene.world())?;
-    let written = fitted(&scene.rows, Format::Sog);
+    let written = checked(path, scene, Format::Sog)?;
     sog::write(path, &written.rows, scene, options)?;
+    Ok(written)
+}
+
+/// The part of a scene that is to be written to `path`. One with nothing in it is refused; PLY, which holds all rows, counts its own.
+fn checked<'a>(path: &Path, scene: &'a SceneFile, format: Format) -> Result<Written<'a>, FormatError> {
+    ply::check(path, &scene.rows, scene.world())?;
+    let written = fitted(&scene.rows, format);
+    ply::check_left(path, scene.rows.len() - written.left_out, scene.rows.len())?;
     Ok(written)
 }
 

@@ -74,16 +74,35 @@ fn what_is_no_scene_is_told_what_is_one() {
     assert!(read(folder.path()).is_err());
 }
 
+/// A scene of which nothing is left, all at once and in a stream.
 #[test]
-fn no_scene_at_all_goes_in_and_out() {
+fn a_scene_without_splats_replaces_no_file() {
+    let (folder, from) = folder_and_file(Format::Ply);
+    let mut unusable = one();
+    unusable.push(&one(), 0);
+    unusable.rotations.fill([0.0; 4]);
+    let mut file = Vec::new();
+    ply::write_to(&mut file, &unusable, DVec3::ZERO).unwrap();
+    fs::write(&from, &file).unwrap();
     for format in Format::ALL {
+        let to = folder.path().join(format!("precious{}", format.extension()));
+        fs::write(&to, "precious").unwrap();
+        let refused = |of: usize, error: FormatError| {
+            assert!(matches!(&error, FormatError::Ply(PlyError::Empty { of: found, .. }) if *found == of), "{error}");
+            assert!(error.to_string().contains(to.to_str().unwrap()), "{error}");
+            assert_eq!(fs::read_to_string(&to).unwrap(), "precious", "{format}");
+        };
         for sh_degree in [0, 3] {
-            let (_folder, path) = folder_and_file(format);
             let empty = scene(GaussianRows { sh_degree, ..GaussianRows::default() });
-            write(&path, &empty, format).unwrap();
-            assert_eq!(read(&path).unwrap().0.rows.len(), 0);
+            refused(0, write(&to, &empty, format).unwrap_err());
+        }
+        refused(2, write(&to, &scene(unusable.clone()), format).unwrap_err());
+        if is_streamed(format) {
+            let mut reader = SceneReader::open(&from).unwrap();
+            refused(2, convert(&mut reader, &to, format, &ConvertOptions::default()).unwrap_err());
         }
     }
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1 + Format::ALL.len(), "a temporary file is left");
 }
 
 #[test]

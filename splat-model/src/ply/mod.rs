@@ -34,7 +34,7 @@ pub(crate) use frame::world_frame;
 pub(crate) use read::{PlyReader, brief, require, vertex};
 pub(crate) use row::{degree_of_rest, rest_names};
 pub(crate) use rows::PlyRows;
-pub(crate) use write::{check, element, file_header, write_header, write_rows};
+pub(crate) use write::{check, check_left, element, file_header, write_header, write_rows};
 
 /// The element that holds the Gaussians.
 pub(crate) const VERTEX: &str = "vertex";
@@ -84,6 +84,18 @@ pub enum PlyError {
         path: PathBuf,
         /// What was found, what was expected and what to do.
         detail: String,
+    },
+    /// A scene to be written has no Gaussian that can be rendered: none at all, or each has a parameter without meaning.
+    #[error(
+        "{path}: not written: no splat is left, {of} of {of} cannot be rendered; a file of that name stays as it was. Write a scene that \
+         has splats (`splat info` describes one)",
+        path = path.display()
+    )]
+    Empty {
+        /// The file.
+        path: PathBuf,
+        /// The number of Gaussians to be written.
+        of: usize,
     },
     /// The rows to be written do not fit together.
     #[error("{path}: not written: `{field}` is {found}, expected {expected}; make all fields describe the same Gaussians", path = path.display())]

@@ -8,7 +8,7 @@ use proptest::prelude::*;
 use tempfile::TempDir;
 
 use super::row::{names, rest_per_channel};
-use super::{PlyError, read, write, write_parts};
+use super::{PlyError, WorldFrame, read, write, write_header, write_parts};
 use crate::gaussians::GaussianRows;
 
 /// Rows whose values all differ, so that tests detect a swap of any two.
@@ -119,9 +119,23 @@ fn round_trip_keeps_every_bit_at_every_degree() {
 }
 
 #[test]
-fn an_empty_scene_round_trips() {
-    let rows = GaussianRows { sh_degree: 3, ..GaussianRows::default() };
-    assert_eq!(round_trip(&rows, DVec3::ZERO), (rows, DVec3::ZERO));
+fn an_empty_scene_is_read_and_never_written() {
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join("scene.ply");
+    let mut header = Vec::new();
+    write_header(&mut header, 0, 3, WorldFrame::default()).unwrap();
+    fs::write(&path, &header).unwrap();
+    let empty = GaussianRows { sh_degree: 3, ..GaussianRows::default() };
+    assert_eq!(read(&path).unwrap(), (empty.clone(), DVec3::ZERO));
+    let mut hidden = numbered_rows(2, 3);
+    hidden.means.fill([f32::NAN; 3]);
+    for (rows, of) in [(empty, 0), (hidden, 2)] {
+        let error = write(&path, &rows, DVec3::ZERO).unwrap_err();
+        assert!(matches!(error, PlyError::Empty { of: found, .. } if found == of), "{error}");
+        assert!(error.to_string().contains("scene.ply") && error.to_string().contains("no splat is left"), "{error}");
+        assert_eq!(fs::read(&path).unwrap(), header);
+    }
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "a temporary file is left");
 }
 
 /// Checks the layout byte by byte against the description of the original code, not against our reader.

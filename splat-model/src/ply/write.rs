@@ -24,7 +24,7 @@ use crate::replace::{Refused, replace};
 /// # Errors
 ///
 /// [`PlyError::Rows`] if the fields differ in length, the degree is above 4, the origin is not finite or the size of a unit not positive;
-/// [`PlyError::Io`] if the file cannot be written. No temporary file is left behind.
+/// [`PlyError::Empty`] if no Gaussian can be rendered; [`PlyError::Io`] if the file cannot be written. No temporary file is left behind.
 pub fn write(path: &Path, rows: &GaussianRows, world: impl Into<WorldFrame>) -> Result<(), PlyError> {
     let world = world.into();
     check(path, rows, world)?;
@@ -43,9 +43,10 @@ pub fn write_parts<R: Borrow<GaussianRows>>(
 ) -> Result<(), PlyError> {
     let world = world.into();
     check(path, &GaussianRows { sh_degree, ..GaussianRows::default() }, world)?;
+    let mut empty = Ok(());
     let to_file = |out: &mut BufWriter<File>| {
         write_header(out, count, sh_degree, world)?;
-        let mut left = count;
+        let (mut left, mut usable) = (count, 0);
         for part in parts {
             let part = part.borrow();
             part.check().map_err(io::Error::other)?;
@@ -55,17 +56,22 @@ pub fn write_parts<R: Borrow<GaussianRows>>(
             }
             write_rows(out, part)?;
             left -= part.len();
+            usable += part.len() - part.unusable();
         }
-        match left {
-            0 => Ok(()),
-            _ => Err(io::Error::other(format!("the parts have {} Gaussians, expected {count}", count - left))),
+        if left > 0 {
+            return Err(io::Error::other(format!("the parts have {} Gaussians, expected {count}", count - left)));
         }
+        empty = check_left(path, usable, count);
+        empty.as_ref().map_err(|_| io::ErrorKind::InvalidData.into()).copied()
     };
-    replace(path, to_file).map_err(|Refused { action, source }| PlyError::Io {
-        path: path.to_path_buf(),
-        action,
-        source,
-    })
+    let written = replace(path, to_file);
+    empty?;
+    written.map_err(|Refused { action, source }| PlyError::Io { path: path.to_path_buf(), action, source })
+}
+
+/// Refuses a scene of which no Gaussian can be rendered: it must not replace a file.
+pub(crate) fn check_left(path: &Path, usable: usize, of: usize) -> Result<(), PlyError> {
+    if usable == 0 { Err(PlyError::Empty { path: path.to_path_buf(), of }) } else { Ok(()) }
 }
 
 /// Refuses rows that do not fit together, and a frame that has no meaning.

@@ -6,7 +6,7 @@
 use std::borrow::Cow;
 use std::collections::HashMap;
 use std::fs::{self, File};
-use std::io;
+use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
 use safetensors::{Dtype, SafeTensorError, SafeTensors, View};
@@ -111,6 +111,23 @@ impl State {
         })?;
         // The file is opened for writing, because some systems require it.
         File::options().append(true).open(path)?.sync_all()
+    }
+
+    /// Whether [`Self::write`] of any version wrote a file, by its header. The rest may be damaged.
+    pub fn is_in(path: &Path) -> bool {
+        // The largest header of safetensors.
+        const MOST: u64 = 100_000_000;
+        let read = || {
+            let mut file = File::open(path).ok()?;
+            let mut length = [0; 8];
+            file.read_exact(&mut length).ok()?;
+            let length = u64::from_le_bytes(length);
+            let mut header = Vec::new();
+            file.take(length.min(MOST)).read_to_end(&mut header).ok()?;
+            let header: serde_json::Value = serde_json::from_slice(&header).ok()?;
+            Some(header["__metadata__"].get(FORMAT_KEY).is_some())
+        };
+        read().unwrap_or(false)
     }
 
     /// Reads a file that [`Self::write`] wrote.
@@ -234,6 +251,23 @@ mod tests {
         assert!(read().to_string().contains("\"2\""), "{}", read());
         fs::write(&path, b"").unwrap();
         assert!(matches!(read(), FileError::Damaged { .. }));
+    }
+
+    #[test]
+    fn a_state_is_known_by_its_header() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.safetensors");
+        state().write(&path).unwrap();
+        let whole = fs::read(&path).unwrap();
+        fs::write(&path, &whole[..whole.len() - 1]).unwrap();
+        assert!(State::is_in(&path), "its values are damaged");
+        for other in [&whole[..40], b"", b"state of another program"] {
+            fs::write(&path, other).unwrap();
+            assert!(!State::is_in(&path), "{other:?}");
+        }
+        safetensors::serialize_to_file(&state().arrays, None, &path).unwrap();
+        assert!(!State::is_in(&path), "tensors alone");
+        assert!(!State::is_in(folder.path()) && !State::is_in(&folder.path().join("none")));
     }
 
     #[test]

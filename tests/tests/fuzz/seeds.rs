@@ -28,10 +28,10 @@ pub fn rows(count: usize, sh_degree: usize) -> GaussianRows {
 
 /// Returns scenes of every encoding, several SH degrees and several number types.
 pub fn scenes() -> Vec<Vec<u8>> {
-    let path = folder("ply").join("seed.ply");
     let binary = |count: usize, degree: usize, origin: DVec3| {
-        ply::write(&path, &rows(count, degree), origin).expect("the folder can be written to");
-        fs::read(&path).expect("written above")
+        let mut file = Vec::new();
+        ply::write_to(&mut file, &rows(count, degree), origin).expect("into memory");
+        file
     };
     let mut seeds = vec![
         binary(3, 0, DVec3::ZERO),

@@ -158,5 +158,7 @@ pub(in crate::capture) fn load(folder: &Path) -> Result<Capture, CaptureError> {
         let found = format!("{}, which is a block", whole.display());
         return Err(place.refuse_with("capture", found, "a whole capture", FIX));
     }
-    block.part(&file, Capture::load(&whole)?)
+    let mut part = block.part(&file, Capture::load(&whole)?)?;
+    part.files.push(file);
+    Ok(part)
 }

@@ -149,6 +149,8 @@ fn a_block_that_does_not_fit_its_capture_is_refused() {
     let out = folder.path().join("wrong");
     fs::create_dir_all(&out).unwrap();
     let good = BlockFile::of(capture, folder.path().to_owned(), &planned(2)[0]);
+    good.write(&out).unwrap();
+    assert_eq!(Capture::load(&out).unwrap().files, [&capture.files[..], &[out.join(BLOCK)]].concat());
     let refused = |file: &BlockFile| {
         file.write(&out).unwrap();
         Capture::load(&out).unwrap_err().to_string()

@@ -106,6 +106,7 @@ fn nerf_synthetic_loads_with_its_split() {
     let root = folder(&files);
     let capture = Capture::load(root.path()).unwrap();
     assert_eq!(names(&capture), ["test/r_0.jpeg", "train/r_0.png", "train/r_1.jpg"]);
+    assert_eq!(capture.files, [TRAIN, "transforms_test.json"].map(|name| root.path().join(name)));
     assert_eq!(capture.split, Some(Split { train: vec![1, 2], test: vec![0] }));
     assert_eq!(capture.views[2].image_path, root.path().join("train/r_1.jpg"));
     let camera = capture.views[0].intrinsics;

@@ -1,13 +1,15 @@
 //! Evidence from alpha channels and from files next to the photographs.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 use serde::Serialize;
 
 use super::Capture;
 use super::pictures::Glance;
+use crate::capture::View;
 use crate::capture::image::has_alpha;
+use crate::effects::depth::DEPTH_SCALE;
 use crate::effects::masks;
 
 /// Folder names that tools use for depth maps.
@@ -29,6 +31,18 @@ pub struct FileEvidence {
 /// The folder of a capture's depth maps, relative to the capture.
 pub fn depth_folder(capture: &Path) -> Option<&'static str> {
     DEPTH_FOLDERS.into_iter().find(|name| capture.join(name).is_dir())
+}
+
+/// All files that a run on a capture may read: the capture's own, photographs, masks and depth maps.
+pub fn input_files(capture: &Capture) -> Vec<PathBuf> {
+    let depths = depth_folder(&capture.folder).map(|name| capture.folder.join(name));
+    let maps = depths.iter().flat_map(|folder| {
+        let of_view = |view: &View| masks::by_name(std::slice::from_ref(folder), &view.name);
+        capture.views.iter().filter_map(of_view).chain([folder.join(DEPTH_SCALE)])
+    });
+    let pictures =
+        capture.views.iter().map(|view| view.image_path.clone()).chain(masks::find(capture).into_iter().flatten());
+    capture.files.iter().cloned().chain(pictures).chain(maps).collect()
 }
 
 pub(super) fn evidence(capture: &Capture, views: &[usize], glances: &[Glance]) -> FileEvidence {

@@ -28,7 +28,7 @@ use crate::capture::{Capture, CaptureError};
 pub use self::blur::{BlurEvidence, sharpness_of_grey};
 pub use self::depth::DepthEvidence;
 pub use self::exposure::{ExposureEvidence, ViewExposure};
-pub use self::files::{FileEvidence, depth_folder};
+pub use self::files::{FileEvidence, depth_folder, input_files};
 pub use self::footprint::FootprintEvidence;
 pub use self::grading::GradingEvidence;
 pub use self::lens::LensEvidence;

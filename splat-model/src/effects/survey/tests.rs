@@ -24,6 +24,21 @@ fn effects(survey: &Survey) -> Vec<EffectKind> {
 }
 
 #[test]
+fn all_files_that_a_run_may_read_are_listed() {
+    let folder = tempfile::tempdir().unwrap();
+    let options = DemoOptions { views: 2, width: 16, height: 16, points: 9, masks: true, depth: true, ..SMALL };
+    demo::write(folder.path(), &options).unwrap();
+    std::fs::write(folder.path().join("scale.json"), "{\"metres_per_unit\": 2.0, \"source\": \"\"}").unwrap();
+    std::fs::write(folder.path().join("depth/more.png"), "no photograph has this name").unwrap();
+    let mut found = input_files(&Capture::load(folder.path()).unwrap());
+    found.sort();
+    let model = ["cameras", "images", "points3D"].map(|name| format!("sparse/0/{name}.bin"));
+    let files = ["depth/0000.png", "depth/0001.png", "depth/depth.json", "images/0000.png", "images/0001.png"];
+    let files = files.into_iter().chain(["masks/0001.png", "scale.json"]).map(String::from).chain(model);
+    assert_eq!(found, files.map(|name| folder.path().join(name)).collect::<Vec<_>>());
+}
+
+#[test]
 fn a_matte_scene_under_one_exposure_calls_for_nothing() {
     let (_folder, _, survey) = survey_of(&SMALL);
     assert_eq!(survey.source, ObservationSource::Tracks);

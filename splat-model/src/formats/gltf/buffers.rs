@@ -124,7 +124,7 @@ fn beside(document: &Path, uri: &str) -> Result<Vec<u8>, String> {
 }
 
 /// A URI with `%20` and the like as the characters that they stand for.
-fn unescaped(uri: &str) -> String {
+pub(in crate::formats) fn unescaped(uri: &str) -> String {
     let mut bytes = Vec::with_capacity(uri.len());
     let mut rest = uri.as_bytes();
     while let Some((&first, after)) = rest.split_first() {

@@ -31,6 +31,7 @@ mod read;
 mod tests;
 mod write;
 
+pub(super) use buffers::unescaped;
 pub(super) use document::is_document;
 pub(super) use read::GltfRows;
 pub(super) use write::{Outline, write};

@@ -148,6 +148,8 @@ fn quantised(folder: &Path, node: &Value) -> std::path::PathBuf {
 #[test]
 fn quantised_attributes_and_files_beside_the_document_are_read() {
     let folder = TempDir::new().unwrap();
+    let path = quantised(folder.path(), &json!({ "mesh": 0 }));
+    assert_eq!(crate::formats::files(&path), [path, folder.path().join("a b.bin")]);
     let rows = read(&quantised(folder.path(), &json!({ "mesh": 0 })));
     assert_eq!((rows.len(), rows.means[0]), (1, [-11.0, 2.0, 3.0]));
     assert_eq!((rows.rotations[0], rows.sh_dc[0]), ([0.0, 0.0, 0.0, -1.0], [0.5, 0.25, -0.125]));

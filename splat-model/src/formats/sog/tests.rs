@@ -104,6 +104,12 @@ fn folders_are_read_as_archives_are() {
     let path = folder.path().join(META);
     assert_eq!(formats::detect(&path).unwrap(), Format::Sog);
     assert_eq!(formats::read(&path).unwrap(), formats::read(&archive).unwrap());
+    let mut named = formats::files(&path);
+    named.sort();
+    let mut all: Vec<_> = fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().path()).collect();
+    all.sort();
+    assert_eq!((named.len() > 4, named), (true, all));
+    assert_eq!(formats::files(&archive), [archive]);
     fs::remove_file(folder.path().join("quats.webp")).unwrap();
     let message = formats::read(&path).unwrap_err().to_string();
     assert!(message.contains("`quats.webp` beside the document"), "{message}");

@@ -45,13 +45,16 @@ fn write_rows<T>(
     from.rewind()?;
     let mut failed = None;
     let written = replace(to, |out| {
-        let (mut state, mut passed) = (begin(out)?, 0);
+        let (mut state, mut passed, mut usable) = (begin(out)?, 0, 0);
         let all = fit.each(from, |rows| {
             passed += rows.len();
+            usable += rows.len() - rows.unusable();
             // Places are for so many rows.
             if passed <= count { put(&mut state, out, rows).map_err(Stop::Io) } else { Ok(()) }
         });
         let all = all.and_then(|()| if passed == count { Ok(()) } else { Err(Stop::Format(from.changed())) });
+        let left = || ply::check_left(to, usable, from.size().0).map_err(|error| Stop::Format(error.into()));
+        let all = all.and_then(|()| left());
         all.map_err(|stop| match stop {
             Stop::Io(error) => error,
             Stop::Format(error) => {
@@ -69,6 +72,7 @@ fn write_rows<T>(
 pub(super) fn write_compressed(from: &mut SceneReader, fit: &mut Fit, to: &Path) -> Result<Vec<u32>, FormatError> {
     let geometry = fit.geometry_of(from)?;
     let count = geometry.len();
+    ply::check_left(to, count, from.size().0)?;
     let places = compressed::arranged(&geometry.means, &geometry.sh_dc, (0..count as u32).collect());
     let mut file = compressed::PackedFile::of(&places, &geometry, fit.sh_degree);
     drop(geometry);
@@ -102,6 +106,7 @@ pub(super) fn write_spz(
     options: &ConvertOptions,
 ) -> Result<(), FormatError> {
     let mut geometry = fit.geometry_of(from)?;
+    ply::check_left(to, geometry.len(), from.size().0)?;
     let moved = spz::bring_within_reach(&mut geometry);
     let mut sections = spz::PackedSections::new(fit.sh_degree, spz::farthest(&geometry.means), options.spz);
     fit.moved = moved
