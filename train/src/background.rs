@@ -108,14 +108,19 @@ impl FromStr for ShownBackground {
 }
 
 impl ShownBackground {
+    /// The file that it is in, if it is in one.
+    pub fn file(&self) -> Option<&Path> {
+        colour(&self.0).is_none().then(|| Path::new(&self.0))
+    }
+
     /// Returns the background, read from its file if it is one.
     ///
     /// # Errors
     /// If the file cannot be read or holds no background.
     pub fn read(&self) -> Result<Background> {
-        match colour(&self.0) {
-            Some(colour) => Ok(Background::Colour(colour)),
-            None => Ok(Background::read(Path::new(&self.0))?),
+        match self.file() {
+            None => Ok(Background::Colour(colour(&self.0).unwrap_or_default())),
+            Some(file) => Ok(Background::read(file)?),
         }
     }
 }

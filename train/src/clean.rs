@@ -1,6 +1,5 @@
 //! `splat clean`: removes splats that do a scene no good, and reports what each kind cost.
 
-use std::fs;
 use std::path::PathBuf;
 use std::str::FromStr;
 
@@ -19,7 +18,9 @@ use crate::accuracy::ModelArgs;
 use crate::background::ShownBackground;
 use crate::convert::describe_file;
 use crate::device::{self, DeviceName};
+use crate::inputs::Inputs;
 use crate::options::PhotoArgs;
+use crate::output::prepare_file;
 use crate::{input, progress};
 
 /// Options of `splat clean`. Splats that cannot be rendered are always removed. With a capture and no choice of what to remove, those
@@ -175,16 +176,13 @@ impl Kept<'_> {
 /// Writes the scene without the splats that are to be removed, and prints what each kind cost.
 ///
 /// # Errors
-/// If the scene or the capture cannot be read, there is nothing to remove by, no splat would be left, both paths name the same file,
-/// or the file cannot be written.
+/// If the scene or the capture cannot be read, there is nothing to remove by, no splat would be left, the file is one of those that are
+/// read, or cannot be written.
 pub fn run(args: &CleanArgs) -> Result<()> {
     let shown = args.out.display();
     let format = Format::of_name(&args.out).with_context(|| {
         format!("the name {shown} does not give a format: end it in one of those of `splat convert`")
     })?;
-    let same =
-        fs::canonicalize(&args.out).is_ok_and(|out| fs::canonicalize(&args.scene).is_ok_and(|scene| scene == out));
-    ensure!(!same, "{shown} is the scene itself: name another file, so that the scene stays as it is");
     ensure!(
         args.crop.is_some() || args.capture.is_some(),
         "nothing says what to remove: give `--box`, or `--capture` to find splats that no view shows and floaters"
@@ -192,6 +190,8 @@ pub fn run(args: &CleanArgs) -> Result<()> {
     let (mut scene, found) = formats::read(&args.scene).context("cannot read the scene")?;
     scene.rows.check()?;
     let capture = args.capture.as_deref().map(input::capture).transpose()?;
+    let inputs = Inputs::default().and_scene(&args.scene).and(args.background.file());
+    prepare_file(&args.out, &capture.iter().fold(inputs, Inputs::and_capture))?;
     let judge = capture.as_ref().map(|capture| Judge::new(args, capture, &scene)).transpose()?;
     progress::say(&describe_file(&args.scene, found, scene.rows.len(), scene.rows.sh_degree)?);
 
@@ -212,9 +212,6 @@ pub fn run(args: &CleanArgs) -> Result<()> {
         progress::say(&format!("PSNR of {photos} photographs: {before:.3} dB before, {after:.3} dB after"));
     }
     scene.rows = input::selected(&scene.rows, kept.rows, scene.rows.sh_degree);
-    if let Some(folder) = args.out.parent() {
-        fs::create_dir_all(folder).with_context(|| format!("cannot make the folder for {shown}"))?;
-    }
     let written = formats::write(&args.out, &scene, format).context("cannot write the cleaned scene")?;
     progress::say(&describe_file(&args.out, format, written.rows.len(), written.rows.sh_degree)?);
     Ok(())

@@ -11,6 +11,8 @@ use splat_model::formats::{
 };
 use splat_model::gaussians::{GaussianRows, ROWS_AT_ONCE};
 
+use crate::inputs::Inputs;
+use crate::output::prepare_file;
 use crate::{input, progress};
 
 /// Range of SPZ's standard deviations, in words: their logarithms are stored in 8 bits.
@@ -83,7 +85,7 @@ impl From<FormatName> for Format {
 /// Writes the scene in the other format, reads it back, and prints the differences.
 ///
 /// # Errors
-/// If the scene cannot be read, the format is unknown, the file cannot be written, or both paths name the same file.
+/// If the scene cannot be read, the format is unknown, no splat is left, the file cannot be written, or it is the scene itself.
 pub fn run(args: &ConvertArgs) -> Result<()> {
     let shown = args.out.display();
     let format = args.format.map(Format::from).or_else(|| Format::of_name(&args.out)).with_context(|| {
@@ -93,15 +95,9 @@ pub fn run(args: &ConvertArgs) -> Result<()> {
             known.join(", ")
         )
     })?;
-    let same =
-        fs::canonicalize(&args.out).is_ok_and(|out| fs::canonicalize(&args.scene).is_ok_and(|scene| scene == out));
-    ensure!(!same, "{shown} is the scene itself: name another file, so that the scene stays as it is");
     let reader = SceneReader::open(&args.scene).context("cannot read the scene")?;
     let (found, (splats, of_degree)) = (reader.format(), reader.size());
     let about = SceneFile { antialiased: reader.about().antialiased | args.antialias, ..reader.about().clone() };
-    if let Some(folder) = args.out.parent() {
-        fs::create_dir_all(folder).with_context(|| format!("cannot make the folder for {shown}"))?;
-    }
     for (option, given, of) in [
         ("--sh-bits", args.sh_bits.is_some(), Format::Spz),
         ("--spz-version", args.spz_version.is_some(), Format::Spz),
@@ -113,6 +109,7 @@ pub fn run(args: &ConvertArgs) -> Result<()> {
             of.extension()
         );
     }
+    prepare_file(&args.out, &Inputs::default().and_scene(&args.scene))?;
     let written = match formats::is_streamed(format) {
         true => streamed(args, reader, format)?,
         false => whole(args, reader, &about, format)?,

@@ -2,13 +2,14 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process;
 
 use anyhow::{Context, Result, bail};
+use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use splat_model::capture::Capture;
 use splat_model::capture::demo::{self, DemoOptions};
 
+use crate::own::{self, OwnFiles};
 use crate::{output, progress};
 
 /// Marks a folder as a demo capture and records the options it was made with.
@@ -135,37 +136,39 @@ pub fn run(args: &DemoArgs) -> Result<()> {
 /// killed meanwhile, the hidden folder stays.
 ///
 /// # Errors
-/// If an option is out of range, two exclude each other, the folder holds another capture, or it cannot be written.
+/// If an option is out of range, two exclude each other, the folder holds files of anything else where the capture is to be, or it cannot
+/// be written.
 pub fn ensure(folder: &Path, options: &DemoOptions) -> Result<bool> {
-    let mark = mark(options);
-    let found = read_mark(folder);
-    if found.as_ref() == Some(&mark) && is_complete(folder, options) {
+    let found = read_mark(folder).unwrap_or_default();
+    if found.made_with == made_with(options) && is_complete(folder, options) {
         return Ok(false);
     }
-    if found.is_none() {
-        refuse_foreign(folder)?;
-    }
+    let earlier = earlier(folder, &found.files)?;
     progress::note("making the demo capture");
-    let temporary = folder.join(format!(".demo.tmp-{}", process::id()));
-    let made =
-        demo::write(&temporary, options).map_err(Into::into).and_then(|()| put_in_place(folder, &temporary, &mark));
-    // Best effort: the folder is empty after success, and after a failure the first error is the one to report.
-    let _ = fs::remove_dir_all(&temporary);
     let shown = folder.display();
-    made.with_context(|| {
+    replace(folder, &earlier, options).with_context(|| {
         format!("cannot make the demo capture in {shown}: fix the problem named below, or choose another `--out`")
     })?;
     Ok(true)
 }
 
-/// Moves the capture into place. The model is removed first and moved last, so that the capture never looks complete
-/// while pictures are exchanged.
-fn put_in_place(folder: &Path, temporary: &Path, mark: &Value) -> Result<()> {
-    for path in demo::PARTS.iter().rev().map(|name| folder.join(name)).filter(|path| path.exists()) {
-        let removed = if path.is_dir() { fs::remove_dir_all(&path) } else { fs::remove_file(&path) };
-        removed.with_context(|| format!("cannot replace {}", path.display()))?;
+/// Makes the capture beside its place and moves it there, after removing the files of an earlier one. The model is removed first and moved
+/// last, so that the capture never looks complete while pictures are exchanged.
+fn replace(folder: &Path, earlier: &[PathBuf], options: &DemoOptions) -> Result<()> {
+    fs::create_dir_all(folder)?;
+    let temporary = tempfile::Builder::new().prefix(".demo.tmp-").tempdir_in(folder)?;
+    let temporary = temporary.path();
+    demo::write(temporary, options)?;
+    let mut mark = Mark { made_with: made_with(options), files: OwnFiles::default() };
+    for name in demo::PARTS {
+        mark.files.add(temporary, name, name)?;
     }
-    output::write(&folder.join(MARK), |file| Ok(serde_json::to_writer_pretty(file, mark)?))?;
+    for name in demo::PARTS.iter().rev() {
+        let root = folder.join(name);
+        let of_part: Vec<PathBuf> = earlier.iter().filter(|file| file.starts_with(&root)).cloned().collect();
+        own::remove(&root, &of_part).with_context(|| format!("cannot replace {}", root.display()))?;
+    }
+    output::write(&folder.join(MARK), |file| Ok(serde_json::to_writer_pretty(file, &mark)?))?;
     for name in demo::PARTS {
         let (source, target) = (temporary.join(name), folder.join(name));
         if source.exists() {
@@ -175,17 +178,28 @@ fn put_in_place(folder: &Path, temporary: &Path, mark: &Value) -> Result<()> {
     Ok(())
 }
 
-/// The mark of a demo capture with these options: everything that its content depends on.
-fn mark(options: &DemoOptions) -> Value {
-    let mut mark = json!(options);
-    mark["splat demo"] = env!("CARGO_PKG_VERSION").into();
-    mark
+/// The mark of a demo capture.
+#[derive(Default, Serialize, Deserialize)]
+pub struct Mark {
+    /// The options, and the version of the program under `splat demo`.
+    #[serde(flatten)]
+    made_with: Value,
+    /// What was written.
+    #[serde(default)]
+    files: OwnFiles,
 }
 
-/// Reads the mark of the demo capture in `folder`. `None` also for a file that is not JSON, which is not ours.
-pub fn read_mark(folder: &Path) -> Option<Value> {
-    let value: Value = serde_json::from_slice(&fs::read(folder.join(MARK)).ok()?).ok()?;
-    value.get("splat demo").is_some().then_some(value)
+/// Everything that the content of a demo capture depends on.
+fn made_with(options: &DemoOptions) -> Value {
+    let mut made_with = json!(options);
+    made_with["splat demo"] = env!("CARGO_PKG_VERSION").into();
+    made_with
+}
+
+/// Reads the mark of the demo capture in `folder`. `None` also for any other file of that name.
+pub fn read_mark(folder: &Path) -> Option<Mark> {
+    let mark: Mark = serde_json::from_slice(&fs::read(folder.join(MARK)).ok()?).ok()?;
+    mark.made_with.get("splat demo").is_some().then_some(mark)
 }
 
 fn is_complete(folder: &Path, options: &DemoOptions) -> bool {
@@ -193,12 +207,20 @@ fn is_complete(folder: &Path, options: &DemoOptions) -> bool {
         && demo::files(options).iter().all(|file| folder.join(file).is_file())
 }
 
-/// Refuses a folder with a capture that is not a demo, which must not be replaced.
-fn refuse_foreign(folder: &Path) -> Result<()> {
-    match demo::PARTS.iter().chain([&MARK]).map(|name| folder.join(name)).find(|name| name.exists()) {
-        None => Ok(()),
+/// The files of an earlier demo capture where the new one is to be. Any other file there is refused, one of the demo that was changed too: it
+/// must not be replaced.
+fn earlier(folder: &Path, own: &OwnFiles) -> Result<Vec<PathBuf>> {
+    let mut found = Vec::new();
+    for root in demo::PARTS.map(|name| folder.join(name)) {
+        found.extend(own::files_below(&root).with_context(|| format!("cannot list {}", root.display()))?);
+    }
+    let mark = folder.join(MARK);
+    let other_mark = (mark.exists() && read_mark(folder).is_none()).then_some(&mark);
+    match other_mark.into_iter().chain(&found).find(|file| **file == mark || !own.hold(folder, file)) {
+        None => Ok(found),
         Some(taken) => bail!(
-            "{} already exists and does not belong to a demo capture: choose another folder with `--out`, or move it away",
+            "{} already exists and `splat demo` did not write it, or it was changed since: choose another folder with `--out`, or move it \
+             away",
             taken.display()
         ),
     }
@@ -267,10 +289,10 @@ mod tests {
         }
         let marked = |line: &[&str]| {
             let line = ["demo", "--out", "x"].iter().chain(line);
-            mark(&DemoCli::from_arg_matches(&DemoCli::command().get_matches_from(line)).unwrap().demo.options())
+            made_with(&DemoCli::from_arg_matches(&DemoCli::command().get_matches_from(line)).unwrap().demo.options())
         };
         let plain = marked(&[]);
-        assert_eq!(plain, mark(&DemoOptions::PLAIN));
+        assert_eq!(plain, made_with(&DemoOptions::PLAIN));
         let flags: Vec<String> = plain
             .as_object()
             .unwrap()
@@ -279,7 +301,7 @@ mod tests {
             .map(|(name, _)| name.clone())
             .collect();
         assert_eq!(flags.len(), 15);
-        assert_eq!(marked(&["--town"]), mark(&DemoOptions::TOWN));
+        assert_eq!(marked(&["--town"]), made_with(&DemoOptions::TOWN));
         for flag in flags.into_iter().filter(|flag| flag != "town") {
             let mut expected = plain.clone();
             expected[&flag] = true.into();
@@ -294,7 +316,32 @@ mod tests {
         fs::create_dir(photo.parent().unwrap()).unwrap();
         fs::write(&photo, "").unwrap();
         let error = ensure(folder.path(), &SMALL).unwrap_err().to_string();
-        assert!(error.contains("images") && error.contains("--out"), "{error}");
+        assert!(error.contains("images/mine.jpg") && error.contains("--out"), "{error}");
         assert!(photo.exists());
+    }
+
+    /// A demo is replaced by another only as far as it is a demo.
+    #[test]
+    fn what_a_user_put_into_a_demo_stays() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name);
+        let other = DemoOptions { views: 3, ..SMALL };
+        for (file, content) in
+            [("images/mine.png", "mine"), ("masks/a/0001.png", "mine"), ("images/0001.png", "painted")]
+        {
+            ensure(folder.path(), &SMALL).unwrap();
+            fs::create_dir_all(path(file).parent().unwrap()).unwrap();
+            fs::write(path(file), content).unwrap();
+            let before = own::files_below(folder.path()).unwrap();
+            let error = ensure(folder.path(), &other).unwrap_err().to_string();
+            assert!(error.contains(file) && error.contains("--out"), "{error}");
+            assert_eq!(own::files_below(folder.path()).unwrap(), before);
+            assert_eq!(fs::read_to_string(path(file)).unwrap(), content);
+            fs::remove_file(path(file)).unwrap();
+        }
+        fs::write(path("notes.txt"), "beside the capture").unwrap();
+        assert!(ensure(folder.path(), &other).unwrap() && path("notes.txt").exists());
+        fs::write(path(MARK), "{\"steps\": 5}").unwrap();
+        assert!(ensure(folder.path(), &SMALL).unwrap_err().to_string().contains(MARK), "of another program");
     }
 }

@@ -5,7 +5,7 @@ use std::thread;
 
 use anyhow::Result;
 
-use crate::device::{self, Adapter, AdapterDevice, DeviceName, Runtime, choose};
+use crate::device::{self, Adapter, DeviceName, Facts, Runtime, choose};
 use crate::progress;
 
 /// Head of the table. The first column is the value of `--device`.
@@ -19,14 +19,16 @@ type TableRow = [String; COLUMNS.len()];
 /// None today: an adapter that does not open is listed as such.
 pub fn run() -> Result<()> {
     let found = device::list(&Runtime::built());
+    let opened: Vec<Result<Facts>> = found.iter().map(device::open).collect();
     let mut rows = vec![cpu(DeviceName::Flex), cpu(DeviceName::Ndarray)];
-    rows.extend(found.iter().map(adapter));
+    rows.extend(found.iter().zip(&opened).map(|(found, opened)| row(&found.adapter, opened)));
     for line in table(&rows) {
         progress::say(&line);
     }
-    let adapters: Vec<Adapter> = found.iter().map(|found| found.adapter).collect();
+    let open = found.iter().zip(&opened).filter(|(_, opened)| opened.is_ok());
+    let open: Vec<Adapter> = open.map(|(found, _)| found.adapter).collect();
     progress::say("");
-    for line in remarks(&adapters)? {
+    for line in remarks(&open, found.is_empty())? {
         progress::say(&line);
     }
     Ok(())
@@ -40,16 +42,16 @@ fn cpu(name: DeviceName) -> TableRow {
     [name.to_string(), adapter, "processor".into(), runtime, "-".into(), "-".into()]
 }
 
-fn adapter(found: &AdapterDevice) -> TableRow {
-    let (name, kind) = (found.adapter.name().to_string(), found.adapter.kind.to_string());
-    match device::open(found) {
+fn row(adapter: &Adapter, opened: &Result<Facts>) -> TableRow {
+    let (name, kind) = (adapter.name().to_string(), adapter.kind.to_string());
+    match opened {
         Ok(facts) => {
             let atomics = if facts.float_atomics { "yes" } else { "no" }.to_owned();
-            [name, facts.name, kind, facts.runtime, bytes(facts.buffer_limit), atomics]
+            [name, facts.name.clone(), kind, facts.runtime.clone(), bytes(facts.buffer_limit), atomics]
         }
         Err(error) => {
             let dash = || "-".to_owned();
-            [name, error.to_string(), kind, found.adapter.runtime.feature().into(), dash(), dash()]
+            [name, error.to_string(), kind, adapter.runtime.feature().into(), dash(), dash()]
         }
     }
 }
@@ -79,8 +81,8 @@ fn table(rows: &[TableRow]) -> Vec<String> {
     rows.iter().map(line).collect()
 }
 
-/// Remarks below the table: the device of `auto`, and the runtimes that are built in.
-fn remarks(adapters: &[Adapter]) -> Result<Vec<String>> {
+/// Remarks below the table: the device of `auto` among adapters that open, and the runtimes that are built in.
+fn remarks(adapters: &[Adapter], none_found: bool) -> Result<Vec<String>> {
     let (built, other): (Vec<Runtime>, Vec<Runtime>) = Runtime::ALL.into_iter().partition(|runtime| runtime.is_built());
     let mut lines = vec![match choose(DeviceName::Auto, adapters)? {
         Some(adapter) => format!("`--device auto` takes {}.", adapter.name()),
@@ -95,7 +97,7 @@ fn remarks(adapters: &[Adapter]) -> Result<Vec<String>> {
     if !other.is_empty() {
         lines.push(format!("Others can be built in, as cargo features: {}.", features(&other)));
     }
-    if adapters.is_empty() && !built.is_empty() {
+    if none_found && !built.is_empty() {
         let advice = choose(DeviceName::Gpu, adapters).expect_err("there are no adapters").to_string();
         lines.push(advice);
     }

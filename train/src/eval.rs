@@ -1,6 +1,6 @@
 //! `splat eval`: scores a scene on the held-out photographs.
 
-use std::fs::{self, File};
+use std::fs::File;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -17,6 +17,7 @@ use crate::accuracy::{AccuracyArgs, ModelArgs};
 use crate::background::ShownBackground;
 use crate::device::{self, DeviceName};
 use crate::input;
+use crate::inputs::Inputs;
 use crate::lpips::LpipsArgs;
 use crate::options::PhotoArgs;
 use crate::output::OutputFolder;
@@ -84,7 +85,8 @@ struct EvalOptionsRecord<'a> {
 /// Measures the scores, writes all files, and prints their location.
 ///
 /// # Errors
-/// If the capture or the scene cannot be read, no photograph is held out, or the results cannot be written.
+/// If the capture or the scene cannot be read, no photograph is held out, or a result is one of the files that are read or cannot be
+/// written.
 pub fn run(args: &EvalArgs) -> Result<Metrics> {
     let (device, device_name) = args.device.resolve()?;
     let background = args.background.read()?;
@@ -113,7 +115,13 @@ pub fn run(args: &EvalArgs) -> Result<Metrics> {
     let shots: Vec<MeasuredView> = photos.iter().map(MeasuredView::from).collect();
     let accuracy = accuracy.on((&capture, Some(&rows), MeasuredView::pixels(&shots)), &base, Workload::Render)?;
     let scene_name = scene_name(&args.scene)?;
-    let out = OutputFolder::prepare(&args.out, &[&scene_name, METRICS], &[VIEWS])?;
+    // A scene can be scored where it lies.
+    let copied = Inputs::of([&args.scene]).find(&args.out.join(&scene_name)).is_none();
+    let inputs = Inputs::default().and_scene(&args.scene).and_capture(&capture);
+    let inputs = inputs.and(args.background.file()).and(&args.accuracy.frontier).and(&args.lpips.lpips);
+    let views = report::view_files(photos.iter().map(|photo| photo.name.as_str()));
+    let files = copied.then(|| PathBuf::from(&scene_name)).into_iter().chain([METRICS.into()]).chain(views);
+    let out = OutputFolder::prepare(&args.out, inputs, files, &[VIEWS])?;
     let culled_non_finite = rows.unusable();
     let load = seconds_since(start);
     let dials = accuracy.setting(&UnmeasuredScene {
@@ -132,7 +140,12 @@ pub fn run(args: &EvalArgs) -> Result<Metrics> {
     let start = Instant::now();
     let scores = report::measure(&splats, &photos, &background, &render_options, lpips.as_ref(), &out)?;
     let eval = seconds_since(start);
-    copy_scene(&args.scene, &scene_name, &out)?;
+    if copied {
+        out.write(&scene_name, |file| {
+            io::copy(&mut File::open(&args.scene)?, file)?;
+            Ok(())
+        })?;
+    }
     let options = EvalOptionsRecord {
         capture: &args.capture,
         scene: &args.scene,
@@ -167,16 +180,4 @@ pub fn run(args: &EvalArgs) -> Result<Metrics> {
 fn scene_name(scene: &Path) -> Result<String> {
     let stem = SCENE.trim_end_matches(".ply");
     Ok(format!("{stem}{}", formats::detect(scene)?.extension()))
-}
-
-/// Copies the scene beside its scores, byte for byte, unless it is there already.
-fn copy_scene(scene: &Path, name: &str, out: &OutputFolder) -> Result<()> {
-    let same = |target: PathBuf| Some(fs::canonicalize(target).ok()? == fs::canonicalize(scene).ok()?);
-    if same(out.join(name)).unwrap_or(false) {
-        return Ok(());
-    }
-    out.write(name, |file| {
-        io::copy(&mut File::open(scene)?, file)?;
-        Ok(())
-    })
 }

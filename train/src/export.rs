@@ -12,6 +12,8 @@ use splat_model::formats::{self, Format, SceneFile};
 use splat_model::gaussians::GaussianRows;
 
 use crate::background::ShownBackground;
+use crate::inputs::Inputs;
+use crate::output::prepare_file;
 use crate::view::page::{SceneSource, Viewer};
 use crate::view::scene::{ShownScene, Viewpoint};
 use crate::{input, output, progress};
@@ -51,7 +53,8 @@ pub struct ExportArgs {
 /// Writes the page and prints its size.
 ///
 /// # Errors
-/// If the scene or the capture cannot be read, a view is not one of the capture, or the page cannot be written.
+/// If the scene or the capture cannot be read, a view is not one of the capture, or the page is one of the files that are read or cannot be
+/// written.
 pub fn run(args: &ExportArgs) -> Result<()> {
     let Background::Colour(background) = args.background.read()? else {
         return Err(anyhow!(
@@ -61,6 +64,8 @@ pub fn run(args: &ExportArgs) -> Result<()> {
     let capture = args.views.as_deref().map(input::capture).transpose()?;
     let viewpoints = capture.as_ref().map(|capture| viewpoints(capture, &args.view)).transpose()?.unwrap_or_default();
     let rows = rows(args, capture.as_ref())?;
+    let inputs = Inputs::default().and_scene(&args.scene).and(args.background.file());
+    prepare_file(&args.html, &capture.iter().fold(inputs, Inputs::and_capture))?;
     let degree = rows.sh_degree.min(args.sh_degree.map_or(Format::Sog.sh_degree_max(), usize::from));
     let rows = input::selected(&rows, 0..rows.len(), degree);
     let shown = ShownScene::new(&rows, usize::MAX)

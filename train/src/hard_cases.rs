@@ -10,6 +10,7 @@ use splat_hard_cases::table::{Section, markdown};
 use splat_hard_cases::{CaseGroup, GROUPS, Processor, TestDevice};
 
 use crate::device::{self, AdapterKind, DeviceName};
+use crate::inputs::Inputs;
 use crate::output::OutputFolder;
 use crate::progress;
 
@@ -38,7 +39,7 @@ pub struct HardCasesArgs {
 /// shows which.
 pub fn run(args: &HardCasesArgs) -> Result<()> {
     let places = places(&args.device)?;
-    let out = OutputFolder::prepare(&args.out, &[TABLE], &[])?;
+    let out = OutputFolder::prepare(&args.out, Inputs::default(), [TABLE], &[])?;
     let chosen = |group: &&CaseGroup| args.group.is_empty() || args.group.iter().any(|name| name == group.name);
     let groups: Vec<_> = GROUPS.iter().filter(chosen).map(|group| (group.title, (group.cases)())).collect();
     let bar = progress::counter("hard cases", groups.iter().map(|(_, cases)| cases.len()).sum());

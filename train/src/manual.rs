@@ -7,6 +7,7 @@ use anyhow::{Context, Result};
 use clap::CommandFactory;
 use clap_complete::Shell;
 
+use crate::inputs::Inputs;
 use crate::options::Cli;
 use crate::output::OutputFolder;
 use crate::progress;
@@ -41,7 +42,7 @@ pub fn completions(args: &CompletionsArgs) -> Result<()> {
 /// # Errors
 /// If a page cannot be written.
 pub fn man(args: &ManArgs) -> Result<()> {
-    let out = OutputFolder::prepare(&args.out, &[], &[])?;
+    let out = OutputFolder::prepare(&args.out, Inputs::default(), [""; 0], &[])?;
     let mut program = Cli::command();
     // Sets the full names of subcommands.
     program.build();

@@ -1,50 +1,62 @@
 //! Output files that appear complete or not at all: each is written under another name in the same folder, then
 //! renamed.
 
+use std::collections::BTreeSet;
 use std::ffi::OsStr;
 use std::fs::{self, File};
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
-use std::{iter, process};
 
-use anyhow::{Context, Result, bail};
-use splat_model::replace::{is_temporary, temporary_name};
+use anyhow::{Context, Result, bail, ensure};
+use splat_model::replace::{name_of_temporary, temporary_name};
 
-/// A writable folder for results.
+use crate::inputs::Inputs;
+
+/// A writable folder for results, none of which replaces an input.
 #[derive(Debug)]
 pub struct OutputFolder {
     path: PathBuf,
+    inputs: Inputs,
+    /// Files that are to be written.
+    files: BTreeSet<PathBuf>,
 }
 
 impl OutputFolder {
     /// Creates the folder if necessary and checks that it can hold `files` and `folders`, so that a long run does not
-    /// fail at its end.
+    /// fail at its end, and that no file is an input.
     ///
     /// # Errors
-    /// If the folder cannot be created or written to, or something of another kind has one of those names.
-    pub fn prepare(path: &Path, files: &[&str], folders: &[&str]) -> Result<Self> {
+    /// If a file is one of `inputs`, before anything is written; if the folder cannot be created or written to, or something of another
+    /// kind has one of those names.
+    pub fn prepare<F: AsRef<Path>>(
+        path: &Path,
+        inputs: Inputs,
+        files: impl IntoIterator<Item = F>,
+        folders: &[&str],
+    ) -> Result<Self> {
+        let files: BTreeSet<PathBuf> = files.into_iter().map(|name| path.join(name)).collect();
+        inputs.spare(&files)?;
         let shown = path.display();
         fs::create_dir_all(path).with_context(|| {
             format!(
                 "cannot make the output folder {shown}: choose another with `--out`, or move away the file in its place"
             )
         })?;
-        let trial = path.join(format!(".splat-trial-{}", process::id()));
-        fs::write(&trial, b"").and_then(|()| fs::remove_file(&trial)).with_context(|| {
+        // Another process never has a file of this name.
+        tempfile::Builder::new().prefix(".splat-trial-").tempfile_in(path).with_context(|| {
             format!("cannot write to the output folder {shown}: fix its permissions, or choose another with `--out`")
         })?;
-        for (names, folder_wanted) in [(files, false), (folders, true)] {
-            for taken in names.iter().map(|name| path.join(name)).filter(|name| name.exists()) {
-                if taken.is_dir() != folder_wanted {
-                    let (found, wanted) = if folder_wanted { ("a file", "folder") } else { ("a folder", "file") };
-                    let shown = taken.display();
-                    bail!(
-                        "{shown} is {found}, but a {wanted} is to be written there: move it away, or choose another `--out`"
-                    );
-                }
+        let folders = folders.iter().map(|name| (path.join(name), true));
+        for (taken, folder_wanted) in files.iter().map(|file| (file.clone(), false)).chain(folders) {
+            if taken.exists() && taken.is_dir() != folder_wanted {
+                let (found, wanted) = if folder_wanted { ("a file", "folder") } else { ("a folder", "file") };
+                let shown = taken.display();
+                bail!(
+                    "{shown} is {found}, but a {wanted} is to be written there: move it away, or choose another `--out`"
+                );
             }
         }
-        Ok(Self { path: path.to_owned() })
+        Ok(Self { path: path.to_owned(), inputs, files })
     }
 
     /// Path of the folder.
@@ -57,25 +69,38 @@ impl OutputFolder {
         self.path.join(name)
     }
 
-    /// Removes temporary files that a killed process left here and in these folders. Only for a process that owns them
-    /// alone.
-    pub fn sweep(&self, folders: &[&str]) {
-        let all = iter::once(self.path.clone()).chain(folders.iter().map(|name| self.join(name)));
-        for entry in all.filter_map(|folder| fs::read_dir(folder).ok()).flatten().flatten() {
-            if entry.file_name().to_str().is_some_and(is_temporary) {
+    /// Removes what a killed process left of the files that are to be written. Only for a process that owns the folder alone.
+    pub fn sweep(&self) {
+        let folders: BTreeSet<&Path> = self.files.iter().filter_map(|file| file.parent()).collect();
+        for entry in folders.into_iter().filter_map(|folder| fs::read_dir(folder).ok()).flatten().flatten() {
+            let (path, name) = (entry.path(), entry.file_name());
+            let of = name.to_str().and_then(name_of_temporary);
+            if of.is_some_and(|name| self.files.contains(&path.with_file_name(name))) {
                 // A leftover file only takes up space.
-                let _ = fs::remove_file(entry.path());
+                let _ = fs::remove_file(path);
             }
         }
     }
 
-    /// Writes one file, replacing an existing one. See [`write()`].
+    /// Writes one file, replacing an existing one that is no input. See [`write()`].
     ///
     /// # Errors
-    /// The errors of [`write()`].
+    /// The errors of [`write()`], and if the file is an input.
     pub fn write(&self, name: impl AsRef<Path>, fill: impl FnOnce(&mut BufWriter<File>) -> Result<()>) -> Result<()> {
-        write(&self.join(name), fill)
+        let path = self.join(name);
+        self.inputs.spare([&path])?;
+        write(&path, fill)
     }
+}
+
+/// Makes the folder of a file that is to be written, which is no input.
+///
+/// # Errors
+/// If the file is one of `inputs`, or its folder cannot be made.
+pub fn prepare_file(path: &Path, inputs: &Inputs) -> Result<()> {
+    inputs.spare([path])?;
+    let folder = path.parent().unwrap_or(path);
+    fs::create_dir_all(folder).with_context(|| format!("cannot make the folder for {}", path.display()))
 }
 
 /// Returns the first of `parent/NAME`, `parent/NAME-2`, `parent/NAME-3` and so on that does not exist, or is a folder
@@ -105,7 +130,7 @@ pub fn free_folder(parent: &Path, name: &OsStr, may_hold: &[&str]) -> PathBuf {
 /// folders are created. No temporary file is left behind unless the process is killed.
 ///
 /// # Errors
-/// If a folder or the file cannot be written, or `fill` fails.
+/// If a folder or the file cannot be written, `fill` fails, or an empty file would replace another.
 pub fn write(path: &Path, fill: impl FnOnce(&mut BufWriter<File>) -> Result<()>) -> Result<()> {
     let written = temporary_name(path).map_err(Into::into).and_then(|temporary| {
         if let Some(folder) = path.parent() {
@@ -126,6 +151,8 @@ fn fill_and_rename(temporary: &Path, path: &Path, fill: impl FnOnce(&mut BufWrit
     let mut file = BufWriter::new(File::create(temporary)?);
     fill(&mut file)?;
     file.flush()?;
+    let is_empty = file.get_ref().metadata()?.len() == 0;
+    ensure!(!is_empty || !path.exists(), "it would be empty, and the file of that name is kept");
     // Closed before the rename, which some systems refuse for open files.
     drop(file);
     Ok(fs::rename(temporary, path)?)
@@ -143,7 +170,7 @@ mod tests {
     #[test]
     fn a_file_is_replaced_whole() {
         let folder = tempfile::tempdir().unwrap();
-        let out = OutputFolder::prepare(folder.path(), &["a.txt"], &[]).unwrap();
+        let out = OutputFolder::prepare(folder.path(), Inputs::default(), ["a.txt"], &[]).unwrap();
         for text in ["first, longer", "second"] {
             out.write("a.txt", |file| Ok(file.write_all(text.as_bytes())?)).unwrap();
             assert_eq!(fs::read_to_string(out.join("a.txt")).unwrap(), text);
@@ -154,17 +181,48 @@ mod tests {
     #[test]
     fn what_a_killed_process_left_is_swept_away() {
         let folder = tempfile::tempdir().unwrap();
-        let out = OutputFolder::prepare(folder.path(), &[], &["views"]).unwrap();
-        let kept = [".hidden", "a.tmp-7-0", ".a.tmp-x-0", ".tmp-7-0", "views/b.png"];
+        let written = ["a.txt", "scene.ply", "views/b.png", "none/c.png"];
+        let out = OutputFolder::prepare(folder.path(), Inputs::default(), written, &["views"]).unwrap();
+        let kept = [".hidden", "a.txt.tmp-7-0", ".a.txt.tmp-x-0", ".tmp-7-0", ".mine.tmp-7-0", "views/b.png"];
         for name in [&kept[..], &[".a.txt.tmp-7-0", "views/.b.png.tmp-123-45"]].concat() {
             out.write(name, |_| Ok(())).unwrap();
         }
         fs::write(temporary_name(&out.join("scene.ply")).unwrap(), b"a half").unwrap();
-        out.sweep(&["views", "none"]);
+        out.sweep();
         let mut left = names_in(folder.path());
         left.sort();
-        assert_eq!(left, [".a.tmp-x-0", ".hidden", ".tmp-7-0", "a.tmp-7-0", "views"]);
+        assert_eq!(left, [".a.txt.tmp-x-0", ".hidden", ".mine.tmp-7-0", ".tmp-7-0", "a.txt.tmp-7-0", "views"]);
         assert_eq!(names_in(&out.join("views")), ["b.png"]);
+    }
+
+    #[test]
+    fn an_input_is_never_replaced_and_nothing_is_made_before_that_is_known() {
+        let folder = tempfile::tempdir().unwrap();
+        let scene = folder.path().join("scene.ply");
+        fs::write(&scene, "precious").unwrap();
+        let (inputs, new) = (Inputs::of([&scene]), folder.path().join("new/folder"));
+        let refused = |error: anyhow::Error| assert!(error.to_string().contains("scene.ply is an input"), "{error}");
+        refused(OutputFolder::prepare(folder.path(), inputs.clone(), ["a.txt", "scene.ply"], &[]).unwrap_err());
+        refused(OutputFolder::prepare(&new, inputs.clone(), ["../../scene.ply"], &[]).unwrap_err());
+        refused(prepare_file(&new.join("../../scene.ply"), &inputs).unwrap_err());
+        assert!(!new.exists());
+        // A file that was not announced.
+        let out = OutputFolder::prepare(folder.path(), inputs.clone(), ["a.txt"], &[]).unwrap();
+        refused(out.write("scene.ply", |file| Ok(file.write_all(b"new")?)).unwrap_err());
+        assert_eq!(fs::read_to_string(&scene).unwrap(), "precious");
+        prepare_file(&new.join("a.ply"), &inputs).unwrap();
+        assert!(new.is_dir());
+    }
+
+    #[test]
+    fn nothing_at_all_replaces_no_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.txt");
+        write(&path, |file| Ok(file.write_all(b"precious")?)).unwrap();
+        let error = format!("{:#}", write(&path, |_| Ok(())).unwrap_err());
+        assert!(error.contains("a.txt") && error.contains("empty"), "{error}");
+        assert_eq!(fs::read_to_string(&path).unwrap(), "precious");
+        assert_eq!(names_in(folder.path()), ["a.txt"]);
     }
 
     #[test]
@@ -212,7 +270,7 @@ mod tests {
             (folder.path().to_owned(), vec!["metrics.json"], vec![]),
             (folder.path().to_owned(), vec![], vec!["taken"]),
         ] {
-            let error = OutputFolder::prepare(&path, &files, &folders).unwrap_err().to_string();
+            let error = OutputFolder::prepare(&path, Inputs::default(), &files, &folders).unwrap_err().to_string();
             let named = files.first().or(folders.first()).map_or(path.clone(), |name| path.join(name));
             assert!(error.contains(named.to_str().unwrap()) && error.contains("--out"), "{error}");
         }

@@ -21,6 +21,9 @@ const BETWEEN_LINES: Duration = Duration::from_secs(5);
 /// Interval between updates of the bar.
 const BETWEEN_FRAMES: Duration = Duration::from_millis(200);
 
+/// Number after which the mean time of one tells how long the others take.
+const EXPECTED_FROM: usize = 5;
+
 /// Options for the amount of output.
 #[derive(Clone, Copy, Debug, Default, clap::Args)]
 pub struct VoiceArgs {
@@ -113,6 +116,8 @@ pub struct Counted {
     shown: Instant,
     /// Number done, of how many if that is known.
     done: (usize, Option<usize>),
+    /// Said beside the time that is left, if that is to be said.
+    left: Option<&'static str>,
 }
 
 impl Counted {
@@ -124,23 +129,39 @@ impl Counted {
             None => ProgressBar::no_length(),
         });
         if let Some(bar) = &bar {
-            bar.set_style(style("{msg} [{bar:32}] {pos}/{len}  {elapsed}"));
-            bar.set_message(what);
+            bar.set_style(style("{prefix} [{bar:32}] {pos}/{len}  {elapsed}{msg}"));
+            bar.set_prefix(what);
             bar.enable_steady_tick(BETWEEN_FRAMES);
         }
         let now = Instant::now();
-        Self { what, bar, started: now, shown: now, done: (0, total) }
+        Self { what, bar, started: now, shown: now, done: (0, total), left: None }
+    }
+
+    /// Also says how much time is left, with a remark, once [`EXPECTED_FROM`] are done.
+    pub fn with_left(self, remark: &'static str) -> Self {
+        Self { left: Some(remark), ..self }
+    }
+
+    /// What is left, from the mean of those that are done, or nothing.
+    fn said_left(&self) -> String {
+        match (self.left, self.done) {
+            (Some(remark), (done, Some(total))) => left(done, total, self.started.elapsed().as_secs_f64(), remark),
+            _ => String::new(),
+        }
     }
 
     /// Shows the number done, of as many as before.
     pub fn set(&mut self, done: usize) {
         self.done.0 = done;
         match &self.bar {
-            Some(bar) => bar.set_position(done as u64),
+            Some(bar) => {
+                bar.set_position(done as u64);
+                bar.set_message(self.said_left());
+            }
             None if self.shown.elapsed() >= BETWEEN_LINES => {
                 self.shown = Instant::now();
                 let of = self.done.1.map(|total| format!(" of {total}")).unwrap_or_default();
-                note(&format!("{}: {done}{of}", self.what));
+                note(&format!("{}: {done}{of}{}", self.what, self.said_left()));
             }
             None => {}
         }
@@ -255,6 +276,14 @@ fn progress_line((step, steps): (usize, usize), loss: f64, splats: usize, (rate,
     format!("step {step}/{steps}  loss {loss:.4}  {splats} splats  {rate} steps/s  {left} left")
 }
 
+/// The time that is left after `done` of `total` in `seconds`, with a remark; nothing before [`EXPECTED_FROM`] and after the last.
+fn left(done: usize, total: usize, seconds: f64, remark: &str) -> String {
+    if !(EXPECTED_FROM..total).contains(&done) {
+        return String::new();
+    }
+    format!(", {} left ({remark})", clock(seconds / done as f64 * (total - done) as f64))
+}
+
 /// Formats seconds as `m:ss` or `h:mm:ss`.
 fn clock(seconds: f64) -> String {
     // Saturates: no run is that long, and NaN becomes zero.
@@ -273,6 +302,15 @@ mod tests {
         assert_eq!(progress_line((240, 2000), 0.04123, 12_345, (8.0, 220.0)), expected);
         let first = "step 1/2  loss 0.0412  1 splats  - steps/s  0:00 left";
         assert_eq!(progress_line((1, 2), 0.04123, 1, (f64::INFINITY, 0.0)), first);
+    }
+
+    /// With 20 s a photograph.
+    #[test]
+    fn the_time_that_is_left_is_said_after_the_first_five() {
+        let said = |done: usize| left(done, 40, 20.0 * done as f64, "whatever");
+        assert_eq!([4, 40, 41].map(said), [""; 3]);
+        assert_eq!(said(5), ", 11:40 left (whatever)");
+        assert_eq!(said(39), ", 0:20 left (whatever)");
     }
 
     #[test]

@@ -18,6 +18,7 @@ use splat_op::{Camera, Extras, RenderOptions, Splats};
 use crate::accuracy::{AccuracyArgs, ModelArgs};
 use crate::background::ShownBackground;
 use crate::device::{self, DeviceName};
+use crate::inputs::Inputs;
 use crate::output::OutputFolder;
 use crate::pareto::{MeasuredView, UnmeasuredScene};
 use crate::report::pictures::{self, level};
@@ -88,7 +89,7 @@ impl PictureFormat {
 /// Renders the views, writes the pictures, and prints their paths. Returns the paths.
 ///
 /// # Errors
-/// If the capture or the scene cannot be read, the view does not exist, or a picture cannot be written.
+/// If the capture or the scene cannot be read, the view does not exist, or a picture is one of the files that are read or cannot be written.
 pub fn run(args: &RenderArgs) -> Result<Vec<PathBuf>> {
     let (device, device_name) = args.device.resolve()?;
     let background = args.background.read()?;
@@ -100,7 +101,10 @@ pub fn run(args: &RenderArgs) -> Result<Vec<PathBuf>> {
     let shots: Vec<MeasuredView> =
         views.iter().map(|view| MeasuredView::unseen(&view.intrinsics, &view.cam_from_world)).collect();
     let accuracy = accuracy.on((&capture, Some(&rows), MeasuredView::pixels(&shots)), &base, Workload::Render)?;
-    let out = OutputFolder::prepare(&args.out, &[], &[])?;
+    let names = pictures::names(views.iter().map(|view| view.name.as_str()), args.format.extension());
+    let inputs = Inputs::default().and_scene(&args.scene).and_capture(&capture);
+    let inputs = inputs.and(args.background.file()).and(&args.accuracy.frontier);
+    let out = OutputFolder::prepare(&args.out, inputs, &names, &[])?;
     let scene = UnmeasuredScene {
         rows: &rows,
         shots,
@@ -111,7 +115,6 @@ pub fn run(args: &RenderArgs) -> Result<Vec<PathBuf>> {
     };
     let options = accuracy.setting(&scene)?.apply(base);
     let splats = Gaussians::from_own_rows(rows, &device)?.splats().stored(&options)?;
-    let names = pictures::names(views.iter().map(|view| view.name.as_str()), args.format.extension());
     let counter = progress::counter("rendering", views.len());
     let mut frames_ms = Vec::new();
     for (view, name) in views.iter().zip(&names) {

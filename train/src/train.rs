@@ -2,6 +2,7 @@
 
 pub(crate) mod budget;
 pub(crate) mod checkpoints;
+mod folders;
 mod results;
 mod run;
 mod start;

@@ -13,6 +13,8 @@ use super::job;
 use super::planned::PlanFolder;
 use super::seams::Seams;
 use crate::device::{self, DeviceName};
+use crate::inputs::Inputs;
+use crate::output::prepare_file;
 use crate::report::SCENE;
 use crate::train::{RunState, state_of};
 use crate::{input, progress};
@@ -37,7 +39,7 @@ pub struct MergeArgs {
 /// Writes the scene, then compares it with its blocks and prints the differences.
 ///
 /// # Errors
-/// If a block is not finished, the blocks do not fit together, or the scene cannot be written.
+/// If a block is not finished, the blocks do not fit together, or the scene is one of the files that are read or cannot be written.
 pub fn merge(args: &MergeArgs) -> Result<()> {
     let folder = PlanFolder::open(&args.plan)?;
     let format = Format::of_name(&args.out)
@@ -57,6 +59,7 @@ pub fn merge(args: &MergeArgs) -> Result<()> {
     }
     let files = folder.files()?;
     let capture = folder.capture(&files)?;
+    prepare_file(&args.out, &Inputs::of(folder.files_of_runs()).and_capture(&capture))?;
     let merged = merged(&folder, &files, &capture)?;
     ensure!(!merged.is_empty(), "no block has a splat in its cell: train the blocks again");
     ensure!(

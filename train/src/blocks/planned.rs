@@ -9,6 +9,7 @@ use splat_model::capture::blocks::{BLOCK, BlockFile};
 
 use crate::input;
 use crate::output;
+use crate::report::{METRICS, SCENE};
 use splat_model::capture::Capture;
 
 /// The plan's file.
@@ -74,6 +75,14 @@ impl PlanFolder {
     /// Output folder of a block's run.
     pub fn run(&self, name: &str) -> PathBuf {
         self.block(name).join(RUN)
+    }
+
+    /// The files of the plan and of the blocks' runs, from which they are merged.
+    pub fn files_of_runs(&self) -> impl Iterator<Item = PathBuf> {
+        let of_run =
+            |name: &String| [self.block(name).join(BLOCK), self.run(name).join(SCENE), self.run(name).join(METRICS)];
+        let own = [PLAN, JOBS].map(|name| self.path.join(name));
+        own.into_iter().chain(self.plan.blocks.iter().flat_map(of_run))
     }
 
     /// The blocks' files, in order.

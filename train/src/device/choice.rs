@@ -80,6 +80,33 @@ pub fn choose(name: DeviceName, adapters: &[Adapter]) -> Result<Option<Adapter>>
     }
 }
 
+/// Opens the adapter that a name selects; `None` for the CPU. Where `auto` selects one that does not open, the next best is tried, then the
+/// CPU, and `say` receives a line about each.
+///
+/// # Errors
+/// Those of [`choose`], and if an adapter that was asked for does not open.
+pub fn choose_and_open<T>(
+    name: DeviceName,
+    adapters: &[Adapter],
+    mut open: impl FnMut(Adapter) -> Result<T>,
+    mut say: impl FnMut(&str),
+) -> Result<Option<T>> {
+    let mut left = adapters.to_vec();
+    while let Some(adapter) = choose(name, &left)? {
+        match open(adapter) {
+            Ok(opened) => return Ok(Some(opened)),
+            Err(error) if name == DeviceName::Auto => {
+                let why = format!("{error:#}").replace('\n', " ");
+                left.retain(|other| *other != adapter);
+                let next = choose(name, &left)?.map_or("the CPU".into(), |next| format!("`{}`", next.name()));
+                say(&format!("going on with {next}: {why}"));
+            }
+            Err(error) => return Err(error),
+        }
+    }
+    Ok(None)
+}
+
 fn out_of_range(runtime: Runtime, index: usize, count: usize) -> anyhow::Error {
     let prefix = runtime.prefix();
     let range = match count {
@@ -171,6 +198,41 @@ mod tests {
         assert_eq!(chosen(DeviceName::Auto, &[]), None);
         let doubtful = [adapter(WGPU, 0, AdapterKind::Software), adapter(WGPU, 1, AdapterKind::Unknown)];
         assert_eq!(chosen(DeviceName::Auto, &doubtful), None);
+    }
+
+    /// The adapter that opens where some do not, or `None`, and what is said.
+    fn opened(name: DeviceName, adapters: &[Adapter], broken: &[Adapter]) -> (Result<Option<Adapter>>, Vec<String>) {
+        let mut said = Vec::new();
+        let open = |adapter: Adapter| match broken.contains(&adapter) {
+            true => Err(anyhow!("cannot open the adapter `{}`:\nlost", adapter.name())),
+            false => Ok(adapter),
+        };
+        let found = choose_and_open(name, adapters, open, |line| said.push(line.to_owned()));
+        (found, said)
+    }
+
+    #[test]
+    fn auto_goes_on_where_an_adapter_does_not_open() {
+        let card = adapter(WGPU, 0, AdapterKind::Discrete);
+        let inside = adapter(WGPU, 1, AdapterKind::Integrated);
+        let all = [adapter(WGPU, 2, AdapterKind::Software), inside, card];
+        let of = |broken: &[Adapter]| opened(DeviceName::Auto, &all, broken);
+        assert!(matches!(of(&[]), (Ok(Some(found)), said) if found == card && said.is_empty()));
+        assert!(matches!(of(&[inside]), (Ok(Some(found)), said) if found == card && said.is_empty()));
+        let (found, said) = of(&[card]);
+        assert_eq!(found.unwrap(), Some(inside));
+        assert_eq!(said, ["going on with `gpu:1`: cannot open the adapter `gpu:0`: lost"]);
+        let (found, said) = of(&all);
+        assert_eq!(found.unwrap(), None, "a driver in software is not tried");
+        assert!(
+            said.len() == 2 && said[1] == "going on with the CPU: cannot open the adapter `gpu:1`: lost",
+            "{said:?}"
+        );
+        // What was asked for by name is not replaced.
+        for name in [DeviceName::Gpu, DeviceName::Adapter(WGPU, Some(0)), DeviceName::Adapter(WGPU, None)] {
+            let (found, said) = opened(name, &all, &[card]);
+            assert!(found.unwrap_err().to_string().contains("`gpu:0`") && said.is_empty());
+        }
     }
 
     #[test]

@@ -25,10 +25,10 @@ mod gpu {
 
 use std::fmt::{self, Display};
 
-use anyhow::Result;
+use anyhow::{Context, Result};
 use burn::tensor::Device;
 
-pub use choice::{Adapter, AdapterKind, choose};
+pub use choice::{Adapter, AdapterKind, choose, choose_and_open};
 pub use gpu::{list, open};
 pub use name::{DeviceName, Runtime, help};
 
@@ -70,16 +70,23 @@ impl DeviceName {
     /// # Errors
     /// If the adapter asked for does not exist, or its driver refuses.
     pub fn resolve(self) -> Result<(Device, String)> {
-        let (found, adapters) = self.find()?;
-        let Some(found) = found else {
+        let found = list(&self.runtimes());
+        let adapters: Vec<Adapter> = found.iter().map(|found| found.adapter).collect();
+        let device_of = |adapter| found.iter().find(|found| found.adapter == adapter).context("it was listed");
+        let (open, mut refused) = (|adapter| Ok((device_of(adapter)?, open(device_of(adapter)?)?)), false);
+        let opened = choose_and_open(self, &adapters, open, |line| {
+            refused = true;
+            progress::note(line);
+        })?;
+        let Some((found, facts)) = opened else {
             let (device, backend) = self.cpu();
-            let why = if self == Self::Auto { format!(": {}", why_cpu(&adapters)) } else { String::new() };
+            let said = self == Self::Auto && !refused;
+            let why = if said { format!(": {}", why_cpu(&adapters)) } else { String::new() };
             progress::note(&format!("computing on the CPU, {backend}{why}"));
             return Ok((device, backend.into()));
         };
-        let name = open(&found)?.to_string();
-        progress::note(&format!("computing on {name}"));
-        Ok((found.device, name))
+        progress::note(&format!("computing on {facts}"));
+        Ok((found.device.clone(), facts.to_string()))
     }
 
     /// Returns the adapter that a name selects on this machine, `None` for the CPU, and all adapters considered.

@@ -10,6 +10,7 @@ use std::path::PathBuf;
 use anyhow::{Context, Result, bail};
 
 use self::case::{CASES, EffectCase, EffectGain, RunSize};
+use crate::inputs::Inputs;
 use crate::output::OutputFolder;
 use crate::progress;
 
@@ -42,7 +43,7 @@ pub fn run(args: &EffectsBenchArgs) -> Result<()> {
             bail!("there is no case {name:?}: give `--case` one of {}", names.join(", "));
         }
     }
-    let out = OutputFolder::prepare(&args.out, &[PAGE], &[])?;
+    let out = OutputFolder::prepare(&args.out, Inputs::default(), [PAGE], &[])?;
     let path = out.join(PAGE);
     let earlier = match fs::read_to_string(&path) {
         Err(error) if error.kind() == ErrorKind::NotFound => None,

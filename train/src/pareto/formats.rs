@@ -80,8 +80,6 @@ pub fn measure(
     });
     let stored = stored.collect::<Result<Vec<_>>>().context("the scene cannot be measured in other formats");
     counter.finish_and_clear();
-    // It may be missing; the first error is the one to report.
-    _ = fs::remove_file(file);
     stored
 }
 

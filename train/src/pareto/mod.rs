@@ -18,7 +18,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use anyhow::{Result, ensure};
+use anyhow::{Context, Result, ensure};
 use burn::tensor::Device;
 use clap::builder::RangedU64ValueParser;
 use splat_model::accuracy::{FrontierPoint, Provenance, Spread, decibels, frontier};
@@ -40,6 +40,7 @@ use self::training::{Runs, TrainingResult};
 use crate::accuracy::ModelArgs;
 use crate::background::ShownBackground;
 use crate::device::{self, DeviceName};
+use crate::inputs::Inputs;
 use crate::options::PhotoArgs;
 use crate::output::OutputFolder;
 use crate::{input, progress};
@@ -108,7 +109,7 @@ pub fn run(args: &ParetoArgs) -> Result<()> {
     let (split, _) = args.photos.split(&capture);
     let views = spread(split.require_test()?, args.views);
     let rows = input::rows(&args.scene, &capture)?;
-    let out = prepare(args)?;
+    let out = prepare(args, &capture)?;
     let photos = input::photographs(&capture, &views, args.photos.max_side, args.masks)?;
     let shots: Vec<MeasuredView> = photos.iter().map(MeasuredView::from).collect();
     let extent = input::extent(&capture);
@@ -122,8 +123,8 @@ pub fn run(args: &ParetoArgs) -> Result<()> {
     };
     let outcome =
         bench.run(all, Duration::from_secs(args.budget), |options| Ok(Some(score(&bench.place.splats, options)?)))?;
-    let trial = out.join(format!(".splat-trial-{}", std::process::id()));
-    let stored = formats::measure(&bench, &rows, &trial, |splats| score(splats, &base))?;
+    let trial = tempfile::tempdir().context("cannot make a temporary folder")?;
+    let stored = formats::measure(&bench, &rows, &trial.path().join("scene"), |splats| score(splats, &base))?;
     let trained = if args.train { train(args, &capture, &split, &photos, &device)? } else { Vec::new() };
 
     let subject = page::PageSubject {
@@ -154,10 +155,11 @@ fn spread(views: &[usize], count: usize) -> Vec<usize> {
     (0..count).map(|i| views[i * views.len() / count]).collect()
 }
 
-fn prepare(args: &ParetoArgs) -> Result<OutputFolder> {
+fn prepare(args: &ParetoArgs, capture: &Capture) -> Result<OutputFolder> {
     let mut files = [&[FRONTIER, TABLE, PAGE], &PLOT[..], &FORMATS_PLOT].concat();
     files.extend(args.train.then_some(TRAIN_PLOT).into_iter().flatten());
-    OutputFolder::prepare(&args.out, &files, &[])
+    let inputs = Inputs::default().and_scene(&args.scene).and_capture(capture).and(args.background.file());
+    OutputFolder::prepare(&args.out, inputs, &files, &[])
 }
 
 impl<'a> Bench<'a> {
@@ -220,13 +222,10 @@ fn write(
         (TRAIN_PLOT, train_chart(trained)),
     ];
     for ([svg, png], chart) in charts {
-        match chart {
-            Some(chart) => {
-                put(svg, plot::svg(&chart)?.as_bytes())?;
-                put(png, &plot::png(&chart)?)?;
-            }
-            // An earlier run may have left plots.
-            None => [svg, png].iter().for_each(|name| _ = std::fs::remove_file(out.join(name))),
+        // Plots of an earlier run stay: no mark in them says who made them.
+        if let Some(chart) = chart {
+            put(svg, plot::svg(&chart)?.as_bytes())?;
+            put(png, &plot::png(&chart)?)?;
         }
     }
     Ok(())

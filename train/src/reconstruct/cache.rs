@@ -7,8 +7,9 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use serde::{Deserialize, Serialize};
-use splat_model::capture::scale::SCALE_FILE;
+use splat_model::capture::scale::{SCALE_FILE, Scale};
 
+use crate::own::{self, OwnFiles};
 use crate::{output, progress};
 
 /// Marks a folder as a reconstruction, and says how far it is.
@@ -41,8 +42,16 @@ pub const MASKS: &str = "masks";
 /// The database and what SQLite keeps beside it.
 pub const DATABASE_FILES: [&str; 4] = [DATABASE, "database.db-wal", "database.db-shm", "database.db-journal"];
 
-/// Everything else that a reconstruction writes into its folder.
-const OTHERS: [&str; 8] = [IMAGES, SPARSE, LOG, IMAGES_PARTIAL, SPARSE_PARTIAL, LISTS, MASKS, SCALE_FILE];
+/// Everything else that a reconstruction writes into its folder, apart from the link to masks.
+const OTHERS: [&str; 7] = [IMAGES, SPARSE, LOG, IMAGES_PARTIAL, SPARSE_PARTIAL, LISTS, SCALE_FILE];
+
+/// The files of COLMAP's models, without extensions.
+const MODEL: [&str; 6] = ["cameras", "images", "points3D", "frames", "rigs", "project"];
+
+/// First bytes of the files that programs write: JPEG, SQLite's database, and a log that begins with a command.
+const JPEG_START: &[u8] = b"\xff\xd8\xff";
+const DATABASE_START: &[u8] = b"SQLite format 3\0";
+const LOG_START: &[u8] = b"\n$ ";
 
 /// Part of a reconstruction that is not repeated once it is finished.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -82,6 +91,9 @@ struct Stamp {
     finished: Vec<Stage>,
     /// Number of features of each photograph.
     features: BTreeMap<String, u64>,
+    /// Frames, copies of photographs, models, and the size of a unit.
+    #[serde(default)]
+    files: OwnFiles,
 }
 
 /// The folder of a reconstruction that is under way or finished.
@@ -102,47 +114,98 @@ impl Workspace {
         stamp_in(folder).is_some_and(|stamp| stamp.ingredients.give_the_same_as(ingredients) && is_finished(&stamp))
     }
 
-    /// Opens the folder, and makes it if it is not there. What another reconstruction of other ingredients left in it is removed.
+    /// Opens the folder, and makes it if it is not there. What a reconstruction of other ingredients left in it is removed.
     ///
     /// # Errors
-    /// If the folder holds something else, or cannot be written to.
+    /// If the folder holds something else, files of it are not as they were written, or it cannot be written to.
     pub fn open(folder: &Path, ingredients: Ingredients) -> Result<Self> {
         let shown = folder.display();
         fs::create_dir_all(folder)
             .with_context(|| format!("cannot make the folder {shown}: choose another with `--out`"))?;
-        let is_ours = folder.join(STAMP).exists();
-        if !is_ours && fs::read_dir(folder).is_ok_and(|mut entries| entries.next().is_some()) {
-            bail!("{shown} is not empty and holds no reconstruction of this program: choose another `--out`");
-        }
-        if let Some(stamp) = stamp_in(folder).filter(|stamp| stamp.ingredients.give_the_same_as(&ingredients)) {
-            if !stamp.finished.is_empty() && !stamp.finished.contains(&Stage::Model) {
-                progress::note(&format!("{shown}: going on after the stages that are finished"));
+        let mut workspace = Self { folder: folder.to_owned(), stamp: Stamp::default() };
+        match stamp_in(folder) {
+            Some(stamp) if stamp.ingredients.give_the_same_as(&ingredients) => {
+                if !stamp.finished.is_empty() && !stamp.finished.contains(&Stage::Model) {
+                    progress::note(&format!("{shown}: going on after the stages that are finished"));
+                }
+                workspace.stamp = Stamp { ingredients, ..stamp };
+                return Ok(workspace);
             }
-            return Ok(Self { folder: folder.to_owned(), stamp: Stamp { ingredients, ..stamp } });
+            Some(stamp) => {
+                progress::note(&format!(
+                    "{shown}: the photographs or options have changed, all is reconstructed again"
+                ));
+                workspace.stamp = stamp;
+                workspace.clear(&[&DATABASE_FILES[..], &OTHERS].concat())?;
+                let masks = workspace.join(MASKS);
+                if masks.is_symlink() {
+                    fs::remove_file(&masks).with_context(|| format!("cannot remove the link {}", masks.display()))?;
+                }
+            }
+            None if fs::read_dir(folder).is_ok_and(|mut entries| entries.next().is_some()) => {
+                bail!("{shown} is not empty and holds no reconstruction of this program: choose another `--out`")
+            }
+            None => {}
         }
-        if is_ours {
-            progress::note(&format!("{shown}: the photographs or options have changed, all is reconstructed again"));
-        }
-        let workspace = Self {
-            folder: folder.to_owned(),
-            stamp: Stamp { ingredients, finished: Vec::new(), features: BTreeMap::new() },
-        };
-        workspace.clear(&DATABASE_FILES)?;
-        workspace.clear(&OTHERS)?;
+        workspace.stamp = Stamp { ingredients, ..Stamp::default() };
         workspace.save()?;
         Ok(workspace)
     }
 
-    /// Removes some of its files and folders.
+    /// Removes some of its files and folders. A link is removed, not what it leads to.
+    ///
+    /// # Errors
+    /// If a file there is none that this program or COLMAP wrote: then nothing is removed.
     pub fn clear(&self, names: &[&str]) -> Result<()> {
-        for name in names {
-            let path = self.join(name);
-            let Ok(metadata) = fs::symlink_metadata(&path) else { continue };
-            // A link is removed, not what it leads to.
-            let removed = if metadata.is_dir() { fs::remove_dir_all(&path) } else { fs::remove_file(&path) };
-            removed.with_context(|| format!("cannot remove {} of an earlier reconstruction", path.display()))?;
+        let mut found = Vec::new();
+        for root in names.iter().map(|name| self.join(name)) {
+            let files = own::files_below(&root).with_context(|| format!("cannot list {}", root.display()))?;
+            if let Some(other) = files.iter().find(|file| !self.is_own(file)) {
+                bail!(
+                    "{} is in the way of a new reconstruction, and is not as this program wrote it: move it away, or choose another \
+                     `--out`",
+                    other.display()
+                );
+            }
+            found.push((root, files));
         }
-        Ok(())
+        found.into_iter().try_for_each(|(root, files)| {
+            own::remove(&root, &files)
+                .with_context(|| format!("cannot remove {} of an earlier reconstruction", root.display()))
+        })
+    }
+
+    /// Whether this program wrote a file of the folder, or one that it called, by its name and its content.
+    fn is_own(&self, file: &Path) -> bool {
+        let name = own::name_below(&self.folder, file);
+        let (top, below) = name.split_once('/').unwrap_or((&name, ""));
+        let stem = file.file_stem().unwrap_or_default().to_string_lossy();
+        match top {
+            IMAGES if file.is_symlink() => self.stamp.ingredients.files.contains_key(below),
+            IMAGES | SPARSE | SCALE_FILE => self.stamp.files.hold(&self.folder, file),
+            IMAGES_PARTIAL => own::begins_with(file, JPEG_START),
+            SPARSE_PARTIAL => MODEL.contains(&stem.as_ref()),
+            LISTS => stem.parse::<usize>().is_ok(),
+            LOG => own::begins_with(file, LOG_START),
+            DATABASE => own::begins_with(file, DATABASE_START),
+            // What SQLite keeps beside the database.
+            _ => DATABASE_FILES.contains(&top),
+        }
+    }
+
+    /// Gives a folder that is complete its name, in place of an earlier one, and keeps in mind what is in it.
+    pub fn complete(&mut self, partial: &str, name: &str) -> Result<()> {
+        self.clear(&[name])?;
+        self.stamp.files.add(&self.folder, partial, name).with_context(|| format!("cannot read {partial}"))?;
+        // Before the folder has its name, so that it is known at any time.
+        self.save()?;
+        fs::rename(self.join(partial), self.join(name)).with_context(|| format!("cannot rename {partial} to {name}"))
+    }
+
+    /// Keeps in mind that this program wrote a file.
+    pub fn keep_in_mind(&mut self, name: &str) -> Result<()> {
+        self.stamp.files.add(&self.folder, name, name).with_context(|| format!("cannot read {name}"))?;
+        self.save()
     }
 
     /// The folder.
@@ -189,6 +252,26 @@ impl Workspace {
     }
 }
 
+/// Keeps the size of a unit in the folder of a reconstruction. Elsewhere nothing is written, and a file that is there already stays unless
+/// this function wrote it.
+///
+/// # Errors
+/// If the file cannot be written.
+pub fn keep_scale(folder: &Path, scale: &Scale) -> Result<()> {
+    let Some(stamp) = stamp_in(folder) else { return Ok(()) };
+    let mut workspace = Workspace { folder: folder.to_owned(), stamp };
+    let file = workspace.join(SCALE_FILE);
+    if file.exists() && !workspace.is_own(&file) {
+        progress::note(&format!(
+            "{} is not as this program wrote it, and stays: only this run has the new scale",
+            file.display()
+        ));
+        return Ok(());
+    }
+    scale.save(folder)?;
+    workspace.keep_in_mind(SCALE_FILE)
+}
+
 /// The first of `parent/NAME`, `parent/NAME-2` and so on that is free or holds a reconstruction of `source`.
 pub fn own_folder(parent: &Path, name: &str, source: &Path) -> PathBuf {
     let is_ours = |folder: &Path| match fs::read(folder.join(STAMP)) {
@@ -213,7 +296,7 @@ mod tests {
         let root = tempfile::tempdir().unwrap();
         let folder = root.path().join("made");
         let mut workspace = Workspace::open(&folder, of("photos", 7)).unwrap();
-        fs::write(workspace.join(DATABASE), "features").unwrap();
+        fs::write(workspace.join(DATABASE), "SQLite format 3\0 features").unwrap();
         workspace.set_features([("a.jpg".to_string(), 40)].into());
         workspace.finish(Stage::Features).unwrap();
         let again = Workspace::open(&folder, of("photos", 7)).unwrap();
@@ -232,6 +315,74 @@ mod tests {
         let error = Workspace::open(root.path(), of("photos", 7)).err().unwrap().to_string();
         assert!(error.contains("--out"), "{error}");
         assert_eq!(fs::read_to_string(root.path().join("database.db")).unwrap(), "mine");
+        // A stamp of another program is none.
+        fs::write(root.path().join(STAMP), "{\"views\": 3}").unwrap();
+        assert!(Workspace::open(root.path(), of("photos", 7)).is_err());
+        assert_eq!(fs::read_to_string(root.path().join("database.db")).unwrap(), "mine");
+    }
+
+    /// Other photographs make everything anew, except what the user put there or changed.
+    #[test]
+    fn what_is_not_as_it_was_written_is_kept() {
+        let root = tempfile::tempdir().unwrap();
+        let path = |name: &str| root.path().join(name);
+        let write = |name: &str, content: &[u8]| {
+            fs::create_dir_all(path(name).parent().unwrap()).unwrap();
+            fs::write(path(name), content).unwrap();
+        };
+        let frame = b"\xff\xd8\xff, a frame".as_slice();
+        let own = [
+            ("sparse.partial/0/cameras.bin", b"the model".as_slice()),
+            ("images.partial/frame_000003.jpg", frame),
+            ("lists/0.txt", b"a.jpg"),
+            (LOG, b"\n$ \"colmap\""),
+            (DATABASE, b"SQLite format 3\0"),
+            ("database.db-wal", b"changes"),
+        ];
+        let make = |size: u64| {
+            let mut workspace = Workspace::open(root.path(), of("photos", size))?;
+            own.iter().for_each(|(name, content)| write(name, content));
+            workspace.complete(SPARSE_PARTIAL, SPARSE)?;
+            workspace.complete(IMAGES_PARTIAL, IMAGES)?;
+            // Of a mapper and a decoder that were killed.
+            own[..2].iter().for_each(|(name, content)| write(name, content));
+            workspace.finish(Stage::Model)?;
+            keep_scale(root.path(), &Scale { metres_per_unit: 2.0, relative_deviation: None, source: String::new() })
+        };
+        make(1).unwrap();
+        make(2).unwrap();
+        for (name, text) in [
+            ("sparse/0/cameras.bin", "aligned by hand"),
+            ("sparse/mine/cameras.bin", "the model"),
+            ("images/frame_000003.jpg", "retouched"),
+            ("images/more.jpg", "a photograph"),
+            ("images.partial/frame_000003.jpg", "a text"),
+            ("sparse.partial/notes", "a text"),
+            ("lists/mine.txt", "a.jpg"),
+            (LOG, "a diary"),
+            (DATABASE, "mine"),
+            (SCALE_FILE, "{\"metres_per_unit\": 3.0}"),
+        ] {
+            let before = fs::read(path(name)).ok();
+            write(name, text.as_bytes());
+            let files = own::files_below(root.path()).unwrap();
+            let error = Workspace::open(root.path(), of("photos", 3)).err().unwrap().to_string();
+            assert!(error.contains(name) && error.contains("--out"), "{error}");
+            assert_eq!(
+                (fs::read_to_string(path(name)).unwrap().as_str(), own::files_below(root.path()).unwrap()),
+                (text, files)
+            );
+            match before {
+                Some(before) => fs::write(path(name), before).unwrap(),
+                None => fs::remove_file(path(name)).unwrap(),
+            }
+        }
+        write("masks/a.png", b"a mask of the user's");
+        make(3).unwrap();
+        assert!(path("masks/a.png").exists());
+        write(SCALE_FILE, b"{\"metres_per_unit\": 3.0}");
+        make(3).unwrap();
+        assert_eq!(Scale::load(root.path()).unwrap().unwrap().metres_per_unit, 3.0, "measured by hand");
     }
 
     #[test]

@@ -27,6 +27,7 @@ use self::cache::{Ingredients, Stage, Workspace};
 use self::photographs::CameraModelName;
 use self::programs::{Colmap, Ffmpeg};
 use self::scale::ScaleFrom;
+use crate::inputs::Inputs;
 use crate::progress::VoiceArgs;
 use crate::train::{OUT, Stop};
 use crate::{input, progress};
@@ -121,9 +122,7 @@ impl CameraArgs {
         if let Some(from) = &self.scale_from {
             let marks = self.marks.clone().unwrap_or_else(|| scale::marks_beside(&capture.folder));
             let scale = scale::measure(capture, from, &marks)?;
-            if is_in(&capture.folder) {
-                scale.save(&capture.folder)?;
-            }
+            cache::keep_scale(&capture.folder, &scale)?;
             capture.scale = Some(scale);
         }
         Ok(())
@@ -201,6 +200,8 @@ pub fn reconstruct(source: &Path, folder: &Path, options: &CameraArgs) -> Result
     if let Some(listed) = &listed {
         failure::check_number(listed)?;
     }
+    let root = listed.as_ref().map_or(source, |listed| &listed.root);
+    Inputs::of([source, root]).spare([folder.to_owned(), folder.join(cache::IMAGES)])?;
     let ingredients = ingredients(source, listed.as_ref(), options)?;
     let programs = match Workspace::is_finished(folder, &ingredients) {
         true => None,
@@ -218,12 +219,12 @@ pub fn reconstruct(source: &Path, folder: &Path, options: &CameraArgs) -> Result
             Some(listed) => {
                 note_others(listed);
                 let photographs = photographs::look(listed)?;
-                photographs::link(&workspace, source, listed)?;
+                photographs::link(&mut workspace, source, listed)?;
                 photographs
             }
             None => {
                 if let Some(ffmpeg) = ffmpeg.filter(|_| !workspace.has(Stage::Frames)) {
-                    let frames = video::extract(&workspace, (&ffmpeg, source), options.frames, &stop)?;
+                    let frames = video::extract(&mut workspace, (&ffmpeg, source), options.frames, &stop)?;
                     progress::note(&format!("{frames} frames of {}", source.display()));
                     workspace.finish(Stage::Frames)?;
                 }
@@ -235,7 +236,7 @@ pub fn reconstruct(source: &Path, folder: &Path, options: &CameraArgs) -> Result
     }
     if let Some(listed) = &listed {
         // The photographs may have been moved since the links were made.
-        photographs::link(&workspace, source, listed)?;
+        photographs::link(&mut workspace, source, listed)?;
     }
     let capture = input::capture(folder)?;
     report(&workspace, &capture)?;

@@ -118,25 +118,42 @@ pub fn extractions(photographs: &[Unposed], model: Option<CameraModelName>) -> V
 }
 
 /// Makes `images/` in the workspace: links to the photographs, which are neither changed nor moved, or copies where the system has no
-/// links. Masks beside the photographs are linked too.
+/// links. Masks beside the photographs are linked too. Files that are there stay.
 ///
 /// # Errors
 /// If a link or copy cannot be made.
-pub fn link(workspace: &Workspace, source: &Path, folder: &PhotographFolder) -> Result<()> {
-    workspace.clear(&[IMAGES, MASKS])?;
+pub fn link(workspace: &mut Workspace, source: &Path, folder: &PhotographFolder) -> Result<()> {
     let images = workspace.join(IMAGES);
     let root = std::path::absolute(&folder.root)?;
     for name in &folder.names {
         let (from, to) = (root.join(name), images.join(name));
         let parent = to.parent().unwrap_or(&images);
-        fs::create_dir_all(parent)
+        let ready = match fs::read_link(&to) {
+            Ok(target) if target == from => continue,
+            // A copy.
+            Err(_) if to.exists() => continue,
+            // The photographs were elsewhere.
+            Ok(_) => fs::remove_file(&to),
+            Err(_) => fs::create_dir_all(parent),
+        };
+        ready
             .and_then(|()| link_or_copy(&from, &to))
             .with_context(|| format!("cannot make a link or a copy of {} in {}", from.display(), parent.display()))?;
+        if !to.is_symlink() {
+            workspace.keep_in_mind(&format!("{IMAGES}/{name}"))?;
+        }
+    }
+    let to = workspace.join(MASKS);
+    if to.exists() {
+        return Ok(());
+    }
+    if to.is_symlink() {
+        fs::remove_file(&to).with_context(|| format!("cannot remove the link {}", to.display()))?;
     }
     for name in ["masks", "mask"] {
         let masks = std::path::absolute(source)?.join(name);
         // Without links masks stay where they are, and training does without them.
-        if masks.is_dir() && link_folder(&masks, &workspace.join(MASKS)).is_ok() {
+        if masks.is_dir() && link_folder(&masks, &to).is_ok() {
             break;
         }
     }
@@ -148,7 +165,7 @@ fn link_or_copy(from: &Path, to: &Path) -> io::Result<()> {
     if std::os::unix::fs::symlink(from, to).is_ok() {
         return Ok(());
     }
-    fs::hard_link(from, to).or_else(|_| fs::copy(from, to).map(drop))
+    fs::copy(from, to).map(drop)
 }
 
 #[cfg(unix)]

@@ -30,6 +30,9 @@ const OVERLAP: usize = 20;
 /// Share of the photographs that the global mapper has to place. Below it the incremental one is tried too.
 const ENOUGH: f64 = 0.8;
 
+/// What the progress of features says beside the time that is left: COLMAP decodes the photographs at their full size.
+const FULL_SIZE: &str = "`--max-side` does not change it";
+
 /// Runs the stages that are not finished.
 ///
 /// # Errors
@@ -81,7 +84,7 @@ impl Runner<'_> {
         let options = self.colmap.options("feature_extractor")?;
         let on_gpu = options.first(&["FeatureExtraction.use_gpu", "SiftExtraction.use_gpu"]);
         let mut features = BTreeMap::new();
-        let mut counted = Counted::new("features", Some(photographs.len()));
+        let mut counted = Counted::new("features", Some(photographs.len())).with_left(FULL_SIZE);
         let extractions = extractions(photographs, model);
         for (i, extraction) in extractions.iter().enumerate() {
             let list = workspace.join(LISTS).join(format!("{i}.txt"));
@@ -164,7 +167,7 @@ impl Runner<'_> {
     }
 
     /// Makes models in `sparse/`.
-    fn models(&self, workspace: &Workspace, photographs: &[Unposed]) -> Result<()> {
+    fn models(&self, workspace: &mut Workspace, photographs: &[Unposed]) -> Result<()> {
         let error = largest_error(photographs).to_string();
         let photographs = photographs.len();
         let global = self.colmap.has("global_mapper");
@@ -203,8 +206,7 @@ impl Runner<'_> {
             }
             if placed > most {
                 most = placed;
-                workspace.clear(&[SPARSE])?;
-                fs::rename(&partial, workspace.join(SPARSE)).context("cannot rename the folder of models")?;
+                workspace.complete(SPARSE_PARTIAL, SPARSE)?;
             }
         }
         workspace.clear(&[SPARSE_PARTIAL, LISTS])?;

@@ -36,7 +36,7 @@ const MAX_SIDE: usize = 16_384;
 /// # Errors
 /// If ffmpeg cannot decode the video, or the user asks to stop.
 pub fn extract(
-    workspace: &Workspace,
+    workspace: &mut Workspace,
     (ffmpeg, video): (&Ffmpeg, &Path),
     frames: Option<usize>,
     stop: &Stop,
@@ -61,7 +61,7 @@ pub fn extract(
         fs::rename(&from, &to)
             .with_context(|| format!("ffmpeg decoded the frame {frame} of {} once and not again", video.display()))?;
     }
-    fs::rename(&partial, workspace.join(IMAGES)).context("cannot rename the folder of frames")?;
+    workspace.complete(IMAGES_PARTIAL, IMAGES)?;
     Ok(chosen.len())
 }
 

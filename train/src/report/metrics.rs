@@ -65,10 +65,20 @@ fn peak_of(status: &str) -> Option<f64> {
     Some((kib / 1024.0 * 10.0).round() / 10.0)
 }
 
+fn read(path: &Path) -> Value {
+    let read = || serde_json::from_slice::<Value>(&std::fs::read(path).ok()?).ok();
+    read().unwrap_or_default()
+}
+
+/// Whether a run of this program wrote a file.
+pub fn is_in(path: &Path) -> bool {
+    let metrics = read(path);
+    ["test", "culled_non_finite", "options", "version"].iter().all(|key| metrics.get(key).is_some())
+}
+
 /// Returns the names of the test views in a `metrics.json`; none if the file is missing or not ours.
 pub fn views_of(path: &Path) -> Vec<String> {
-    let read = || serde_json::from_slice::<Value>(&std::fs::read(path).ok()?).ok();
-    let metrics = read().unwrap_or_default();
+    let metrics = read(path);
     let views = metrics["test"]["views"].as_array();
     views.into_iter().flatten().filter_map(|view| Some(view["name"].as_str()?.to_owned())).collect()
 }

@@ -64,6 +64,11 @@ pub fn measure(
     scores
 }
 
+/// The pictures of test views, below the output folder.
+pub fn view_files<'a>(views: impl IntoIterator<Item = &'a str>) -> impl Iterator<Item = PathBuf> {
+    pictures::names(views, "png").into_iter().map(|name| Path::new(VIEWS).join(name))
+}
+
 /// Writes `metrics.json`, after removing pictures of an earlier run's test views that this run does not have.
 ///
 /// # Errors
@@ -73,9 +78,10 @@ pub fn finish(metrics: &Metrics, out: &OutputFolder) -> Result<()> {
     let current: Vec<PathBuf> = pictures::names(current, "png");
     let earlier = metrics::views_of(&out.join(METRICS));
     for name in pictures::names(earlier.iter().map(String::as_str), "png") {
-        if !current.contains(&name) && pictures::stays_inside(&name) {
-            // It may have been removed by hand.
-            let _ = std::fs::remove_file(out.join(VIEWS).join(name));
+        let path = out.join(VIEWS).join(&name);
+        if !current.contains(&name) && pictures::stays_inside(&name) && pictures::is_comparison(&path) {
+            // A leftover picture only takes up space.
+            let _ = std::fs::remove_file(path);
         }
     }
     out.write(METRICS, |file| {

@@ -70,6 +70,21 @@ fn side_by_side(truth: &[f32], render: &[f32], width: usize, height: usize) -> R
     })
 }
 
+/// Whether a file is a picture of [`write_comparison`]: its third panel is the difference of the others, to the level that they are
+/// rounded to.
+pub fn is_comparison(path: &Path) -> bool {
+    let Ok(picture) = image::open(path).map(|picture| picture.into_rgb8()) else { return false };
+    let (width, height) = (picture.width() / 3, picture.height());
+    let matches = |(x, y): (u32, u32)| {
+        let [truth, render, error] = [0, 1, 2].map(|panel| picture.get_pixel(panel * width + x, y).0);
+        (0..3).all(|channel| {
+            let expected = ERROR_GAIN * f32::from(truth[channel].abs_diff(render[channel]));
+            (expected.min(255.0) - f32::from(error[channel])).abs() <= ERROR_GAIN + 1.0
+        })
+    };
+    picture.width() == 3 * width && (0..height).all(|y| (0..width).all(|x| matches((x, y))))
+}
+
 /// Converts a value in 0..1 to one of 256 levels. The conversion saturates, and NaN becomes 0.
 pub(crate) fn level(value: f32) -> u8 {
     (value * 255.0).round() as u8
@@ -108,5 +123,23 @@ mod tests {
         let pixels: Vec<[u8; 3]> = picture.pixels().map(|pixel| pixel.0).collect();
         assert_eq!(pixels[..4], [[51, 102, 255], [0, 0, 0], [51, 128, 0], [0, 0, 26]]);
         assert_eq!(pixels[4..], [[0, 102, 255], [0, 0, 102]]);
+    }
+
+    #[test]
+    fn a_comparison_is_known_by_its_third_panel() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.png");
+        let of = |i: usize, by: f32| (0..3 * 24).map(|at| ((at * i % 17) as f32 * by).fract()).collect::<Vec<f32>>();
+        let (truth, render) = (of(5, 0.0613), of(7, 0.0592));
+        let mut picture = side_by_side(&truth, &render, 6, 4);
+        picture.save(&path).unwrap();
+        assert!(is_comparison(&path));
+        picture.get_pixel_mut(17, 3).0[1] ^= 0x40;
+        picture.save(&path).unwrap();
+        assert!(!is_comparison(&path), "painted on");
+        RgbImage::from_pixel(9, 4, image::Rgb([90, 30, 30])).save(&path).unwrap();
+        assert!(!is_comparison(&path), "of one colour: no difference is none");
+        std::fs::write(&path, "mine").unwrap();
+        assert!(!is_comparison(&path) && !is_comparison(&folder.path().join("none.png")));
     }
 }

@@ -108,8 +108,9 @@ impl Checkpoints {
         let folder = out.join(FOLDER);
         let cannot = || format!("cannot write to {}: fix its permissions, or choose another `--out`", folder.display());
         fs::create_dir_all(&folder).with_context(cannot)?;
-        // Beside the checkpoints, because their folder may be renamed.
-        let lock = File::create(out.join(LOCK)).with_context(cannot)?;
+        // Beside the checkpoints, whose folder is removed at the end.
+        let lock =
+            File::options().create(true).truncate(false).write(true).open(out.join(LOCK)).with_context(cannot)?;
         match locked(&lock) {
             Err(TryLockError::WouldBlock) => {
                 bail!("another `splat train` is writing to {}: wait for it, or choose another `--out`", out.display())
@@ -119,29 +120,48 @@ impl Checkpoints {
         }
         // A run that has just ended here has removed it.
         fs::create_dir_all(&folder).with_context(cannot)?;
+        if let Some(other) = other_in(&folder) {
+            let (folder, other) = (folder.display(), other.display());
+            progress::note(&format!(
+                "{folder} holds files that are no checkpoints of this program, such as {other}: they stay there"
+            ));
+        }
         Ok(Self { folder, _lock: lock, failing: false })
     }
 
-    /// Clears the folder for a new run. Checkpoints of an unfinished run are moved aside.
+    /// Clears the folder of checkpoints for a new run: those of an unfinished one are moved aside, and all other files stay.
+    ///
+    /// # Errors
+    /// If a checkpoint cannot be moved, or another file has the name of one.
     pub fn begin(&self) -> Result<()> {
-        let Some((step, _)) = steps_in(&self.folder).pop() else { return Ok(()) };
         let before = self.folder.with_file_name(BEFORE);
-        let shown = self.folder.display();
-        let cannot = || format!("cannot move {shown} away: fix its permissions, or choose another `--out`");
-        if step > 0 {
-            if before.exists() {
-                fs::remove_dir_all(&before).with_context(cannot)?;
+        for folder in [&self.folder, &before] {
+            if let Some((_, path)) = steps_in(folder).into_iter().find(|(_, path)| !State::is_in(path)) {
+                bail!(
+                    "{} has the name of a checkpoint and is none of this program: move it away, or choose another `--out`",
+                    path.display()
+                );
             }
-            fs::rename(&self.folder, &before).with_context(cannot)?;
-            progress::note(&format!(
-                "an unfinished run was here, at step {step}; its checkpoints are in {} now: to resume it, move them to \
-                 `{FOLDER}` below another folder and `splat resume` that",
-                before.display()
-            ));
-        } else {
-            fs::remove_dir_all(&self.folder).with_context(cannot)?;
         }
-        fs::create_dir_all(&self.folder).with_context(cannot)
+        let steps = steps_in(&self.folder);
+        let Some(&(step, _)) = steps.last() else { return Ok(()) };
+        let cannot = || format!("cannot move checkpoints to {}: choose another `--out`", before.display());
+        if step == 0 {
+            return steps.iter().try_for_each(|(_, path)| fs::remove_file(path)).with_context(cannot);
+        }
+        fs::create_dir_all(&before).with_context(cannot)?;
+        for (_, older) in steps_in(&before) {
+            fs::remove_file(older).with_context(cannot)?;
+        }
+        for (step, path) in steps {
+            fs::rename(path, before.join(name_of(step))).with_context(cannot)?;
+        }
+        progress::note(&format!(
+            "an unfinished run was here, at step {step}; its checkpoints are in {} now: to resume it, move them to \
+             `{FOLDER}` below another folder and `splat resume` that",
+            before.display()
+        ));
+        Ok(())
     }
 
     /// Writes a checkpoint, and removes all that are older than its predecessor.
@@ -158,10 +178,7 @@ impl Checkpoints {
         state.write(&path)?;
         let mut steps = steps_in(&self.folder);
         steps.truncate(steps.len().saturating_sub(KEPT));
-        for (_, old) in steps {
-            // A leftover file only takes up space.
-            let _ = fs::remove_file(old);
-        }
+        remove(steps);
         Ok(path)
     }
 
@@ -175,14 +192,24 @@ impl Checkpoints {
         self.failing = written.is_err();
     }
 
-    /// Removes all checkpoints in step order, after the run has written its results.
+    /// Removes all checkpoints in step order, after the run has written its results, and the folder unless something else is in it.
     pub fn finish(self) {
-        // Leftover files do no harm.
-        let _ = fs::remove_file(self.folder.with_file_name(LOCK));
-        for (_, path) in steps_in(&self.folder) {
-            let _ = fs::remove_file(path);
+        let lock = self.folder.with_file_name(LOCK);
+        if fs::metadata(&lock).is_ok_and(|lock| lock.len() == 0) {
+            // A leftover file does no harm.
+            let _ = fs::remove_file(lock);
         }
-        let _ = fs::remove_dir_all(&self.folder);
+        remove(steps_in(&self.folder));
+        // Fails where other files are.
+        let _ = fs::remove_dir(&self.folder);
+    }
+}
+
+/// Removes checkpoints; a file of such a name that is none stays.
+fn remove(steps: Vec<(usize, PathBuf)>) {
+    for (_, path) in steps.into_iter().filter(|(_, path)| State::is_in(path)) {
+        // A leftover file only takes up space.
+        let _ = fs::remove_file(path);
     }
 }
 
@@ -237,6 +264,14 @@ pub fn read(path: &Path) -> Result<SavedRun> {
     let trainer = state.take_part("trainer");
     state.finish()?;
     Ok(SavedRun { args, trainer, so_far, path: path.to_owned() })
+}
+
+/// The name of a file or folder beside checkpoints, apart from hidden ones.
+fn other_in(folder: &Path) -> Option<PathBuf> {
+    let steps: Vec<PathBuf> = steps_in(folder).into_iter().map(|(_, path)| path).collect();
+    let entries = fs::read_dir(folder).into_iter().flatten().flatten().filter(|entry| !steps.contains(&entry.path()));
+    let names = entries.map(|entry| PathBuf::from(entry.file_name()));
+    names.filter(|name| !name.to_string_lossy().starts_with('.')).min()
 }
 
 fn name_of(step: usize) -> String {

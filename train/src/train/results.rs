@@ -8,12 +8,12 @@ use std::path::Path;
 use anyhow::{Result, anyhow};
 use glam::DAffine3;
 use splat_model::capture::Capture;
-use splat_model::effects::background::Backdrop;
+use splat_model::effects::background::{Backdrop, Background};
 use splat_model::ply::{self, PlyError};
 use splat_model::trainer::{TrainConfig, TrainError, Trainer};
 
 use crate::output::OutputFolder;
-use crate::report::{BACKGROUND, POSES, SCENE};
+use crate::report::{BACKGROUND, METRICS, POSES, SCENE, metrics};
 use crate::snapshots::matrix_rows;
 
 /// Writes the trained scene. Returns the number of its Gaussians that cannot be rendered.
@@ -25,19 +25,29 @@ pub fn write_scene(trainer: &Trainer, capture: &Capture, path: &Path) -> Result<
     Ok(unusable)
 }
 
-/// Writes what was learned beside the scene, and removes such files of an earlier run.
+/// Writes what was learned beside the scene, and removes such files of an earlier run: those that hold what this function writes, where
+/// that run left its scores.
 pub fn write_learnt(trainer: &Trainer, config: &TrainConfig, capture: &Capture, out: &OutputFolder) -> Result<()> {
     let is_learnt = matches!(config.backdrop, Backdrop::Learned | Backdrop::Environment { .. });
     let background = is_learnt.then(|| trainer.background().to_json()).transpose()?;
     let poses = trainer.refined_poses().map(|poses| poses_json(&poses, capture)).transpose()?;
-    for (name, text) in [(BACKGROUND, background), (POSES, poses)] {
+    let is_ours: [fn(&Path) -> bool; 2] = [|path| Background::read(path).is_ok(), |path| read_poses(path).is_some()];
+    for (name, text, is_ours) in [(BACKGROUND, background, is_ours[0]), (POSES, poses, is_ours[1])] {
         match text {
             Some(text) => out.write(name, |file| Ok(file.write_all(text.as_bytes())?))?,
-            // The file may not exist.
-            None => _ = fs::remove_file(out.join(name)),
+            None if metrics::is_in(&out.join(METRICS)) && is_ours(&out.join(name)) => {
+                // A leftover file does no harm.
+                _ = fs::remove_file(out.join(name));
+            }
+            None => {}
         }
     }
     Ok(())
+}
+
+/// Reads the file of [`poses_json`]; `None` for any other.
+fn read_poses(path: &Path) -> Option<BTreeMap<String, [[f64; 4]; 3]>> {
+    serde_json::from_slice(&fs::read(path).ok()?).ok()
 }
 
 /// Returns the poses by photograph, as JSON: the rows of `cam_from_world`, `[3, 4]`, OpenCV axes, in the world frame of

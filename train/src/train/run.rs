@@ -1,8 +1,7 @@
 //! A run, from its options or its last checkpoint to its results.
 
 use std::collections::BTreeMap;
-use std::ffi::OsStr;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::rc::Rc;
 use std::sync::Arc;
 use std::time::Instant;
@@ -10,7 +9,6 @@ use std::time::Instant;
 use anyhow::{Context, Result, ensure};
 use serde::Serialize;
 use splat_model::accuracy::Workload;
-use splat_model::capture::demo::DemoOptions;
 use splat_model::capture::{Capture, Photograph};
 use splat_model::density::Focus;
 use splat_model::effects::EffectKind;
@@ -20,30 +18,28 @@ use splat_model::trainer::{TrainConfig, Trainer};
 
 use super::budget::{self, MemoryEstimate};
 use super::checkpoints::{self, Checkpoints, RunState, SavedRun, SoFar};
+use super::folders::{inputs_of, open, prepare};
 use super::results::{write_learnt, write_scene};
 use super::start::started;
 use super::steps::{Done, Steps};
-use super::{OUT, ResumeArgs, TrainArgs};
+use super::{ResumeArgs, TrainArgs};
 use crate::accuracy::{self, RequestedAccuracy};
 use crate::effects::Chosen;
 use crate::input::PhotoSelection;
+use crate::inputs::Inputs;
 use crate::live::Live;
 use crate::lpips::LpipsArgs;
 use crate::options::PhotoArgs;
-use crate::output::{self, OutputFolder};
 use crate::pareto::{MeasuredView, UnmeasuredScene};
 use crate::progress;
 use crate::ranks::{self, Setup};
 use crate::report::log::LogLine;
 use crate::report::metrics::{Metrics, Seconds, peak_rss_mib, seconds_since};
 use crate::report::page::{self, ReportPage};
-use crate::report::{self, BACKGROUND, METRICS, POSES, REPORT, SCENE, VIEWS};
-use crate::snapshots::{self, Described, Snapshots};
+use crate::report::{self, SCENE};
+use crate::snapshots::{Described, Snapshots};
 use crate::view::scene::{ShownScene, Viewpoint};
-use crate::{demo, input, reconstruct};
-
-/// Folder of the demo capture, below the output folder.
-const DEMO_CAPTURE: &str = "demo-capture";
+use crate::{input, reconstruct};
 
 /// The `options` of `metrics.json`.
 #[derive(Serialize)]
@@ -147,17 +143,19 @@ fn to_the_end(
     let accuracy = args.accuracy.resolve(&device_name)?;
     let lpips = args.lpips.read(&device)?;
     let (out, mut capture, start) = open(&args)?;
+    let inputs = Inputs::of(&args.capture);
     // A run may be resumed from any working directory, and a video does not tell which folder its frames are in.
     if let Some(source) = args.capture.take() {
         args.cameras = args.cameras.from_anywhere(&source);
         let found = if reconstruct::is_needed(&source) { &capture.folder } else { &source };
         args.capture = Some(std::path::absolute(found)?);
     }
+    let (split, photo_args) = args.photos.split(&capture);
+    let out = prepare(&out, inputs_of(inputs, &args, &capture, kept.is_none()), (&capture, &split, &photo_args))?;
     args.cameras.scale(&mut capture)?;
     let capture = Arc::new(capture);
     args.lpips = args.lpips.from_anywhere();
     args.start = args.start.map(std::path::absolute).transpose()?;
-    let (split, photo_args) = args.photos.split(&capture);
     let (seen, max_side) = (split.require_train()?, args.photos.max_side);
     let mut effects = args.effects.choose(&capture, seen, args.model.antialias, max_side)?;
     effects.configure(&mut config, args.background, args.sh_degree);
@@ -216,7 +214,7 @@ fn to_the_end(
 
     // All errors in the capture have been found by now: a run that does not begin leaves no files.
     let checkpoints = Checkpoints::open(out.path())?;
-    out.sweep(&[VIEWS]);
+    out.sweep();
     let snapshots = described.map(|described| Snapshots::open(&out, &described, kept.is_none())).transpose()?;
     let so_far = match kept {
         None => {
@@ -326,62 +324,6 @@ fn to_the_end(
     report::say(&metrics, SCENE, &out);
     progress::line(&LogLine::Done { out: out.path().display().to_string(), metrics: &metrics });
     Ok(metrics)
-}
-
-/// Prepares the output folder and reads the capture, after making the demo capture if none was given.
-fn open(args: &TrainArgs) -> Result<(OutputFolder, Capture, Instant)> {
-    let prepare = || {
-        let out = args.out.clone().unwrap_or_else(|| own_folder(args.capture.as_deref()));
-        OutputFolder::prepare(
-            &out,
-            &[SCENE, METRICS, REPORT, BACKGROUND, POSES],
-            &[VIEWS, checkpoints::FOLDER, snapshots::FOLDER],
-        )
-    };
-    match &args.capture {
-        Some(source) if reconstruct::is_needed(source) => {
-            let folder = match &args.out {
-                Some(out) => out.join(reconstruct::FOLDER),
-                None => reconstruct::own_folder(source),
-            };
-            reconstruct::reconstruct(source, &folder, &args.cameras)?;
-            let start = Instant::now();
-            Ok((prepare()?, input::capture(&folder)?, start))
-        }
-        Some(folder) => {
-            args.cameras.check_for_capture(folder)?;
-            let start = Instant::now();
-            let capture = input::capture(folder)?;
-            Ok((prepare()?, capture, start))
-        }
-        None => {
-            let out = prepare()?;
-            let folder = out.join(DEMO_CAPTURE);
-            demo::ensure(&folder, &DemoOptions::default())?;
-            let start = Instant::now();
-            Ok((out, input::capture(&folder)?, start))
-        }
-    }
-}
-
-/// Returns the default output folder: an empty one with the name of the capture, so that no run replaces the results of
-/// another.
-fn own_folder(capture: Option<&Path>) -> PathBuf {
-    let (name, may_hold) = match capture {
-        None => ("demo".into(), &[DEMO_CAPTURE][..]),
-        Some(source) => (reconstruct::name_of(source), &[][..]),
-    };
-    let name = OsStr::new(&name);
-    let (first, free) = (Path::new(OUT).join(name), output::free_folder(Path::new(OUT), name, may_hold));
-    match free == first {
-        true => progress::note(&format!("writing to {}", free.display())),
-        false => progress::note(&format!(
-            "{} is not empty and is kept: writing to {} (`--out` names another folder)",
-            first.display(),
-            free.display()
-        )),
-    }
-    free
 }
 
 /// Returns the indices of the views of photographs, some of which may have been left out.

@@ -154,7 +154,10 @@ fn what_cannot_be_cleaned_is_said() {
     let (scene, out) = (path("a.ply"), path("b.ply"));
     let bytes = fs::read(&scene).unwrap();
     refuse(&mut splat(&["clean", text(&scene), text(&out)]), &["--box", "--capture"]);
-    refuse(&mut splat(&["clean", text(&scene), text(&scene), "--box", "0,0,0,1,1,1"]), &["the scene itself", "a.ply"]);
+    refuse(
+        &mut splat(&["clean", text(&scene), text(&scene), "--box", "0,0,0,1,1,1"]),
+        &["is an input of this command", "a.ply"],
+    );
     refuse(&mut splat(&["clean", text(&scene), text(&path("b.bin")), "--box", "0,0,0,1,1,1"]), &["b.bin", "format"]);
     refuse(&mut splat(&["clean", text(&path("none.ply")), text(&out), "--box", "0,0,0,1,1,1"]), &["none.ply"]);
     let none = path("none");

@@ -65,7 +65,7 @@ feature_extractor)
     echo "*** Aborted at 1700000000 ***" >&2
     kill -SEGV $$
   fi
-  echo features >>"$database"
+  printf 'SQLite format 3\000' >"$database"
   count=1250
   if [ "$FAKE" = bare ]; then count=3; fi
   i=0

@@ -8,6 +8,7 @@ use base64::engine::general_purpose::STANDARD;
 use serde_json::Value;
 use splat_model::formats::{self, Format, SceneFile};
 use splat_model::gaussians::GaussianRows;
+use splat_model::ply;
 use tempfile::TempDir;
 
 use crate::browser::{BrowserPage, look};
@@ -173,7 +174,7 @@ fn what_cannot_be_converted_is_said_and_nothing_is_harmed() {
     let (good, out) = (path("good.spz"), path("out.spz"));
     succeed(&mut splat(&["convert", text(&trained()), text(&good)]));
     let bytes = fs::read(&good).unwrap();
-    refuse(&mut splat(&["convert", text(&good), text(&good)]), &[text(&good), "the scene itself"]);
+    refuse(&mut splat(&["convert", text(&good), text(&good)]), &[text(&good), "is an input of this command"]);
     refuse(&mut splat(&["convert", text(&path("none.ply")), text(&good)]), &["none.ply", "is the path right"]);
     fs::write(path("half.spz"), &bytes[..bytes.len() / 2]).unwrap();
     refuse(&mut splat(&["convert", text(&path("half.spz")), text(&good)]), &["half.spz", "export it again"]);
@@ -306,6 +307,36 @@ fn assert_read(format: Format, rows: &GaussianRows, theirs: &[[f64; 14]]) {
         let opacity = (1.0 + f64::from(-rows.logit_opacities[i]).exp()).recip();
         near("the opacity", row[10], opacity, 0.003);
     }
+}
+
+#[test]
+fn a_scene_of_which_nothing_is_left_replaces_no_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let mut rows = formats::read(&trained()).unwrap().0.rows;
+    rows.rotations.fill([0.0; 4]);
+    let (count, mut file) = (rows.len(), Vec::new());
+    ply::write_to(&mut file, &rows, glam::DVec3::ZERO).unwrap();
+    fs::write(path("nothing.ply"), &file).unwrap();
+    for format in Format::ALL {
+        let out = path(&format!("out{}", format.extension()));
+        fs::write(&out, "precious").unwrap();
+        let all = format!("{count} of {count} cannot be rendered");
+        refuse(
+            &mut splat(&["convert", text(&path("nothing.ply")), text(&out)]),
+            &[text(&out), "no splat is left", &all],
+        );
+        refuse(
+            &mut splat(&["clean", text(&path("nothing.ply")), text(&out), "--box=-9,-9,-9,9,9,9"]),
+            &["no splat would be left"],
+        );
+        assert_eq!(fs::read_to_string(&out).unwrap(), "precious");
+    }
+    let page = path("out.html");
+    fs::write(&page, "precious").unwrap();
+    refuse(&mut splat(&["export", text(&path("nothing.ply")), "--html", text(&page)]), &["nothing.ply"]);
+    assert_eq!(fs::read_to_string(&page).unwrap(), "precious");
+    assert_eq!(files(folder.path()).len(), 2 + Format::ALL.len(), "a temporary file is left");
 }
 
 #[test]

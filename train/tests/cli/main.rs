@@ -10,6 +10,8 @@ mod errors;
 mod export;
 mod hard_cases;
 mod info;
+#[cfg(unix)]
+mod inputs;
 mod live;
 mod lpips;
 mod memory;
@@ -149,11 +151,14 @@ fn a_second_run_replaces_the_first() {
     let views = ["0000", "0002", "0004", "0006"].map(|name| format!("views/{name}.png"));
     let others = ["metrics.json", "report.html", "scene.ply"].map(String::from);
     assert_eq!(files(out), views.into_iter().chain(others).collect());
-    fs::write(out.join("views/mine.png"), "kept").unwrap();
+    // None of these is as this program writes it.
+    let mine = ["views/mine.png", "views/0002.png", "poses.json", "background.json", ".mine.tmp-7-0"];
+    mine.iter().for_each(|name| fs::write(out.join(name), "kept").unwrap());
 
     succeed(splat(&TRAIN).args(["--out", text(out)]).arg(DEMO.as_path()));
-    let expected = ["metrics.json", "report.html", "scene.ply", "views/0000.png", "views/mine.png"];
-    assert_eq!(files(out), expected.map(String::from).into());
+    let expected = ["metrics.json", "report.html", "scene.ply", "views/0000.png"];
+    assert_eq!(files(out), expected.into_iter().chain(mine).map(String::from).collect());
+    assert!(mine.iter().all(|name| fs::read_to_string(out.join(name)).is_ok_and(|text| text == "kept")));
     // The same seed gives the same scene, to the last bit.
     assert_eq!(fs::read(out.join("scene.ply")).unwrap(), fs::read(TRAINED.join("scene.ply")).unwrap());
 }

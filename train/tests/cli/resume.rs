@@ -243,6 +243,42 @@ fn a_new_run_puts_an_unfinished_one_aside() {
     assert_as_whole(&out);
 }
 
+/// Other programs keep their state in a folder of that name too.
+#[test]
+fn checkpoints_of_another_program_stay() {
+    let out = fresh("another program's");
+    let kept = ["checkpoints/checkpoint.resume", "checkpoints/run1/model.ckpt", "checkpoints-before/notes"];
+    let keep = || {
+        for name in kept {
+            fs::create_dir_all(out.join(name).parent().unwrap()).unwrap();
+            fs::write(out.join(name), "a week of work").unwrap();
+        }
+    };
+    let kept_all =
+        || kept.iter().all(|name| fs::read_to_string(out.join(name)).is_ok_and(|text| text == "a week of work"));
+    keep();
+    let said = succeed(&mut training(&out)).stderr;
+    let note =
+        said.find("no checkpoints of this program, such as checkpoint.resume").unwrap_or_else(|| panic!("{said}"));
+    assert!(note < said.find("step ").unwrap(), "said before the first step: {said}");
+    assert!(kept_all() && checkpoints(&out).is_empty(), "{:?}", files(&out));
+    assert!(fs::read_dir(out.join("checkpoints")).unwrap().count() == 2);
+    // So do they where an unfinished run is put aside.
+    let unfinished = killed("unfinished beside others", EVERY);
+    fs::rename(unfinished.join("checkpoints"), out.join("unfinished")).unwrap();
+    let steps = fs::read_dir(out.join("unfinished")).unwrap().map(|entry| entry.unwrap());
+    let steps: Vec<_> = steps.filter(|entry| entry.file_name().to_str().unwrap().starts_with("step-")).collect();
+    steps.iter().for_each(|entry| fs::rename(entry.path(), out.join("checkpoints").join(entry.file_name())).unwrap());
+    succeed(&mut training(&out));
+    assert!(kept_all() && checkpoints(&out).is_empty());
+    assert!(steps.iter().all(|entry| out.join("checkpoints-before").join(entry.file_name()).is_file()));
+    // A file with the name of a checkpoint would be replaced by one.
+    let taken = out.join("checkpoints/step-00000000.safetensors");
+    fs::write(&taken, "tensors of another program").unwrap();
+    refuse(&mut training(&out), &["step-00000000.safetensors", "none of this program", "--out"]);
+    assert_eq!(fs::read_to_string(&taken).unwrap(), "tensors of another program");
+}
+
 #[test]
 fn two_runs_do_not_share_a_folder() {
     let out = fresh("shared");

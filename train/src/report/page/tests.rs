@@ -11,6 +11,7 @@ use super::super::metrics::Seconds;
 use super::super::{VIEWS, pictures};
 use super::comparisons::MOST;
 use super::*;
+use crate::inputs::Inputs;
 
 /// Names that someone could give to photographs.
 const NASTY: &str = "</script><script>alert('1 & \"2\"')</script><img src=x onerror=alert(2)>.png";
@@ -78,7 +79,7 @@ fn scene() -> ShownScene {
 /// Returns the page of a run with these views, whose pictures exist.
 fn page(views: Vec<ViewScore>) -> String {
     let folder = tempfile::tempdir().unwrap();
-    let out = OutputFolder::prepare(folder.path(), &[], &[]).unwrap();
+    let out = OutputFolder::prepare(folder.path(), Inputs::default(), [""; 0], &[]).unwrap();
     for name in pictures::names(views.iter().map(|view| view.name.as_str()), "png") {
         // Names with slashes are in folders; the page must work without their pictures.
         if name.components().count() == 1 {
@@ -214,7 +215,7 @@ fn the_script_reads_the_history_as_it_is() {
 #[test]
 fn a_run_without_test_views_or_splats_has_a_page() {
     let folder = tempfile::tempdir().unwrap();
-    let out = OutputFolder::prepare(folder.path(), &[], &[]).unwrap();
+    let out = OutputFolder::prepare(folder.path(), Inputs::default(), [""; 0], &[]).unwrap();
     let metrics = metrics(Vec::new(), "");
     let history = History::default();
     let page = ReportPage {
