@@ -39,6 +39,8 @@ pub fn open(args: &TrainArgs) -> Result<(PathBuf, Capture, Instant)> {
         }
         None => {
             let out = out();
+            // Before the demo capture is made.
+            OutputFolder::prepare(&out, Inputs::default(), [""; 0], &[])?;
             let folder = out.join(DEMO_CAPTURE);
             demo::ensure(&folder, &DemoOptions::default())?;
             let start = Instant::now();

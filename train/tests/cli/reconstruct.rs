@@ -132,6 +132,33 @@ fn without_out_later_runs_share_one_reconstruction() {
 }
 
 #[test]
+fn what_a_user_put_into_a_reconstruction_stays() {
+    let alone = Alone::new();
+    let mine = ["made/masks/0000.png", "made/images/0000.png", "made/images/more.png", "made/notes/a.txt"];
+    let kept = || mine.iter().all(|name| fs::read_to_string(alone.path(name)).is_ok_and(|text| text == "mine"));
+    succeed(&mut alone.reconstruct("ok"));
+    fs::remove_file(alone.path("made/images/0000.png")).unwrap();
+    for name in mine {
+        fs::create_dir_all(alone.path(name).parent().unwrap()).unwrap();
+        fs::write(alone.path(name), "mine").unwrap();
+    }
+    succeed(&mut alone.reconstruct("ok"));
+    assert!(kept() && alone.called() == ALL, "the finished one is used as it is");
+    // Other photographs make it anew, for which the pictures are in the way.
+    fs::copy(alone.path("photos/0000.png"), alone.path("photos/0008.png")).unwrap();
+    refuse(&mut alone.reconstruct("ok"), &["made/images/0000.png", "--out"]);
+    assert!(kept() && alone.path("made/sparse/0/cameras.bin").exists() && alone.called() == ALL);
+    mine[1..3].iter().for_each(|name| fs::remove_file(alone.path(name)).unwrap());
+    succeed(&mut alone.reconstruct("ok"));
+    assert!(alone.path("made/masks/0000.png").exists() && alone.called() == [ALL, ALL].concat());
+    // The photographs themselves are no place for it.
+    let before = files(&alone.path("photos"));
+    refuse(&mut alone.splat("ok", &["reconstruct", "photos", "--out", "photos"]), &["photos is an input", "choose"]);
+    refuse(&mut alone.splat("ok", &["reconstruct", "made/images", "--out", "made"]), &["made/images", "is an input"]);
+    assert!(files(&alone.path("photos")) == before && alone.path("made/images/0001.png").exists());
+}
+
+#[test]
 fn a_stopped_reconstruction_goes_on_after_its_finished_stages() {
     let alone = Alone::new();
     let child = alone.reconstruct("slow").stderr(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
