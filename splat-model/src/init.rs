@@ -1,12 +1,17 @@
 //! The initial Gaussians of a scene: from a sparse point cloud, or random for a capture without points.
 
+use std::collections::HashSet;
+
 use glam::{DAffine3, DVec2, DVec3};
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
-use rand::{Rng, RngExt};
+use rand::{Rng, RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use splat_op::Intrinsics;
 
 use crate::capture::PointCloud;
+use crate::capture::spread::Spread;
+use crate::cleanup::Bulk;
 use crate::density::morton_order;
 use crate::gaussians::GaussianRows;
 use crate::optim::scene_extent;
@@ -27,6 +32,9 @@ const NEIGHBOURS: usize = 3;
 /// a unit across, the minimum is this share of its squared size, so that a small scene starts like a large one.
 const SMALLEST_SQUARED_DISTANCE: f32 = 1e-7;
 
+/// Distance of two points at one place, relative to the size of the cloud: a few roundings of f32.
+const SAME_PLACE: f64 = 1e-6;
+
 /// Number of random Gaussians for a capture without points.
 pub const RANDOM_COUNT: usize = 20_000;
 
@@ -34,7 +42,7 @@ pub const RANDOM_COUNT: usize = 20_000;
 /// neighbours, its opacity 0.1, its colour the point's colour without view dependence.
 pub fn from_points(points: &PointCloud) -> GaussianRows {
     let squared = neighbour_distances(&points.positions);
-    let across = size_of_cloud(&points.positions);
+    let across = size_of_cloud(&points.positions) as f32;
     // Points at one place do not give the size of the scene.
     let floor = SMALLEST_SQUARED_DISTANCE * if across > 0.0 && across < 1.0 { across * across } else { 1.0 };
     let count = points.positions.len();
@@ -52,15 +60,32 @@ pub fn from_points(points: &PointCloud) -> GaussianRows {
     }
 }
 
-/// The longest side of the box around all points; 0 without points.
-fn size_of_cloud(positions: &[[f32; 3]]) -> f32 {
-    let side = |axis: usize| {
-        let coordinates = positions.iter().map(|position| position[axis]);
-        let (low, high) =
-            coordinates.fold((f32::INFINITY, f32::NEG_INFINITY), |(low, high), c| (low.min(c), high.max(c)));
-        high - low
+/// The longest side of the box around the [bulk](Bulk) of the points; 0 without points.
+fn size_of_cloud(positions: &[[f32; 3]]) -> f64 {
+    Bulk::of(positions).map_or(0.0, |bulk| bulk.width)
+}
+
+/// Returns the points that are at places of their own: of those at one place, to a millionth of the cloud's size, the first. Merged
+/// clouds hold points several times, with coordinates that were rounded on the way. Positions that are not finite are left out.
+pub fn distinct(points: &PointCloud) -> PointCloud {
+    let finite = |row: &usize| points.positions[*row].iter().all(|coordinate| coordinate.is_finite());
+    let rows = || (0..points.positions.len()).filter(finite);
+    let positions: Vec<[f32; 3]> = rows().map(|row| points.positions[row]).collect();
+    let near = match SAME_PLACE * size_of_cloud(&positions) {
+        near if near > 0.0 => near,
+        _ => f64::from(f32::MIN_POSITIVE),
     };
-    (0..3).map(side).fold(0.0, f32::max)
+    let cell = |position: &[f32; 3], corner: [f64; 3]| {
+        [0, 1, 2].map(|axis| ((f64::from(position[axis]) + near * corner[axis]) / (4.0 * near)).floor().to_bits())
+    };
+    let mut taken = HashSet::with_capacity(positions.len());
+    let is_new = |row: &usize| {
+        let position = &points.positions[*row];
+        // The cell of a point at most `near` away is that of a corner of this box, because cells are larger.
+        let corner = |i: usize| [0, 1, 2].map(|axis| if i >> axis & 1 == 0 { -1.0 } else { 1.0 });
+        !(0..8).any(|i| taken.contains(&cell(position, corner(i)))) && taken.insert(cell(position, [0.0; 3]))
+    };
+    picked(points, rows().filter(is_new))
 }
 
 /// Mean squared distance of each point to its three nearest neighbours, or to all other points if they are fewer.
@@ -81,12 +106,16 @@ fn neighbour_distances(positions: &[[f32; 3]]) -> Vec<f32> {
 
 /// Returns random points of random colour in the volume that all cameras look at. Each point lies in the picture of a random
 /// camera, at a depth between 0.5 and 1.5 times the camera's distance to the point nearest to all optical axes (a distance, not
-/// a depth, for a fisheye). For a camera at that point, as in a panorama, the scene extent replaces the distance.
+/// a depth, for a fisheye). For a camera at that point, as in a panorama, the scene extent replaces the distance. Strays among the
+/// cameras (see [`scene_extent`]) do not count.
 pub fn random_points(cameras: &[(Intrinsics, DAffine3)], count: usize, rng: &mut impl Rng) -> PointCloud {
     let mut points = PointCloud::default();
-    let Some(focus) = common_focus(cameras) else { return points };
     let centres: Vec<DVec3> = cameras.iter().map(|(_, pose)| pose.inverse().translation).collect();
     let extent = scene_extent(&centres);
+    let Some(spread) = Spread::of(&centres) else { return points };
+    let usual = cameras.iter().zip(&centres).filter(|(_, centre)| spread.holds(**centre));
+    let cameras: Vec<_> = usual.map(|(camera, _)| *camera).collect();
+    let Some(focus) = common_focus(&cameras) else { return points };
     for _ in 0..count {
         let (camera, cam_from_world) = &cameras[rng.random_range(0..cameras.len())];
         let world_from_cam = cam_from_world.inverse();
@@ -100,6 +129,30 @@ pub fn random_points(cameras: &[(Intrinsics, DAffine3)], count: usize, rng: &mut
         points.colours.push([rng.random(), rng.random(), rng.random()]);
     }
     points
+}
+
+/// Returns the points, and random ones (see [`random_points`]) where they are fewer than `least`.
+pub fn filled(points: &PointCloud, cameras: &[(Intrinsics, DAffine3)], least: usize, seed: u64) -> PointCloud {
+    let missing = least.saturating_sub(points.positions.len());
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut filled = random_points(cameras, missing, &mut rng);
+    if std::env::var("SPLAT_FILL_MODE").is_ok_and(|mode| mode == "b") {
+        filled = PointCloud::default();
+        while filled.positions.len() < missing {
+            let (camera, cam_from_world) = &cameras[rng.random_range(0..cameras.len())];
+            let point = &points.positions[rng.random_range(0..points.positions.len())];
+            let at = cam_from_world.transform_point3(DVec3::from(point.map(f64::from)));
+            if camera.projector().px_from_cam(at).is_none() { continue; }
+            let depth = at.z * rng.random_range(0.7..1.4);
+            let px = DVec2::new(rng.random_range(0.0..camera.width as f64), rng.random_range(0.0..camera.height as f64));
+            let position = cam_from_world.inverse().transform_point3(camera.cam_from_px(px) * depth);
+            filled.positions.push(position.as_vec3().to_array());
+            filled.colours.push([rng.random(), rng.random(), rng.random()]);
+        }
+    }
+    filled.positions.extend(&points.positions);
+    filled.colours.extend(&points.colours);
+    filled
 }
 
 /// The point with the smallest sum of squared distances to the optical axes. For a single camera, or cameras that all look the

@@ -78,6 +78,7 @@ pub mod loss;
 pub mod metrics;
 pub mod optim;
 pub mod ply;
+mod quantile;
 pub mod replace;
 pub mod state;
 pub mod trainer;

@@ -19,19 +19,17 @@ use std::rc::Rc;
 use std::{iter, mem};
 
 use burn::tensor::{Device, Tensor};
-use glam::DAffine3;
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
-use splat_op::{Intrinsics, RenderOptions, Splats};
+use splat_op::{RenderOptions, Splats};
 
 use crate::accuracy::Setting;
-use crate::capture::{Photo, Photograph, PointCloud};
+use crate::capture::{Photo, Photograph, PointCloud, PointsSeen};
 use crate::density::rows::{Gradients, StepRates, Trained};
 use crate::density::{RefineReport, Strategy, StrategyContext};
 use crate::effects::{Effect, EffectContext, EffectStack};
 use crate::gaussians::Gaussians;
-use crate::init;
 use crate::loss::{Truth, photometric};
 use crate::optim::{Adam, Decay, scene_extent, sh_degree_at};
 
@@ -112,6 +110,8 @@ pub struct Trainer {
     rng: ChaCha8Rng,
     /// Remaining views of this epoch.
     queue: Vec<usize>,
+    /// How many photographs show the points that the run started from.
+    seen: PointsSeen,
     step: usize,
 }
 
@@ -150,14 +150,7 @@ impl Trainer {
             () => config.check()?,
         }
         let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
-        let mut rows = if points.positions.is_empty() {
-            let cameras: Vec<(Intrinsics, DAffine3)> =
-                photos.iter().map(|photo| (photo.intrinsics, photo.cam_from_world)).collect();
-            let count = init::RANDOM_COUNT.min(config.density.max_splats());
-            init::from_points(&init::ordered(&init::random_points(&cameras, count, &mut rng)))
-        } else {
-            init::from_points(&init::ordered(&init::thinned(points, config.density.max_splats())))
-        };
+        let (mut rows, seen) = start::first_rows(&photos, points, config.density.max_splats(), &mut rng);
         let centres: Vec<_> = photos.iter().map(|photo| photo.cam_from_world.inverse().translation).collect();
         let extent = scene_extent(&centres);
         let mut density = config.density.strategy(extent, config.steps);
@@ -182,6 +175,7 @@ impl Trainer {
             checks: false,
             rng,
             queue: Vec::new(),
+            seen,
             step: 0,
             config,
         })
@@ -291,7 +285,7 @@ impl Trainer {
     /// Density control follows.
     ///
     /// # Errors
-    /// If the render operation rejects the scene, or if the loss or a gradient is not finite. The scene then keeps its
+    /// If the render operation rejects the scene, or if the loss or a gradient is not finite, or if no Gaussian is left. The scene then keeps its
     /// state before that step, and the run is over. On a GPU, which is not waited for, the error may come up to fifty steps
     /// later. The scene keeps its state before the failed step all the same.
     pub fn step(&mut self) -> Result<StepReport, TrainError> {
@@ -336,6 +330,9 @@ impl Trainer {
         }
         let at = StrategyContext { step, steps, extent: self.extent, means_rate: rates.means, verdict: held.as_ref() };
         let refined = self.density.act(&mut self.scene, &at, &mut self.rng)?;
+        if self.scene.gaussians.is_empty() {
+            return Err(TrainError::NoSplats { step, seen: self.seen.clone() });
+        }
         if read {
             self.scene.forget_mark();
         }
@@ -397,6 +394,8 @@ impl Trainer {
 mod custom_effect_tests;
 #[cfg(test)]
 mod effects_tests;
+#[cfg(test)]
+mod robust_tests;
 #[cfg(test)]
 mod strategies_tests;
 #[cfg(test)]

@@ -6,7 +6,7 @@ use std::time::Instant;
 use anyhow::Result;
 use clap::value_parser;
 use serde::Serialize;
-use splat_model::capture::Scale;
+use splat_model::capture::{PointsSeen, Scale};
 use splat_model::effects::plan::{self, Cost, Decision, EffectVerdict, Plan, slowness};
 use splat_model::effects::survey::{Survey, ViewExposure};
 
@@ -37,6 +37,7 @@ pub struct InspectArgs {
 struct Report<'a> {
     #[serde(skip_serializing_if = "Option::is_none")]
     scale: Option<&'a Scale>,
+    points_seen: &'a PointsSeen,
     survey: &'a Survey,
     plan: &'a Plan,
     seconds: f64,
@@ -52,10 +53,13 @@ pub fn run(args: &InspectArgs) -> Result<()> {
     let survey = Survey::of(&capture)?;
     let all: Vec<usize> = (0..capture.views.len()).collect();
     let plan = Plan::of(&survey, capture.mean_pixels(&all, args.max_side), slowness()?);
+    let cameras: Vec<_> = capture.views.iter().map(|view| (view.intrinsics, view.cam_from_world)).collect();
+    let points_seen = PointsSeen::of(&cameras, &capture.points.positions);
     let seconds = seconds_since(start);
     if args.json {
         progress::say(&serde_json::to_string_pretty(&Report {
             scale: capture.scale.as_ref(),
+            points_seen: &points_seen,
             survey: &survey,
             plan: &plan,
             seconds,
@@ -63,7 +67,11 @@ pub fn run(args: &InspectArgs) -> Result<()> {
         return Ok(());
     }
     let scale = capture.scale.as_ref().map(|scale| format!("{}\n", scale_said(scale))).unwrap_or_default();
-    progress::say(&format!("{}: {seconds:.1} s\n{scale}{}", args.capture.display(), text(&survey, &plan)));
+    let seen = match capture.points.positions.is_empty() {
+        true => String::new(),
+        false => format!("{}\n", points_seen.said(|view| &capture.views[view].name)),
+    };
+    progress::say(&format!("{}: {seconds:.1} s\n{scale}{seen}{}", args.capture.display(), text(&survey, &plan)));
     Ok(())
 }
 

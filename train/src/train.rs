@@ -21,7 +21,7 @@ use splat_model::trainer::{Resolution, TrainConfig, TrainError};
 pub use self::checkpoints::{RunState, state_of};
 pub(crate) use self::run::{photographs, views_of};
 pub use self::run::{resume, resume_together, run, run_or_resume, run_with};
-pub(crate) use self::start::started;
+pub(crate) use self::start::{start_points, started};
 pub use self::stop::Interrupted;
 pub(crate) use self::stop::Stop;
 use self::time_limit::{GUESS, TrainingTime};

@@ -7,12 +7,15 @@ mod colmap;
 pub mod demo;
 mod error;
 pub mod exif;
-mod origin;
+pub(crate) mod origin;
 pub(crate) mod packed;
 mod photograph;
 mod read;
 pub mod scale;
+pub(crate) mod seen;
 mod split;
+pub(crate) mod spread;
+pub(crate) mod strays;
 mod tracks;
 mod transforms;
 pub mod unposed;
@@ -31,6 +34,7 @@ pub use error::CaptureError;
 pub use image::{Photo, load_all};
 pub use photograph::{Photograph, PhotographFacts};
 pub use scale::Scale;
+pub use seen::PointsSeen;
 pub use split::Split;
 pub use tracks::{Observation, Tracks};
 
@@ -83,6 +87,7 @@ impl Capture {
     ///
     /// Without points the point cloud is empty. A capture whose mean camera centre lies further from zero than 100
     /// times its extent is moved next to zero; [`Capture::origin`] says by how much. `scale.json` gives the size of a scene unit.
+    /// Photographs whose poses cannot be right, up to a quarter, are left out, and [`Capture::remarks`] name them.
     ///
     /// # Errors
     ///
@@ -99,7 +104,7 @@ impl Capture {
         let mut files = capture.files;
         let scale = Scale::load(folder)?;
         files.extend(scale.is_some().then(|| folder.join(scale::SCALE_FILE)));
-        Ok(Self { scale, files, ..capture })
+        Ok(strays::leave_out(Self { scale, files, ..capture }))
     }
 
     /// Whether a folder holds a capture's cameras in one of the formats of [`load`](Self::load). They may be damaged.

@@ -37,6 +37,16 @@ impl Tracks {
         self.stated_errors_px.push(measured.then_some(stated_error_px as f32));
     }
 
+    /// The tracks of some points, in this order, in the views that have a place among others.
+    pub(super) fn picked(&self, points: impl IntoIterator<Item = usize>, place: &[Option<usize>]) -> Self {
+        let mut picked = Self { dangling: self.dangling, ..Self::default() };
+        for point in points {
+            let placed = self.of(point).iter().filter_map(|seen| Some(Some(Observation { view: place[seen.view]?, ..*seen })));
+            picked.push(placed, self.stated_error_px(point).map_or(-1.0, f64::from));
+        }
+        picked
+    }
+
     /// The observations of a point of the cloud; empty for an index out of range.
     pub fn of(&self, point: usize) -> &[Observation] {
         let Some(&end) = self.ends.get(point) else { return &[] };

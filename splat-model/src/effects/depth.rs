@@ -26,6 +26,7 @@ use super::{Effect, EffectKind, RenderInput};
 use crate::capture::{Capture, CaptureError};
 use crate::gaussians::Gaussians;
 use crate::json;
+use crate::quantile::quantile;
 
 /// Options of depth supervision.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -124,6 +125,10 @@ const LARGEST_TEXT: u64 = 1 << 16;
 /// Largest number of samples of a depth map.
 const MOST_SAMPLES: usize = 16_384;
 
+/// Least depth of a sample, in medians of all depths. The error is relative to the depth, so that one level above zero, where a map means that
+/// nothing is known, would outweigh the whole picture.
+const LEAST_OF_MEDIAN: f64 = 0.01;
+
 /// A photograph's samples on the device, for one size of picture.
 struct DeviceDepths {
     size: [usize; 2],
@@ -148,8 +153,17 @@ impl Depths {
             sample.depth > 0.0 && sample.depth.is_finite() && sample.at.iter().all(|at| (0.0..1.0).contains(at))
         };
         samples.iter_mut().for_each(|list| list.retain(usable));
+        let mut depths: Vec<f64> = samples.iter().flatten().map(|sample| f64::from(sample.depth)).collect();
+        let least = LEAST_OF_MEDIAN * quantile(&mut depths, 0.5).unwrap_or_default();
+        samples.iter_mut().for_each(|list| list.retain(|sample| f64::from(sample.depth) >= least));
         let on_device = samples.iter().map(|_| None).collect();
         Self { config, samples, on_device, device: device.clone() }
+    }
+
+    /// The least of all known depths.
+    #[cfg(test)]
+    pub(crate) fn least(&self) -> f64 {
+        self.samples.iter().flatten().map(|sample| f64::from(sample.depth)).fold(f64::INFINITY, f64::min)
     }
 
     /// Whether a view's depth must be rendered: the step is supervised, and the photograph has known depths.

@@ -18,6 +18,7 @@ use splat_op::{Intrinsics, Projector, Splats};
 
 use super::{Effect, EffectContext, EffectKind, RenderInput};
 use crate::gaussians::{GaussianRows, Gaussians, values_of};
+use crate::quantile::quantile;
 use crate::state::{State, StateError};
 
 /// Variance of the filter as a multiple of the squared sample spacing: 0.2, as in the original.
@@ -29,6 +30,9 @@ const EVERY: usize = 100;
 /// A centre counts as visible up to this share of the picture beyond its border, because its Gaussian may extend into the
 /// picture.
 const MARGIN: f64 = 0.15;
+
+/// Share of the seen centres that are sampled less than one that no camera sees is taken to be.
+const COARSE: f64 = 0.1;
 
 /// A camera that photographs the scene.
 struct Sampler {
@@ -73,15 +77,15 @@ impl Smoothing {
     }
 
     /// Logarithms of the filter's standard deviations at these centres, scene units. A centre that no camera sees gets the
-    /// widest filter of the others, as in the original.
+    /// filter that a tenth of the others exceed. (The widest in the original: that of one Gaussian far away would hide the scene.)
     pub fn ln_widths(&self, means: &[[f32; 3]]) -> Vec<f32> {
         let rate = |mean: &[f32; 3]| {
             let world = Vec3::from_array(*mean).as_dvec3();
             self.cameras.iter().map(|camera| camera.rate(world)).fold(0.0, f64::max)
         };
         let rates: Vec<f64> = means.par_iter().map(rate).collect();
-        let coarsest = rates.iter().copied().filter(|rate| *rate > 0.0).fold(f64::INFINITY, f64::min);
-        let coarsest = if coarsest.is_finite() { coarsest } else { 1.0 };
+        let mut seen: Vec<f64> = rates.iter().copied().filter(|rate| *rate > 0.0).collect();
+        let coarsest = quantile(&mut seen, COARSE).unwrap_or(1.0);
         let ln_width = |rate: f64| (0.5 * VARIANCE.ln() - if rate > 0.0 { rate } else { coarsest }.ln()) as f32;
         rates.into_iter().map(ln_width).collect()
     }

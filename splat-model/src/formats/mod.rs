@@ -13,7 +13,7 @@
 //!
 //! Compressed formats hold only Gaussians that can be rendered: they cannot represent NaN, and such a Gaussian would be drawn.
 //! When read, they have no opacity of exactly 0 or 1, because the logits would not be finite: the first and last level count as
-//! a quarter of a level inside the range.
+//! a quarter of a level inside the range. Infinite logits, and logarithms of a thickness of 0, become finite in every format.
 //!
 //! ```
 //! use splat_model::capture::PointCloud;
@@ -36,6 +36,7 @@ mod extras;
 mod files;
 mod frame;
 mod gltf;
+pub(crate) mod limits;
 mod loss;
 mod opacity;
 mod quaternion;

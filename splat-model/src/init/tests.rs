@@ -60,6 +60,27 @@ fn points_at_one_place_have_a_size() {
 }
 
 #[test]
+fn of_points_at_one_place_the_first_remains() {
+    let places = [[1.0, 2.0, 3.0], [1.000_001, 2.0, 3.0], [-4.0, 0.0, 0.0], [1.0, 2.0, 3.0], [1.1, 2.0, 3.0], [4.0, 0.0, 0.0]];
+    let mut cloud = grey(places.to_vec());
+    cloud.colours = (0..6).map(|i| [i; 3]).collect();
+    let found = distinct(&cloud);
+    assert_eq!(found.positions, [places[0], places[2], places[4], places[5]]);
+    assert_eq!(found.colours, [[0; 3], [2; 3], [4; 3], [5; 3]]);
+    // Whatever lies between the borders of cells.
+    let mut rng = rng(4);
+    let mut positions: Vec<[f32; 3]> = (0..4_000).map(|_| std::array::from_fn(|_| rng.random_range(-3.0..3.0))).collect();
+    let once = distinct(&grey(positions.clone())).positions.len();
+    assert!(once > 3_990, "{once}");
+    positions.extend(positions.clone().iter().map(|p| p.map(|x| x + 1e-6)));
+    assert_eq!(distinct(&grey(positions)).positions.len(), once);
+    // One place has no size, nor do a few bad rows give it one.
+    assert_eq!(distinct(&grey(vec![[0.3; 3]; 500])).positions.len(), 1);
+    assert_eq!(distinct(&grey(vec![[0.0; 3], [-0.0; 3], [f32::NAN; 3], [1e-30; 3]])).positions.len(), 2);
+    assert_eq!(distinct(&PointCloud::default()), PointCloud::default());
+}
+
+#[test]
 fn a_point_shows_its_colour_and_opacity() {
     let colours = vec![[0, 128, 255], [255, 1, 77], [3, 200, 254]];
     let positions = vec![[0.1, 0.2, 1.0], [-0.3, 0.0, 2.0], [0.0, 0.4, 3.0]];

@@ -7,14 +7,14 @@ use burn::tensor::Tensor;
 /// Lets Gaussians that explain nothing fade, so that they can be relocated (Kheradmand et al. 2024, "3D Gaussian
 /// Splatting as Markov Chain Monte Carlo", the opacity term of the total loss, weight 0.01).
 pub fn opacity<const D: usize>(opacities: Tensor<D>) -> Tensor<1> {
-    opacities.abs().mean()
+    mean(opacities.abs())
 }
 
 /// Mean standard deviation, `[1]`, of `scales`, `[N, 3]`, scene units, positive.
 ///
 /// Keeps Gaussians small where nothing asks for size (Kheradmand et al. 2024, the covariance term of the total loss, weight 0.01).
 pub fn scale(scales: Tensor<2>) -> Tensor<1> {
-    scales.abs().mean()
+    mean(scales.abs())
 }
 
 /// Penalty on needle-shaped Gaussians, `[1]`: the mean of `max(0, ln(longest / shortest) − ln largest_ratio)`. `log_scales` is
@@ -25,5 +25,10 @@ pub fn scale(scales: Tensor<2>) -> Tensor<1> {
 pub fn needles(log_scales: Tensor<2>, largest_ratio: f64) -> Tensor<1> {
     let longest = log_scales.clone().max_dim(1);
     let shortest = log_scales.min_dim(1);
-    (longest - shortest - largest_ratio.ln()).clamp_min(0.0).mean()
+    mean((longest - shortest - largest_ratio.ln()).clamp_min(0.0))
+}
+
+/// The mean, and of no values zero.
+fn mean<const D: usize>(values: Tensor<D>) -> Tensor<1> {
+    if values.shape().num_elements() == 0 { values.sum() } else { values.mean() }
 }

@@ -253,6 +253,11 @@ fn regularisers_have_their_values_and_bounded_gradients() {
     let scales = Tensor::<2>::from_data([[1.0, 2.0, 3.0]], &device);
     assert_eq!(host(regularise::scale(scales)), [2.0]);
 
+    // Of no Gaussians there is nothing to penalise.
+    assert_eq!(host(regularise::opacity(Tensor::<1>::zeros([0], &device))), [0.0]);
+    assert_eq!(host(regularise::scale(Tensor::zeros([0, 3], &device))), [0.0]);
+    assert_eq!(host(regularise::needles(Tensor::zeros([0, 3], &device), 10.0)), [0.0]);
+
     let logs = Tensor::<2>::from_data([[50.0, 0.0, -50.0], [0.0, 1.0, 2.0]], &device).autodiff().require_grad();
     let loss = regularise::needles(logs.clone(), 10.0);
     assert!((host(loss.clone())[0] - (100.0 - 10f64.ln()) / 2.0).abs() < 1e-5);

@@ -4,6 +4,8 @@ use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use splat_op::RenderOptions;
 
+use crate::capture::spread::Spread;
+
 /// Exponential decay: the logarithm of the rate falls in a straight line.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Decay {
@@ -129,19 +131,16 @@ pub fn sh_degree_at(step: usize, every: usize, largest: usize) -> usize {
 }
 
 /// The scene extent, the radius that learning rates and density control are relative to: 1.1 × the largest distance of a
-/// camera's centre from the mean of all centres, as in the original implementation. Same unit as `centres`.
+/// camera's centre from the mean of all centres, as in the original implementation, but without strays: centres that are not finite, or
+/// further than five times as far from the median as seven tenths of them. Same unit as `centres`.
 ///
-/// One camera, none, or several at one place have no extent. The function then returns 1, which uses the scene's unit as it is,
-/// and also if a centre is not finite. The remedy for a wrong unit is to scale the capture.
+/// One camera, none, or several at one place have no extent. The function then returns 1, which uses the scene's unit as it is. The
+/// remedy for a wrong unit is to scale the capture.
 pub fn scene_extent(centres: &[DVec3]) -> f64 {
-    // Positions are relative to the first centre, so that geo-referenced centres lose no digits in the sum.
-    let Some(&first) = centres.first() else { return 1.0 };
-    let mean = centres.iter().map(|centre| *centre - first).sum::<DVec3>() / centres.len() as f64;
-    let largest = centres.iter().map(|centre| (*centre - first - mean).length()).fold(0.0, f64::max);
+    let Some(Spread { middle, radius, .. }) = Spread::of(centres) else { return 1.0 };
+    let extent = 1.1 * radius;
     // Rounding puts coincident centres a few ulps apart, which must not count as an extent.
-    let rounding = 1e-12 * centres.iter().map(|centre| centre.length()).fold(0.0, f64::max);
-    let extent = 1.1 * largest;
-    if extent > rounding && extent.is_finite() { extent } else { 1.0 }
+    if extent > 1e-12 * middle.length() && extent.is_finite() { extent } else { 1.0 }
 }
 
 /// The near plane of a scene of `extent` (see [`scene_extent`]), scene units: the value of [`RenderOptions::standard`], or a

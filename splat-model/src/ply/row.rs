@@ -1,5 +1,6 @@
 //! The properties of a Gaussian, in files that are read and in files that are written.
 
+use crate::formats::limits;
 use crate::gaussians::GaussianRows;
 
 /// The highest degree of the spherical harmonics.
@@ -46,14 +47,15 @@ pub(super) fn values_of_row(rows: &GaussianRows, i: usize, out: &mut Vec<f32>) {
     out.extend(rows.rotations[i]);
 }
 
-/// Appends a Gaussian with these values of [`REQUIRED`] and of `f_rest_*` to a scene of the same degree.
+/// Appends a Gaussian with these values of [`REQUIRED`] and of `f_rest_*` to a scene of the same degree. Opacities of exactly 0 and 1 and
+/// thicknesses of 0 become finite ([`limits`]).
 pub(super) fn push_row(rows: &mut GaussianRows, values: &[f64]) {
     let (required, rest) = values.split_at(REQUIRED.len());
     let three = |at: usize| [0, 1, 2].map(|i| required[at + i] as f32);
     rows.means.push(three(0));
     rows.sh_dc.push(three(3));
-    rows.logit_opacities.push(required[6] as f32);
-    rows.log_scales.push(three(7));
+    rows.logit_opacities.push(limits::logit(required[6] as f32));
+    rows.log_scales.push(three(7).map(limits::log_scale));
     rows.rotations.push([0, 1, 2, 3].map(|i| required[10 + i] as f32));
     let per_channel = rest.len() / 3;
     for coefficient in 0..per_channel {

@@ -13,7 +13,8 @@ use crate::gaussians::GaussianRows;
 
 /// Reads a scene, and the origin that its positions are relative to (zero if the file names none).
 ///
-/// Values of other numeric types are converted to the nearest f32; whether they are finite is not checked.
+/// Values of other numeric types are converted to the nearest f32; whether they are finite is not checked. Logits of opacities 0 and 1 and
+/// logarithms of a thickness of 0, which are infinite, become finite numbers with the same effect.
 ///
 /// # Errors
 ///

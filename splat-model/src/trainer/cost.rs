@@ -9,6 +9,7 @@ use splat_op::Rendered;
 use super::differentiate::OneView;
 use super::{TrainError, Trainer};
 use crate::effects::{Effect, EffectKind};
+use crate::quantile::quantile;
 
 /// Number of timed pairs of steps: the median of 31 differences, or of fewer, but nine, after [`ENOUGH`].
 const PAIRS: std::ops::RangeInclusive<usize> = 9..=31;
@@ -71,6 +72,7 @@ impl Trainer {
                 steps_ms.push(self.without(effect, Self::time_step)?);
             }
         }
+        let median = |values: &mut [f64]| quantile(values, 0.5).unwrap_or_default();
         Ok((median(&mut differences_ms), median(&mut steps_ms)))
     }
 
@@ -125,10 +127,4 @@ impl Trainer {
         let _ = gradient.map(|gradient| gradient.permute([2, 0, 1]).sum().into_data());
         Ok(start.elapsed().as_secs_f64() * 1e3)
     }
-}
-
-/// The median of values, of which there is one at least; 0 otherwise.
-fn median(values: &mut [f64]) -> f64 {
-    values.sort_unstable_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or_default()
 }

@@ -65,7 +65,7 @@ pub(super) fn of(
 }
 
 /// The median depth of the points in the photographs, scene units. `None` without points.
-fn typical_depth(photos: &[Photograph], points: &PointCloud) -> Option<f64> {
+pub(super) fn typical_depth(photos: &[Photograph], points: &PointCloud) -> Option<f64> {
     let every = points.positions.len().div_ceil(1000).max(1);
     let worlds = || points.positions.iter().step_by(every).map(|point| Vec3::from_array(*point).as_dvec3());
     let depths = photos.iter().flat_map(|photo| worlds().map(|world| photo.cam_from_world.transform_point3(world).z));

@@ -5,7 +5,7 @@ use thiserror::Error;
 
 use super::ranks::RankError;
 use super::{Resolution, Stage};
-use crate::capture::CaptureError;
+use crate::capture::{CaptureError, PointsSeen};
 use crate::effects::optics::LensError;
 use crate::gaussians::RowsError;
 use crate::state::StateError;
@@ -71,6 +71,14 @@ pub enum TrainError {
         found: String,
         /// Value of the saved run.
         expected: String,
+    },
+    /// Density control removed the last Gaussian.
+    #[error("step {step}: no splat is left, so the run ends: {}", .seen.unseen_said())]
+    NoSplats {
+        /// Number of the step, counted from 1.
+        step: usize,
+        /// The points that the run started from.
+        seen: PointsSeen,
     },
     /// A loss or gradient is not finite. The scene keeps its state before the step.
     #[error(

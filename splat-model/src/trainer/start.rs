@@ -1,10 +1,29 @@
-//! Runs that start from a scene.
+//! The first Gaussians of a run.
+
+use rand::Rng;
 
 use super::{TrainError, Trainer};
-use crate::capture::PointCloud;
+use crate::capture::{Photograph, PointCloud, PointsSeen};
 use crate::density::rows::Trained;
 use crate::gaussians::{GaussianRows, Gaussians};
 use crate::init;
+
+/// The initial Gaussians of a run over `photos` that starts from `points`, or from random points if there are none, at most `most`; and
+/// how many photographs show those points.
+pub(super) fn first_rows(
+    photos: &[Photograph],
+    points: &PointCloud,
+    most: usize,
+    rng: &mut impl Rng,
+) -> (GaussianRows, PointsSeen) {
+    let cameras: Vec<_> = photos.iter().map(|photo| (photo.intrinsics, photo.cam_from_world)).collect();
+    let mut start = init::thinned(&init::distinct(points), most);
+    if start.positions.is_empty() {
+        start = init::random_points(&cameras, init::RANDOM_COUNT.min(most), rng);
+    }
+    let seen = PointsSeen::of(&cameras, &start.positions);
+    (init::from_points(&init::ordered(&start)), seen)
+}
 
 impl Trainer {
     /// Starts from the Gaussians of a scene, and from as many of `points` as the strategy's cap then has room for. They replace the initial
@@ -20,7 +39,7 @@ impl Trainer {
         let room = self.config.density.max_splats().saturating_sub(scene.len());
         let mut rows = match points.positions.is_empty() || room == 0 {
             true => GaussianRows::default(),
-            false => init::from_points(&init::ordered(&init::thinned(points, room))),
+            false => init::from_points(&init::ordered(&init::thinned(&init::distinct(points), room))),
         };
         self.density.start(&mut rows);
         rows.sh_degree = scene.sh_degree.min(self.config.sh_degree);

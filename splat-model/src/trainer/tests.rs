@@ -1,11 +1,14 @@
 use std::cell::RefCell;
 use std::rc::Rc;
 
+use glam::DAffine3;
+
 use super::testing::{HEIGHT, WIDTH, photos, points};
 use super::*;
 use crate::density::{AdaptiveConfig, Division, McmcConfig};
 use crate::effects::background::Backdrop;
 use crate::gaussians::{GaussianRows, values_of};
+use crate::init;
 use crate::optim::LearningRates;
 
 /// Learning rates for a run of a few dozen steps. The defaults are for thousands.
@@ -236,13 +239,13 @@ fn harmonics_grow_by_the_calendar() {
 }
 
 #[test]
-fn a_scene_that_loses_all_its_gaussians_trains_on() {
+fn a_scene_that_loses_all_its_gaussians_ends_the_run() {
     let density = AdaptiveConfig { prune_opacity: 2.0, ..EVENTFUL };
     let mut trainer = trainer(TrainConfig { density: density.into(), ..eventful() });
-    let counts: Vec<usize> = (0..6).map(|_| trainer.step().unwrap().splats).collect();
-    assert_eq!(counts, [30, 30, 30, 30, 0, 0]);
-    let (losses, rows) = run(trainer);
-    assert!(rows.is_empty() && losses.iter().all(|loss| loss.is_finite()), "{losses:?}");
+    let counts: Vec<usize> = (0..4).map(|_| trainer.step().unwrap().splats).collect();
+    assert_eq!(counts, [30; 4]);
+    let message = trainer.step().unwrap_err().to_string();
+    assert_eq!(message, "step 5: no splat is left, so the run ends: photographs show all 30 points");
 }
 
 #[test]
@@ -306,4 +309,47 @@ fn the_look_of_a_step_without_refinement_is_the_scene_after_it() {
         trainer.step_and_look(|trainer| seen = Some(trainer.gaussians().to_rows())).unwrap();
         assert_eq!(seen.unwrap(), trainer.gaussians().to_rows());
     }
+}
+
+/// All cameras look away from the points, as with axes of another convention: nothing is rendered, and the penalty on opacities lets all
+/// Gaussians fade.
+#[test]
+fn a_run_without_splats_says_that_no_photograph_shows_the_points() {
+    let mut photos = photos([0.0; 3]);
+    for photo in &mut photos {
+        photo.cam_from_world = DAffine3::from_rotation_y(std::f64::consts::PI) * photo.cam_from_world;
+    }
+    let config = TrainConfig { opacity_weight: 10.0, density: EVENTFUL.into(), ..config(200) };
+    let mut trainer = Trainer::new(photos, &points(), config, &Device::flex()).unwrap();
+    let error = loop {
+        if let Err(error) = trainer.step() {
+            break error;
+        }
+    };
+    let message = error.to_string();
+    assert!(matches!(error, TrainError::NoSplats { .. }) && !error.keeps_scene(), "{message}");
+    for part in ["no splat is left", "no photograph shows 30 of the 30 points", "OpenGL", "another world"] {
+        assert!(message.contains(part), "{part:?} is not in: {message}");
+    }
+}
+
+#[test]
+fn points_at_one_place_start_as_one_gaussian() {
+    let four = |by: f32| {
+        let moved = |i: usize, point: &[f32; 3]| point.map(|x| x * (1.0 + by * i as f32));
+        let of = |point: &[f32; 3]| (0..4).map(|i| moved(i, point)).collect::<Vec<_>>();
+        let positions: Vec<[f32; 3]> = points().positions.iter().flat_map(of).collect();
+        PointCloud { colours: vec![[128; 3]; positions.len()], positions }
+    };
+    let start = |points: &PointCloud| Trainer::new(photos([0.0; 3]), points, config(1), &Device::flex()).unwrap().rows();
+    let once = start(&points());
+    assert_eq!(once.len(), 30);
+    for by in [0.0, f32::EPSILON] {
+        let found = start(&four(by));
+        assert_eq!((found.len(), &found.means), (30, &once.means), "{by}");
+        let near = |(a, b): (&[f32; 3], &[f32; 3])| (a[0] - b[0]).abs() < 1e-4;
+        assert!(found.log_scales.iter().zip(&once.log_scales).all(near), "{by}");
+    }
+    let nowhere = PointCloud { positions: vec![[f32::NAN; 3]; 9], colours: vec![[0; 3]; 9] };
+    assert_eq!(start(&nowhere).len(), init::RANDOM_COUNT, "no point has a position: random ones");
 }

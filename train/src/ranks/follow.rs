@@ -11,7 +11,7 @@ use super::{Order, Setup, tell};
 use crate::effects::Chosen;
 use crate::input;
 use crate::progress::VoiceArgs;
-use crate::train::{Stop, budget, checkpoints, photographs, started, views_of};
+use crate::train::{Stop, budget, checkpoints, photographs, start_points, started, views_of};
 
 /// Takes part in the run of rank 0, to its end.
 ///
@@ -64,7 +64,8 @@ fn prepare(ranks: &Rc<dyn Ranks>, setup: Setup) -> Result<Trainer> {
     let cache = budget::cache(args.cache_mb, budget::available()) / ranks.count();
     let (train, _) = photographs(&capture, (seen, &[]), &photo_args, (&effects, cache), &**ranks)?;
     let views = views_of(&capture, &train);
-    let trainer = Trainer::of(train, &capture.points, config, &device)?;
+    let points = start_points(&capture, &train, &args)?;
+    let trainer = Trainer::of(train, &points, config, &device)?;
     let trainer = if checkpoint.is_none() { started(trainer, &args, &capture)? } else { trainer };
     let trainer = effects.supply(trainer, &capture, &views)?;
     let mut trainer = if args.check { trainer.with_checks() } else { trainer }.with_ranks(Rc::clone(ranks));

@@ -20,7 +20,7 @@ use super::budget::{self, MemoryEstimate};
 use super::checkpoints::{self, Checkpoints, RunState, SavedRun, SoFar};
 use super::folders::{inputs_of, open, prepare};
 use super::results::{write_learnt, write_scene};
-use super::start::started;
+use super::start::{start_points, started};
 use super::steps::{Done, Steps};
 use super::{ResumeArgs, TrainArgs};
 use crate::accuracy::{self, RequestedAccuracy};
@@ -160,7 +160,7 @@ fn to_the_end(
     let mut effects = args.effects.choose(&capture, seen, args.model.antialias, max_side)?;
     effects.configure(&mut config, args.background, args.sh_degree);
     config.density = config.density.focused(capture.focus.map(Focus::on));
-    if capture.points.positions.is_empty() {
+    if capture.points.positions.is_empty() || std::env::var("SPLAT_NOPOINTS").is_ok() {
         config.density = config.density.without_points();
     }
     let available = budget::available();
@@ -205,7 +205,8 @@ fn to_the_end(
     ));
     let most = config.density.max_splats();
     progress::note(&MemoryEstimate::of(&train, &test, &config, most).said(most, available));
-    let trainer = Trainer::of(train, &capture.points, config.clone(), &device)?;
+    let points = start_points(&capture, &train, &args)?;
+    let trainer = Trainer::of(train, &points, config.clone(), &device)?;
     let trainer = if kept.is_none() { started(trainer, &args, &capture)? } else { trainer };
     let trainer = effects.supply(trainer, &capture, &train_views)?;
     let trainer = change(if args.check { trainer.with_checks() } else { trainer });

@@ -1,12 +1,13 @@
-//! `--start`: a scene from which a run starts.
+//! What a run starts from: the points of its capture, and the scene of `--start`.
 
 use anyhow::{Result, ensure};
 use glam::DVec3;
-use splat_model::capture::{Capture, PointCloud};
+use splat_model::capture::{Capture, Photograph, PointCloud, PointsSeen};
+use splat_model::init;
 use splat_model::trainer::Trainer;
 
 use super::TrainArgs;
-use crate::input;
+use crate::{input, progress};
 
 /// Gives a trainer the scene of `--start`, if there is one. Of a block, points beyond its region are left out then: the scene shows what
 /// lies there.
@@ -24,6 +25,36 @@ pub(crate) fn started(trainer: Trainer, args: &TrainArgs, capture: &Capture) -> 
         args.max_splats
     );
     Ok(trainer.from_scene(&rows, &points(capture))?)
+}
+
+/// Share of the points that remain where each place counts once, up to which that is worth a note.
+const REPEATED: f64 = 0.9;
+
+/// The points of a capture that a run on these photographs starts from, each place once. Says how many of them the photographs show.
+///
+/// # Errors
+/// If they show none, without a scene to start from: no splat would be left.
+pub(crate) fn start_points(capture: &Capture, train: &[Photograph], args: &TrainArgs) -> Result<PointCloud> {
+    let (all, points) = (capture.points.positions.len(), init::distinct(&capture.points));
+    let count = points.positions.len();
+    let cameras: Vec<_> = train.iter().map(|photo| (photo.intrinsics, photo.cam_from_world)).collect();
+    if count > 0 {
+        let seen = PointsSeen::of(&cameras, &capture.points.positions);
+        let said = seen.said(|view| &train[view].name);
+        ensure!(seen.unseen < all || args.start.is_some(), "no splat would be left: {said}");
+        progress::note(&said);
+    }
+    if count as f64 <= REPEATED * all as f64 {
+        progress::note(&format!("{} of {all} points are at the place of another one and left out", all - count));
+    }
+    // EXPERIMENT
+    if let Ok(to) = std::env::var("SPLAT_FILL") && count > 0 {
+        let to: usize = to.parse()?;
+        let filled = init::filled(&points, &cameras, to, args.seed);
+        progress::note(&format!("filled to {}", filled.positions.len()));
+        return Ok(filled);
+    }
+    Ok(points)
 }
 
 /// The points in the region of a block, or all points of a whole capture.

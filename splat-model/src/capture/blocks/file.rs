@@ -8,7 +8,8 @@ use serde::{Deserialize, Serialize};
 
 use super::{Block, Bounds};
 use crate::capture::read::{Place, PlaceInFile, quoted, read, regular_size, unreadable};
-use crate::capture::{Capture, CaptureError, PointCloud, Split, Tracks};
+use crate::capture::strays::picked;
+use crate::capture::{Capture, CaptureError, PointCloud, Split};
 use crate::replace::{Refused, replace};
 
 /// The file's name.
@@ -120,27 +121,17 @@ impl BlockFile {
     fn cut_out(&self, capture: Capture, chosen: &[Option<bool>]) -> Capture {
         let (mut split, mut place) = (Split::default(), vec![None; chosen.len()]);
         let views = (0..chosen.len()).filter(|&view| chosen[view].is_some());
-        for (now, view) in views.clone().enumerate() {
+        for (now, view) in views.enumerate() {
             place[view] = Some(now);
             if chosen[view] == Some(true) { &mut split.test } else { &mut split.train }.push(now);
         }
-        let (mut points, mut tracks) = (PointCloud::default(), Tracks::default());
-        for point in self.points.iter().map(|&point| point as usize) {
-            points.positions.push(capture.points.positions[point]);
-            points.colours.push(capture.points.colours[point]);
-            let of_block = capture.tracks.of(point).iter().filter_map(|seen| {
-                let view = place[seen.view]?;
-                Some(Some(super::super::Observation { view, ..*seen }))
-            });
-            tracks.push(of_block, capture.tracks.stated_error_px(point).map_or(-1.0, f64::from));
-        }
-        let masks = match capture.masks.is_empty() {
-            true => Vec::new(),
-            false => views.clone().map(|view| capture.masks[view].clone()).collect(),
-        };
-        let views = views.map(|view| capture.views[view].clone()).collect();
-        let focus = Some(self.region);
-        Capture { views, points, tracks, masks, split: Some(split), focus, ..capture }
+        let of_block = || self.points.iter().map(|&point| point as usize);
+        let (positions, colours) =
+            of_block().map(|point| (capture.points.positions[point], capture.points.colours[point])).unzip();
+        let tracks = capture.tracks.picked(of_block(), &place);
+        let (views, masks) = (picked(capture.views, &place), picked(capture.masks, &place));
+        let (points, split, focus) = (PointCloud { positions, colours }, Some(split), Some(self.region));
+        Capture { views, points, tracks, masks, split, focus, ..capture }
     }
 }
 

@@ -6,6 +6,7 @@ use rayon::prelude::*;
 
 use super::Block;
 use super::cut::Cell;
+use crate::capture::seen::project;
 use crate::capture::{Capture, Split};
 
 /// Largest number of points whose projections say what a capture without tracks shows.
@@ -40,13 +41,8 @@ impl Seen {
         }
         let step = count.div_ceil(PROJECTED).max(1);
         let shown = |view: &crate::capture::View| {
-            let projector = view.intrinsics.projector();
-            let [width, height] = [view.intrinsics.width as f64, view.intrinsics.height as f64];
-            let is_shown = |point: &usize| {
-                let point_cam = view.cam_from_world.transform_point3(capture.position(*point));
-                let at_px = if point_cam.z > 0.0 { projector.px_from_cam(point_cam) } else { None };
-                at_px.is_some_and(|px| px.x >= 0.0 && px.y >= 0.0 && px.x < width && px.y < height)
-            };
+            let (camera, pose, projector) = (&view.intrinsics, &view.cam_from_world, view.intrinsics.projector());
+            let is_shown = |point: &usize| project(camera, &projector, pose, capture.position(*point)).is_some();
             (0..count).step_by(step).filter(is_shown).map(|point| point as u32).collect()
         };
         Self { by_view: capture.views.par_iter().map(shown).collect(), step }

@@ -5,6 +5,7 @@ use serde::Serialize;
 
 use super::observations::PointObservations;
 use super::{Capture, quantile};
+use crate::capture::spread::Spread;
 use crate::optim::scene_extent;
 
 /// Depths of the points in the photographs that show them, scene units.
@@ -28,7 +29,7 @@ impl DepthEvidence {
 pub(super) fn evidence(capture: &Capture, observations: &PointObservations) -> Option<DepthEvidence> {
     let mut depths: Vec<f64> = observations.points.iter().flatten().map(|observation| observation.depth).collect();
     let centres: Vec<DVec3> = capture.views.iter().map(|view| view.cam_from_world.inverse().translation).collect();
-    let middle = centres.iter().sum::<DVec3>() / centres.len().max(1) as f64;
+    let middle = Spread::of(&centres)?.middle;
     let far = DepthEvidence::FAR_EXTENTS * scene_extent(&centres);
     let is_far = |&&point: &&usize| Vec3::from_array(capture.points.positions[point]).as_dvec3().distance(middle) > far;
     Some(DepthEvidence {

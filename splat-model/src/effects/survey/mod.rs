@@ -24,6 +24,7 @@ mod tests;
 use serde::Serialize;
 
 use crate::capture::{Capture, CaptureError};
+use crate::quantile::quantile;
 
 pub use self::blur::{BlurEvidence, sharpness_of_grey};
 pub use self::depth::DepthEvidence;
@@ -122,13 +123,6 @@ impl Survey {
             files: files::evidence(capture, views, &glances),
         })
     }
-}
-
-/// The quantile at `share` of `values`, which are sorted. `None` without values.
-fn quantile(values: &mut [f64], share: f64) -> Option<f64> {
-    values.sort_unstable_by(f64::total_cmp);
-    let at = (share * values.len().saturating_sub(1) as f64).round() as usize;
-    values.get(at).copied()
 }
 
 /// The standard deviation. 0 without values.

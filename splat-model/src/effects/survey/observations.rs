@@ -5,7 +5,7 @@ use serde::Serialize;
 use splat_op::Projector;
 
 use super::blur::Detail;
-use crate::capture::{Capture, Observation, View};
+use crate::capture::{Capture, Observation, View, seen};
 
 /// Largest number of compared points. More points do not change medians.
 const MOST_POINTS: usize = 6_000;
@@ -131,11 +131,7 @@ fn projected(capture: &Capture, surveyed: &[usize]) -> Vec<(usize, Vec<PointObse
 
 /// Projects a point into a view with the camera `projector`: position, px, and depth. `None` outside of the picture.
 pub(super) fn project(view: &View, projector: &Projector, world: DVec3) -> Option<([f64; 2], f64)> {
-    let camera = &view.intrinsics;
-    let cam = view.cam_from_world.transform_point3(world);
-    let at_px = projector.px_from_cam(cam)?.to_array();
-    let inside = (0.0..camera.width as f64).contains(&at_px[0]) && (0.0..camera.height as f64).contains(&at_px[1]);
-    inside.then_some((at_px, cam.z))
+    seen::project(&view.intrinsics, projector, &view.cam_from_world, world)
 }
 
 fn focal_px(view: &View) -> f64 {

@@ -6,6 +6,9 @@ use splat_op::Projector;
 
 use super::{Capture, quantile};
 
+/// Largest error that counts in the mean, in medians: wrong tracks and strays say nothing about the other poses.
+const FEW_MEDIANS: f64 = 10.0;
+
 /// Source of the reprojection errors.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
@@ -21,7 +24,7 @@ pub enum PoseSource {
 pub struct PoseEvidence {
     /// Source of the errors.
     pub source: PoseSource,
-    /// Mean error.
+    /// Mean error; errors beyond ten times the median count as that.
     pub mean_px: f64,
     /// Quantile that a twentieth of the errors exceed.
     pub largest_px: f64,
@@ -45,6 +48,7 @@ pub(super) fn evidence(capture: &Capture) -> Option<PoseEvidence> {
         source = PoseSource::Stated;
         errors = (0..count).filter_map(|point| capture.tracks.stated_error_px(point).map(f64::from)).collect();
     }
-    let mean_px = errors.iter().sum::<f64>() / errors.len().max(1) as f64;
+    let most_px = FEW_MEDIANS * quantile(&mut errors, 0.5)?;
+    let mean_px = errors.iter().map(|error| error.min(most_px)).sum::<f64>() / errors.len() as f64;
     Some(PoseEvidence { source, mean_px, largest_px: quantile(&mut errors, 0.95)? })
 }

@@ -9,13 +9,13 @@ use glam::{DVec3, Vec2};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::Capture;
+use super::{Capture, quantile};
 use crate::effects::pose::anchors::{FEWEST, ROBUST_RAD, columns, solve};
 
 /// Iterations of the robust weights.
 const ROUNDS: usize = 10;
 
-/// Residuals of the directions, as shares of the errors before the fit.
+/// Residuals of the directions, as shares of the errors before the fit: medians over the photographs.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct ShutterEvidence {
     /// Residual after a correction of each pose.
@@ -43,12 +43,13 @@ pub(super) fn evidence(capture: &Capture) -> Option<ShutterEvidence> {
         (seen.miss.is_finite() && seen.columns.iter().all(|column| column.is_finite())).then_some(seen)
     });
     views.retain(|observations| observations.len() >= FEWEST);
-    let sums = views.par_iter().map(|observations| {
+    let shares = views.par_iter().filter_map(|observations| {
         let given: f64 = observations.iter().map(|observation| observation.miss.length()).sum();
-        [given, left(observations, |_| 1.0), left(observations, |observation| observation.row)]
+        let [poses, rows] = [left(observations, |_| 1.0), left(observations, |observation| observation.row)];
+        (given > 0.0).then(|| (poses / given, rows / given))
     });
-    let [given, poses, rows] = sums.reduce(|| [0.0; 3], |a, b| std::array::from_fn(|i| a[i] + b[i]));
-    (given > 0.0).then(|| ShutterEvidence { left_by_poses: poses / given, left_by_rows: rows / given })
+    let (mut poses, mut rows): (Vec<f64>, Vec<f64>) = shares.unzip();
+    Some(ShutterEvidence { left_by_poses: quantile(&mut poses, 0.5)?, left_by_rows: quantile(&mut rows, 0.5)? })
 }
 
 /// Sum of the residuals after the best-fitting twist, multiplied by `share` of each observation.

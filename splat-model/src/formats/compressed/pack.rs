@@ -3,7 +3,7 @@
 use std::f64::consts::{FRAC_1_SQRT_2, SQRT_2};
 
 use super::row::Ranges;
-use crate::formats::{DC, opacity, quaternion};
+use crate::formats::{DC, limits, opacity, quaternion};
 use crate::gaussians::GaussianRows;
 
 /// First bit and number of bits of each axis in the word of a position or a scale.
@@ -75,8 +75,12 @@ impl Ranges {
     }
 
     fn value(&self, at: usize, axis: usize, share: f64) -> f64 {
-        let (low, high) = self.of(at, axis);
-        low * (1.0 - share) + high * share
+        match self.of(at, axis) {
+            // Zero times infinity is NaN.
+            (low, _) if share == 0.0 => low,
+            (_, high) if share == 1.0 => high,
+            (low, high) => low * (1.0 - share) + high * share,
+        }
     }
 
     fn pack_axes(&self, at: usize, values: &[f32; 3]) -> u32 {
@@ -111,7 +115,7 @@ impl Ranges {
         rows.means.push(self.unpack_axes(POSITION, position));
         let three = [20, 10, 0].map(|shift| (share(rotation, shift, 10) - 0.5) * SQRT_2);
         rows.rotations.push(quaternion::from_smallest_three((rotation >> 30) as usize, three));
-        rows.log_scales.push(self.unpack_axes(SCALE, scale));
+        rows.log_scales.push(self.unpack_axes(SCALE, scale).map(limits::log_scale));
         rows.sh_dc.push([0, 1, 2].map(|channel| {
             let share = share(colours, 24 - 8 * channel as u32, 8);
             ((self.value(COLOUR, channel, share) - 0.5) / DC) as f32

@@ -114,6 +114,19 @@ fn sizes_beyond_all_bounds_take_no_bits_from_others() {
 }
 
 /// Headers and rows written by hand, in which a part is missing or wrong.
+/// A chunk of discs whose writer kept the logarithm of no thickness.
+#[test]
+fn an_infinite_end_of_a_range_spoils_nothing_else() {
+    let mut ranges = [0.0; 18];
+    ranges[6..12].copy_from_slice(&[-3.0, -3.0, f32::NEG_INFINITY, -1.0, -1.0, -1.0]);
+    let mut rows = GaussianRows::default();
+    for level in [0_u32, 1_000, 2_047] {
+        Ranges(ranges).unpack_to(&[0, 0, level, 255], &mut rows);
+    }
+    let thin = f32::MIN_POSITIVE.ln();
+    assert_eq!(rows.log_scales, [[-3.0, -3.0, thin], [-3.0, -3.0, thin], [-3.0, -3.0, -1.0]]);
+}
+
 #[test]
 fn what_is_missing_is_named() {
     let folder = TempDir::new().unwrap();

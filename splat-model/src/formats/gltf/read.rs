@@ -15,7 +15,7 @@ use super::{
     buffers, harmonic, nodes,
 };
 use crate::formats::frame::HalfTurn;
-use crate::formats::{Format, FormatError, SceneFile, extras, opacity};
+use crate::formats::{Format, FormatError, SceneFile, extras, limits, opacity};
 use crate::gaussians::GaussianRows;
 use crate::ply::{WorldFrame, brief};
 
@@ -235,7 +235,7 @@ impl PrimitiveRows {
         let mut rows = GaussianRows { sh_degree, ..GaussianRows::default() };
         rows.means = self.means.read(buffers, which.clone())?;
         rows.log_scales = self.scales.read(buffers, which.clone())?;
-        rows.log_scales.as_flattened_mut().iter_mut().for_each(|scale| *scale = log_scale(*scale));
+        rows.log_scales.as_flattened_mut().iter_mut().for_each(|scale| *scale = limits::log_of(*scale));
         rows.rotations = self.rotations.read(buffers, which.clone())?;
         for rotation in &mut rows.rotations {
             // The scalar comes first here.
@@ -254,12 +254,6 @@ impl PrimitiveRows {
         }
         Ok(rows)
     }
-}
-
-/// The logarithm of a standard deviation. Zero, which has none, counts as the least positive number.
-fn log_scale(scale: f32) -> f32 {
-    // Comparison keeps NaN.
-    if scale <= f32::MIN_POSITIVE { f32::MIN_POSITIVE.ln() } else { scale.ln() }
 }
 
 fn append(rows: &mut GaussianRows, mut more: GaussianRows) {
