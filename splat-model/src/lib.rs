@@ -69,6 +69,7 @@ pub mod capture;
 pub mod cleanup;
 pub mod density;
 pub mod effects;
+mod encoding;
 pub mod evaluate;
 pub mod formats;
 pub mod gaussians;
@@ -79,6 +80,7 @@ pub mod metrics;
 pub mod optim;
 pub mod ply;
 pub mod replace;
+pub mod sniff;
 pub mod state;
 pub mod trainer;
 

@@ -164,13 +164,18 @@ fn to_the_end(
     config.density = config.density.focused(capture.focus.map(Focus::on));
     if capture.points.positions.is_empty() {
         config.density = config.density.without_points();
+        if args.start.is_none() {
+            progress::note("the capture has no points: training starts from random splats around the cameras");
+        }
     }
     let available = budget::available();
     let cache = budget::cache(args.cache_mb, available) / ranks.count();
     if ranks.count() > 1 {
         let checkpoint = kept.as_ref().map(|kept| std::path::absolute(&kept.path)).transpose()?;
         let mut args = args.clone();
-        args.capture = Some(std::path::absolute(&capture.folder)?);
+        if args.capture.is_none() {
+            args.capture = Some(std::path::absolute(&capture.folder)?);
+        }
         let effects = effects.on.iter().map(|effect| effect.name().to_owned()).collect();
         let setup = Setup { args, config: config.clone(), effects, checkpoint };
         ranks::tell(&*ranks, Some(Some(setup)))?;
@@ -344,9 +349,8 @@ fn open(args: &TrainArgs) -> Result<(OutputFolder, Capture, Instant)> {
                 Some(out) => out.join(reconstruct::FOLDER),
                 None => reconstruct::own_folder(source),
             };
-            reconstruct::reconstruct(source, &folder, &args.cameras)?;
-            let start = Instant::now();
-            Ok((prepare()?, input::capture(&folder)?, start))
+            let capture = reconstruct::reconstruct(source, &folder, &args.cameras)?;
+            Ok((prepare()?, capture, Instant::now()))
         }
         Some(folder) => {
             args.cameras.check_for_capture(folder)?;

@@ -103,6 +103,7 @@ fn both_conventions_are_found_and_read() {
         split: None,
         masks: Vec::new(),
         focus: None,
+        files: Vec::new(),
         remarks: Vec::new(),
     };
     assert_eq!(find(&capture), [const { None }; 4]);

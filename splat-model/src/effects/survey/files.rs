@@ -1,17 +1,12 @@
 //! Evidence from alpha channels and from files next to the photographs.
 
-use std::path::Path;
-
 use rayon::prelude::*;
 use serde::Serialize;
 
 use super::Capture;
 use super::pictures::Glance;
 use crate::capture::image::has_alpha;
-use crate::effects::masks;
-
-/// Folder names that tools use for depth maps.
-const DEPTH_FOLDERS: [&str; 3] = ["depth", "depths", "depth_maps"];
+use crate::effects::{depth, masks};
 
 /// Alpha channels, masks and depth maps.
 #[derive(Clone, Debug, Serialize)]
@@ -22,13 +17,8 @@ pub struct FileEvidence {
     pub with_mask: usize,
     /// Share of the pixels that masks exclude, over the decoded photographs with masks.
     pub masked_share: f64,
-    /// The folder with depth maps, if there is one.
+    /// The folder with depth maps of photographs, if there is one.
     pub depth_maps: Option<String>,
-}
-
-/// The folder of a capture's depth maps, relative to the capture.
-pub fn depth_folder(capture: &Path) -> Option<&'static str> {
-    DEPTH_FOLDERS.into_iter().find(|name| capture.join(name).is_dir())
 }
 
 pub(super) fn evidence(capture: &Capture, views: &[usize], glances: &[Glance]) -> FileEvidence {
@@ -40,6 +30,6 @@ pub(super) fn evidence(capture: &Capture, views: &[usize], glances: &[Glance]) -
         with_alpha: transparent + unseen.filter(|view| has_alpha(&capture.views[**view].image_path)).count(),
         with_mask: masks::find(capture).iter().flatten().count(),
         masked_share: masked.iter().sum::<f64>() / masked.len().max(1) as f64,
-        depth_maps: depth_folder(&capture.folder).map(str::to_owned),
+        depth_maps: depth::folder(capture).map(|name| name.to_string_lossy().into_owned()),
     }
 }

@@ -28,7 +28,7 @@ use crate::capture::{Capture, CaptureError};
 pub use self::blur::{BlurEvidence, sharpness_of_grey};
 pub use self::depth::DepthEvidence;
 pub use self::exposure::{ExposureEvidence, ViewExposure};
-pub use self::files::{FileEvidence, depth_folder};
+pub use self::files::FileEvidence;
 pub use self::footprint::FootprintEvidence;
 pub use self::grading::GradingEvidence;
 pub use self::lens::LensEvidence;
@@ -96,6 +96,7 @@ impl Survey {
     /// # Errors
     /// Errors of [`Self::of`].
     pub fn of_views(capture: &Capture, views: &[usize]) -> Result<Self, CaptureError> {
+        capture.check_photographs(views)?;
         let size = |&view: &usize| capture.views[view].intrinsics.width * capture.views[view].intrinsics.height;
         let pixels: usize = views.iter().map(size).sum();
         let surveyed = selection::select(capture, views, Self::MOST_PIXELS);

@@ -114,6 +114,7 @@ mod tests {
             split: None,
             masks: Vec::new(),
             focus: None,
+            files: Vec::new(),
             remarks: Vec::new(),
         }
     }
