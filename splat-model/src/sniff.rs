@@ -6,6 +6,8 @@ use std::path::Path;
 
 use infer::MatcherType;
 
+use crate::formats::Format;
+
 /// What a file is by its first bytes, or else by its name.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FileKind {
@@ -52,7 +54,12 @@ impl FileKind {
     pub fn of(path: &Path) -> Option<Self> {
         let mut first = Vec::new();
         File::open(path).ok()?.take(1 << 10).read_to_end(&mut first).ok()?;
-        Self::of_scene(path).or_else(|| Self::of_bytes(&first))
+        let kind = Self::of_scene(path).or_else(|| Self::of_bytes(&first))?;
+        // SPZ and SOG are archives.
+        match Format::of_name(path).filter(|_| kind.what.ends_with("archive")) {
+            Some(format) => Some(Self::new(format!("a scene in {format}"), SCENE, FileClass::Scene)),
+            None => Some(kind),
+        }
     }
 
     fn new(what: impl Into<String>, remedy: impl Into<String>, class: FileClass) -> Self {

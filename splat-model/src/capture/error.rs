@@ -177,8 +177,8 @@ pub enum CaptureError {
     },
     /// A split that leaves nothing to train on.
     #[error(
-        "{} held out for testing and none is for training, expected at least one. Set `--eval-every 0` to train on all{}, or \
-         add photographs", all(*.views), if *.views > 1 { ", or 8 to hold out every eighth" } else { "" }
+        "{} held out for testing and none is for training, expected at least one. Set `--eval-every 0` to train on {}, or \
+         add photographs", all(*.views), if *.views > 1 { "all, or 8 to hold out every eighth" } else { "it" }
     )]
     NoTrainingViews {
         /// Number of views in the split.

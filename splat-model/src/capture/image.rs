@@ -20,6 +20,7 @@ use splat_op::camera::MAX_SIDE_PX;
 use super::read::{read, regular_size, unreadable};
 use super::{CaptureError, View};
 use crate::effects::masks;
+use crate::ply::brief;
 use crate::sniff::{FileClass, FileKind};
 
 mod jpeg;
@@ -262,7 +263,8 @@ fn reader(file: &Path) -> Result<ImageReader<BufReader<File>>, CaptureError> {
 fn undecodable(file: &Path, reason: String) -> CaptureError {
     let other = FileKind::of(file).filter(|kind| matches!(kind.class, FileClass::Other | FileClass::Video));
     let reason = other.map_or(reason, |kind| format!("it is {}, whatever its name says: {}", kind.what, kind.remedy));
-    CaptureError::Picture { file: file.to_owned(), reason }
+    // Decoders say several lines.
+    CaptureError::Picture { file: file.to_owned(), reason: brief(&reason) }
 }
 
 /// A decoder that has read a picture's header.

@@ -115,15 +115,15 @@ impl Capture {
     /// Checks that the photographs of some views are there, without opening them.
     ///
     /// # Errors
-    /// [`CaptureError::Photographs`], with the number of those that are not.
+    /// [`CaptureError::Photographs`], with the number of all photographs that are not.
     pub fn check_photographs(&self, views: &[usize]) -> Result<(), CaptureError> {
-        let paths = views.iter().map(|&view| &self.views[view].image_path);
         // A folder in the place of a picture has an error of its own.
-        let missing: Vec<PathBuf> = paths.filter(|path| !path.exists()).cloned().collect();
-        match missing.is_empty() {
-            true => Ok(()),
-            false => Err(CaptureError::photographs(&missing, views.len(), self.files.first().unwrap_or(&self.folder))),
+        if views.iter().all(|&view| self.views[view].image_path.exists()) {
+            return Ok(());
         }
+        let paths = self.views.iter().map(|view| &view.image_path);
+        let missing: Vec<PathBuf> = paths.filter(|path| !path.exists()).cloned().collect();
+        Err(CaptureError::photographs(&missing, self.views.len(), self.files.first().unwrap_or(&self.folder)))
     }
 
     /// A capture of views and points of the files' world, moved next to zero where it lies far away.

@@ -175,10 +175,11 @@ impl Reading {
             return Ok(true);
         };
         self.remarks.push(format!(
-            "{} is left out, because none of its {} pictures is there, the first of them {first}",
+            "{} is left out, because none of its {} pictures is there, the first of them {first}; other photographs are held out",
             file.display(),
             pictures.len()
         ));
+        self.files.push(file.to_owned());
         Ok(false)
     }
 

@@ -141,7 +141,7 @@ fn a_file_of_cameras_stands_for_its_folder() {
     let capture = capture();
     let out = tempfile::tempdir().unwrap();
     let file = capture.path().join("sparse/0/images.bin");
-    let options = ["--effects", "none", "--steps", "2", "--device", "cpu", "--out", text(out.path())];
+    let options = ["--effects", "none", "--steps", "2", "--out", text(out.path())];
     succeed(splat(&["train", text(&file)]).args(options));
     assert_eq!(json(&out.path().join("metrics.json"))["options"]["capture"], text(capture.path()));
     let scene = out.path().join("scene.ply");

@@ -84,14 +84,13 @@ fn a_missing_picture() {
     let path = capture.path().join("images/0003.png");
     fs::remove_file(&path).unwrap();
     let list = capture.path().join("sparse/0/images.bin");
-    let parts =
-        ["1 of 7 photographs", text(&list), text(&path), "holds \"0000.png\"", "Put the photographs"];
+    let parts = ["1 of 8 photographs", text(&list), text(&path), "holds \"0000.png\"", "Put the photographs"];
     refuse_capture(capture.path(), &parts);
     for i in 0..8 {
         let _ = fs::remove_file(capture.path().join(format!("images/000{i}.png")));
     }
     fs::remove_dir(capture.path().join("images")).unwrap();
-    refuse_capture(capture.path(), &["7 of 7 photographs", "sparse"]);
+    refuse_capture(capture.path(), &["8 of 8 photographs", "sparse"]);
 }
 
 #[test]

@@ -261,7 +261,7 @@ fn colmap_is_never_called_where_cameras_are() {
         refuse(&mut alone.splat("ok", &["reconstruct", named]), &["has cameras already"]);
         // A second model, and it is not clear which is meant.
         copy_model(&DEMO.join("sparse/0"), &alone.path("photos/elsewhere/sparse/0"));
-        if named == "photos" {
+        if named == "photos" && photographs != "photos/dense/images" {
             refuse(
                 &mut alone.splat("ok", &[&TRAIN[..], &[named]].concat()),
                 &["several places", "elsewhere/sparse/0", "Name the one"],
@@ -280,6 +280,7 @@ fn a_file_is_named_for_what_it_is_and_leaves_nothing() {
         ("a.ply", b"ply\nformat ascii 1.0\n", ["a.ply is a PLY file", "name the folder"]),
         ("a.json", b"{\"frames\": []}", ["a.json is a JSON file without frames", "name the folder"]),
         ("images.txt", b"# nothing\n", ["images.txt is a text file", "name the folder"]),
+        ("a.spz", b"\x1f\x8b\x08\0\0\0\0\0", ["a.spz is a scene in SPZ", "splat view"]),
         ("a.splat", &[0; 64], ["format .splat", "splat-transform"]),
         ("a.jpg", b"\xff\xd8\xff\xe0\0\x10JFIF", ["a.jpg is a JPG picture", "name the folder"]),
     ] {
