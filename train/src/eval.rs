@@ -7,7 +7,7 @@ use std::time::Instant;
 
 use anyhow::{Context, Result};
 use serde::Serialize;
-use splat_model::accuracy::{Setting, Workload};
+use splat_model::accuracy::Setting;
 use splat_model::capture::{Photo, Photograph};
 use splat_model::formats;
 use splat_model::gaussians::Gaussians;
@@ -21,7 +21,6 @@ use crate::inputs::Inputs;
 use crate::lpips::LpipsArgs;
 use crate::options::PhotoArgs;
 use crate::output::OutputFolder;
-use crate::pareto::{MeasuredView, UnmeasuredScene};
 use crate::report::metrics::{Metrics, Seconds, peak_rss_mib, seconds_since};
 use crate::report::{self, METRICS, SCENE, VIEWS};
 
@@ -91,14 +90,12 @@ pub fn run(args: &EvalArgs) -> Result<Metrics> {
     let (device, device_name) = args.device.resolve()?;
     let background = args.background.read()?;
     let lpips = args.lpips.read(&device)?;
-    let accuracy = args.accuracy.resolve(&device_name)?;
     let start = Instant::now();
     let capture = input::capture(&args.capture)?;
     let (split, photo_args) = args.photos.split(&capture);
     let test = split.require_test()?;
     let rows = input::rows(&args.scene, &capture)?;
     let config = args.model.config();
-    let base = config.render_options(input::extent(&capture));
     let mut photos = input::photographs(&capture, test, args.photos.max_side, args.masks)?;
     if args.ignore_alpha {
         photos.iter_mut().for_each(|photo| photo.alpha = None);
@@ -112,27 +109,18 @@ pub fn run(args: &EvalArgs) -> Result<Metrics> {
         };
         photos = photos.iter().map(small).collect::<Result<_>>()?;
     }
-    let shots: Vec<MeasuredView> = photos.iter().map(MeasuredView::from).collect();
-    let accuracy = accuracy.on((&capture, Some(&rows), MeasuredView::pixels(&shots)), &base, Workload::Render)?;
     let scene_name = scene_name(&args.scene)?;
     // A scene can be scored where it lies.
     let copied = Inputs::of([&args.scene]).find(&args.out.join(&scene_name)).is_none();
     let inputs = Inputs::default().and_scene(&args.scene).and_capture(&capture);
-    let inputs = inputs.and(args.background.file()).and(&args.accuracy.frontier).and(&args.lpips.lpips);
+    let inputs = inputs.and(args.background.file()).and(&args.lpips.lpips);
     let views = report::view_files(photos.iter().map(|photo| photo.name.as_str()));
     let files = copied.then(|| PathBuf::from(&scene_name)).into_iter().chain([METRICS.into()]).chain(views);
     let out = OutputFolder::prepare(&args.out, inputs, files, &[VIEWS])?;
     let culled_non_finite = rows.unusable();
     let load = seconds_since(start);
-    let dials = accuracy.setting(&UnmeasuredScene {
-        rows: &rows,
-        shots,
-        background: background.colour(),
-        base,
-        device: (&device, &device_name),
-        work: Workload::Render,
-    })?;
-    let render_options = dials.apply(base);
+    let dials = args.accuracy.accuracy.setting();
+    let render_options = dials.apply(config.render_options(input::extent(&capture)));
     let start = Instant::now();
     let splats = Gaussians::from_own_rows(rows, &device)?.splats();
     let load = load + seconds_since(start);

@@ -3,13 +3,11 @@
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::PathBuf;
-use std::time::Instant;
 
 use anyhow::{Context, Result, anyhow};
 use burn::tensor::{Device, Tensor};
 use clap::ValueEnum;
 use image::{ImageFormat, RgbImage, Rgba32FImage};
-use splat_model::accuracy::Workload;
 use splat_model::capture::{Capture, View};
 use splat_model::effects::background::Background;
 use splat_model::gaussians::Gaussians;
@@ -20,7 +18,6 @@ use crate::background::ShownBackground;
 use crate::device::{self, DeviceName};
 use crate::inputs::Inputs;
 use crate::output::OutputFolder;
-use crate::pareto::{MeasuredView, UnmeasuredScene};
 use crate::report::pictures::{self, level};
 use crate::report::values_of;
 use crate::{input, progress};
@@ -91,41 +88,25 @@ impl PictureFormat {
 /// # Errors
 /// If the capture or the scene cannot be read, the view does not exist, or a picture is one of the files that are read or cannot be written.
 pub fn run(args: &RenderArgs) -> Result<Vec<PathBuf>> {
-    let (device, device_name) = args.device.resolve()?;
+    let (device, _) = args.device.resolve()?;
     let background = args.background.read()?;
-    let accuracy = args.accuracy.resolve(&device_name)?;
     let capture = input::capture(&args.capture)?;
     let views = chosen(&capture, &args.view)?;
     let rows = input::rows(&args.scene, &capture)?;
-    let base = args.model.config().render_options(input::extent(&capture));
-    let shots: Vec<MeasuredView> =
-        views.iter().map(|view| MeasuredView::unseen(&view.intrinsics, &view.cam_from_world)).collect();
-    let accuracy = accuracy.on((&capture, Some(&rows), MeasuredView::pixels(&shots)), &base, Workload::Render)?;
     let names = pictures::names(views.iter().map(|view| view.name.as_str()), args.format.extension());
-    let inputs = Inputs::default().and_scene(&args.scene).and_capture(&capture);
-    let inputs = inputs.and(args.background.file()).and(&args.accuracy.frontier);
+    let inputs = Inputs::default().and_scene(&args.scene).and_capture(&capture).and(args.background.file());
     let out = OutputFolder::prepare(&args.out, inputs, &names, &[])?;
-    let scene = UnmeasuredScene {
-        rows: &rows,
-        shots,
-        background: background.colour(),
-        base,
-        device: (&device, &device_name),
-        work: Workload::Render,
-    };
-    let options = accuracy.setting(&scene)?.apply(base);
+    let base = args.model.config().render_options(input::extent(&capture));
+    let options = args.accuracy.accuracy.setting().apply(base);
     let splats = Gaussians::from_own_rows(rows, &device)?.splats().stored(&options)?;
     let counter = progress::counter("rendering", views.len());
-    let mut frames_ms = Vec::new();
     for (view, name) in views.iter().zip(&names) {
         let picture = Rgba::render(&splats, view, &background, &options, &device)
             .with_context(|| format!("cannot render the view {:?}", view.name))?;
-        frames_ms.push(picture.frame_ms);
         out.write(name, |file| picture.write(args.format, file))?;
         counter.inc(1);
     }
     counter.finish_and_clear();
-    args.accuracy.late(&frames_ms).iter().for_each(|said| progress::note(said));
     let paths: Vec<PathBuf> = names.iter().map(|name| out.join(name)).collect();
     for path in &paths {
         progress::say(&path.display().to_string());
@@ -153,8 +134,6 @@ struct Rgba {
     height: usize,
     /// `[height, width, 4]`: colour over the background, then alpha.
     values: Vec<f32>,
-    /// Time of the render, ms.
-    frame_ms: f64,
 }
 
 impl Rgba {
@@ -168,15 +147,11 @@ impl Rgba {
         let camera = Camera::new(view.intrinsics, &view.cam_from_world, device);
         let colour = Tensor::from_floats(background.colour(), device);
         let extras = Extras { background: Some(colour), ..Extras::default() };
-        device.sync()?;
-        let start = Instant::now();
         let picture = splat_op::render_view(splats, &camera, &extras, options)?;
-        device.sync()?;
-        let frame_ms = 1e3 * start.elapsed().as_secs_f64();
         let alpha = picture.alpha;
         let colour = background.behind(picture.colour, alpha.clone(), &view.intrinsics, &view.cam_from_world);
         let values = values_of(Tensor::cat(vec![colour, alpha], 2));
-        Ok(Self { width: view.intrinsics.width, height: view.intrinsics.height, values, frame_ms })
+        Ok(Self { width: view.intrinsics.width, height: view.intrinsics.height, values })
     }
 
     fn write(self, format: PictureFormat, file: &mut BufWriter<File>) -> Result<()> {

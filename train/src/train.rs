@@ -287,7 +287,7 @@ mod tests {
         let arguments =
             ["c", "--out", "o", "--device", "gpu:1", "--effects=auto,-masks", "--background", "0.1,0.2,0.3"];
         let more =
-            ["--projection", "ray-max", "--target-error", "40.1", "--opacity-weight", "0.1", "--eval-during", "9"];
+            ["--projection", "ray-max", "--accuracy", "fast", "--opacity-weight", "0.1", "--eval-during", "9"];
         let cli = Cli::try_parse_from(["splat", "train"].iter().chain(&arguments).chain(&more)).unwrap();
         let Command::Train(args) = cli.command else { panic!("asked for train") };
         let text = serde_json::to_string(&args).unwrap();

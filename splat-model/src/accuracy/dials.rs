@@ -181,27 +181,9 @@ pub const DIALS: &[Dial] = &[
         ],
     ),
     model(
-        "blur",
-        "variance added to every ellipse, px²",
-        &[
-            choice("0.1", |o| RenderOptions { blur: 0.1, ..o }),
-            choice("0.3", |o| RenderOptions { blur: 0.3, ..o }),
-            choice("0.5", |o| RenderOptions { blur: 0.5, ..o }),
-        ],
-    ),
-    model(
         "antialias",
         "opacities are compensated for the blur",
         &[choice("on", |o| o.with_antialias(true)), choice("off", |o| o.with_antialias(false))],
-    ),
-    model(
-        "jacobian_margin",
-        "distance outside the picture up to which the projection's Jacobian is taken, as a share of half the picture's size",
-        &[
-            choice("0.15", |o| RenderOptions { jacobian_margin: 0.15, ..o }),
-            choice("0.3", |o| RenderOptions { jacobian_margin: 0.3, ..o }),
-            choice("1", |o| RenderOptions { jacobian_margin: 1.0, ..o }),
-        ],
     ),
 ];
 

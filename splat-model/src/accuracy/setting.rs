@@ -94,12 +94,6 @@ impl Setting {
         self.0.is_empty()
     }
 
-    /// The part of the setting whose dials are judged against `judge`.
-    pub fn of(&self, judge: Judge) -> Self {
-        let of = self.values().filter(|(dial, _)| dial.judge == judge);
-        Self(of.map(|(dial, value)| (dial.name, value.name)).collect())
-    }
-
     /// The reference that the setting is judged against: photographs as soon as it holds a model choice.
     pub fn judge(&self) -> Judge {
         let choices = self.values().any(|(dial, _)| dial.judge == Judge::Photographs);
@@ -208,9 +202,9 @@ mod tests {
 
     #[test]
     fn a_setting_survives_a_file_and_nonsense_does_not() {
-        let setting = Setting::new([("alpha_min", "2/255"), ("blur", "0.1")]).unwrap();
+        let setting = Setting::new([("alpha_min", "2/255"), ("sh_degree", "1")]).unwrap();
         let text = serde_json::to_string(&setting).unwrap();
-        assert_eq!(text, r#"{"alpha_min":"2/255","blur":"0.1"}"#);
+        assert_eq!(text, r#"{"alpha_min":"2/255","sh_degree":"1"}"#);
         assert_eq!(serde_json::from_str::<Setting>(&text).unwrap(), setting);
         let refused = |text: &str| serde_json::from_str::<Setting>(text).unwrap_err().to_string();
         assert!(refused(r#"{"alpha":"1"}"#).contains("there is no dial \"alpha\"; the dials are alpha_min, "));
@@ -225,9 +219,9 @@ mod tests {
         assert_eq!(turned, RenderOptions { transmittance_min: 0.0, alpha_max: 1.0, ..base });
         assert_eq!(Setting::between(&base, &turned), setting);
         assert_eq!(setting.judge(), Judge::Exact);
-        let choice = Setting::new([("blur", "0.1")]).unwrap();
+        let choice = Setting::new([("sh_degree", "1")]).unwrap();
         assert_eq!(choice.judge(), Judge::Photographs);
         let coarser = Setting::new([("alpha_max", "0.99")]).unwrap();
-        assert_eq!(choice.and(&setting).and(&coarser).to_string(), "alpha_max 0.99, blur 0.1, transmittance_min 0");
+        assert_eq!(choice.and(&setting).and(&coarser).to_string(), "alpha_max 0.99, sh_degree 1, transmittance_min 0");
     }
 }

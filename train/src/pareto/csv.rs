@@ -1,9 +1,10 @@
 //! `pareto.csv`: all measurements, a line per setting (RFC 4180).
 
-use splat_model::accuracy::{Judge, Spread};
+use splat_model::accuracy::Judge;
 
 use super::dials::Role;
 use super::measure::SettingMeasurements;
+use super::quartiles::Quartiles;
 
 /// Names of the columns.
 const HEADER: &str = "name,role,judged_by,turned,error_db,rms_error,max_error,psnr_db,ssim,gradient_error,\
@@ -36,7 +37,7 @@ fn line(row: &SettingMeasurements, on_frontier: bool) -> String {
     fields.push(number(accuracy.map(|a| a.gradient_error)));
     fields.push(accuracy.map(|a| a.worst.to_owned()).unwrap_or_default());
     fields.push(number(accuracy.map(|a| a.gradient_cosine)));
-    for Spread { lower, median, upper } in [row.times.forward, row.times.backward, row.times.step] {
+    for Quartiles { lower, median, upper } in [row.times.forward, row.times.backward, row.times.step] {
         fields.extend([lower, median, upper].map(|ms| number(Some(ms))));
     }
     fields.push(number(row.memory_mib));

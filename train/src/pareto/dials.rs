@@ -46,9 +46,9 @@ impl Candidate {
     }
 }
 
-/// Returns all settings around `base`, the standard with the scene's own model choices. The flags include dials
-/// that matter on a GPU only (`gpu`), and settings that turn a model choice (`choices`).
-pub fn candidates(base: &RenderOptions, [gpu, choices]: [bool; 2]) -> Vec<Candidate> {
+/// Returns all settings around `base`, the standard with the scene's own model choices. `gpu`: with the dials
+/// that matter on a GPU only.
+pub fn candidates(base: &RenderOptions, gpu: bool) -> Vec<Candidate> {
     let dials = || DIALS.iter().filter(move |dial| gpu || !dial.gpu_only);
     let presets =
         Preset::ALL.into_iter().map(|preset| Candidate::new(preset.name(), Role::Preset, preset.setting(), base));
@@ -78,7 +78,7 @@ pub fn candidates(base: &RenderOptions, [gpu, choices]: [bool; 2]) -> Vec<Candid
     }
     let mut seen: Vec<RenderOptions> = Vec::new();
     all.retain(|candidate| {
-        let new = !seen.contains(&candidate.options) && (choices || candidate.judge() == Judge::Exact);
+        let new = !seen.contains(&candidate.options);
         seen.push(candidate.options);
         new
     });
@@ -87,14 +87,12 @@ pub fn candidates(base: &RenderOptions, [gpu, choices]: [bool; 2]) -> Vec<Candid
 
 #[cfg(test)]
 mod tests {
-    use splat_model::accuracy::STANDARD;
-
     use super::*;
 
     #[test]
     fn every_value_of_every_dial_is_measured_once() {
         let base = RenderOptions::standard().with_near(0.3);
-        let all = candidates(&base, [true; 2]);
+        let all = candidates(&base, true);
         for dial in DIALS {
             for value in dial.values {
                 let options = (value.set)(base);
@@ -104,7 +102,7 @@ mod tests {
         }
         assert!(all.iter().all(|candidate| candidate.options.near == 0.3));
         let names: Vec<&str> = all.iter().map(|candidate| candidate.name.as_str()).collect();
-        assert_eq!(names[..3], ["fast", STANDARD, "exact"]);
+        assert_eq!(names[..3], ["fast", "standard", "exact"]);
         for (name, _) in COMBINATIONS {
             assert!(names.contains(name), "{name} is misspelt or the same as another setting");
         }
@@ -114,16 +112,15 @@ mod tests {
     #[test]
     fn what_changes_nothing_on_a_cpu_is_not_measured_there() {
         let base = RenderOptions::standard();
-        let all = candidates(&base, [false, true]);
+        let all = candidates(&base, false);
         assert!(!all.iter().any(|candidate| candidate.name.contains("accumulation")));
         assert!(all.iter().any(|candidate| candidate.judge() == Judge::Photographs));
-        assert!(!candidates(&base, [false, false]).iter().any(|candidate| candidate.judge() == Judge::Photographs));
     }
 
     #[test]
     fn a_scene_with_a_choice_of_its_own_is_measured_around_it() {
         let base = RenderOptions::standard().with_antialias(true);
-        let all = candidates(&base, [false, true]);
+        let all = candidates(&base, false);
         assert!(all[..3].iter().all(|candidate| candidate.options.antialias));
         assert!(all.iter().any(|candidate| candidate.name == "antialias off"));
         assert!(!all.iter().any(|candidate| candidate.name == "antialias on"));

@@ -5,7 +5,6 @@ use std::fs;
 use std::path::Path;
 
 use anyhow::{Context, Result};
-use splat_model::accuracy::{FrontierPoint, Spread, decibels, frontier};
 use splat_model::formats::{self, Format, SceneFile, SpzOptions};
 use splat_model::gaussians::{GaussianRows, Gaussians};
 use splat_op::{Splats, render_view};
@@ -13,6 +12,7 @@ use splat_op::{Splats, render_view};
 use super::errors::PictureError;
 use super::measure::Bench;
 use super::plot::{Chart, Dot, Mark};
+use super::quartiles::{Quartiles, decibels, frontier};
 use super::subject::host;
 use crate::{input, progress};
 
@@ -92,7 +92,7 @@ fn pictures(bench: &Bench, splats: &Splats) -> Result<Vec<Vec<f64>>> {
 fn members(stored: &[StoredScene]) -> Vec<usize> {
     let point = |scene: &StoredScene| {
         let [lower, median, upper] = [scene.bytes_each; 3];
-        FrontierPoint { quality_db: scene.error_db, time: Spread { lower, median, upper } }
+        (scene.error_db, Quartiles { lower, median, upper })
     };
     frontier(&stored.iter().map(point).collect::<Vec<_>>())
 }

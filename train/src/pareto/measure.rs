@@ -4,14 +4,15 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, bail, ensure};
 use burn::tensor::Tensor;
-use splat_model::accuracy::{DIALS, Dial, Frontier, Judge, Measured, Provenance, decibels};
+use splat_model::accuracy::{DIALS, Dial, Judge};
 use splat_op::RenderOptions;
 
 use super::dials::Candidate;
 use super::errors::{MeasuredError, PictureError, compare_gradients, same_bits, within_rounding};
+use super::quartiles::decibels;
 use super::reference::ReferenceRender;
 use super::subject::{DeviceScene, GradientSums, MeasuredView, PARAMETERS, host};
-use super::time::{Budget, FrameTimes};
+use super::time::FrameTimes;
 use crate::memory::peak_mib;
 use crate::progress;
 
@@ -83,8 +84,7 @@ impl Bench<'_> {
         let reference = truths.iter().map(|(_, truth)| truth.difference).fold(0.0, f64::max);
         drop(truths);
         let options: Vec<RenderOptions> = checked.iter().map(|(_, candidate)| candidate.options).collect();
-        let budget = Budget { time: budget, rounds: usize::MAX };
-        let (times, rounds) = self.time(&options, &(0..self.shots.len()), &cotangents, budget)?;
+        let (times, rounds) = self.time(&options, &cotangents, budget)?;
         let rows = checked.into_iter().zip(times).map(|(((accuracy, scores, memory_mib), candidate), times)| {
             SettingMeasurements { candidate, accuracy, scores, memory_mib, times }
         });
@@ -221,41 +221,11 @@ impl SettingMeasurements {
     pub fn error_db(&self) -> Option<f64> {
         Some(decibels(self.accuracy.as_ref()?.rms))
     }
-
-    /// Returns the entry of `pareto.json`; `None` for model choices.
-    fn measured(&self) -> Option<Measured> {
-        let accuracy = self.accuracy.as_ref()?;
-        Some(Measured {
-            name: self.candidate.name.clone(),
-            turned: self.candidate.setting.clone(),
-            error_db: decibels(accuracy.rms),
-            max_error: accuracy.max,
-            gradient_error: Some(accuracy.gradient_error),
-            gradient_cosine: Some(accuracy.gradient_cosine),
-            forward_ms: self.times.forward,
-            backward_ms: self.times.backward,
-            step_ms: self.times.step,
-        })
-    }
-}
-
-impl BenchOutcome {
-    /// Returns the frontier that other commands choose from.
-    pub fn frontier(&self, bench: &Bench, device: &str, provenance: Provenance) -> Frontier {
-        Frontier {
-            device: device.into(),
-            provenance,
-            splats: bench.place.gaussians.len(),
-            pixels: MeasuredView::pixels(&bench.shots),
-            settings: self.rows.iter().filter_map(SettingMeasurements::measured).collect(),
-        }
-    }
 }
 
 #[cfg(test)]
 mod tests {
     use burn::tensor::Device;
-    use splat_model::accuracy::STANDARD;
 
     use super::super::dials::candidates;
     use super::super::reference::tests::{rows, shots};
@@ -273,7 +243,7 @@ mod tests {
     fn settings_are_as_accurate_as_their_dials_say() {
         let bench = bench();
         let none = |_: &RenderOptions| Ok(None);
-        let outcome = bench.run(candidates(&bench.base, [false, true]), Duration::ZERO, none).unwrap();
+        let outcome = bench.run(candidates(&bench.base, false), Duration::ZERO, none).unwrap();
         assert_eq!(outcome.rounds, ROUNDS_MIN);
         let db = |name: &str| outcome.rows.iter().find(|row| row.candidate.name == name).unwrap().error_db().unwrap();
         assert!(db("all accurate") > 100.0, "only rounding is left: {}", db("all accurate"));
@@ -290,16 +260,12 @@ mod tests {
         // The standard's own error hides what another dial adds to it.
         assert!(alone("transmittance_min", "1e-4") > db("standard") + 6.0);
         assert!(alone("alpha_max", "0.99") < 90.0 && alone("alpha_max", "1") > 100.0);
-        let frontier = outcome.frontier(&bench, "flex", Provenance::default());
-        assert!(frontier.settings.iter().any(|measured| measured.name == STANDARD));
-        assert!(!frontier.settings.iter().any(|measured| measured.name.starts_with("blur")));
-        assert_eq!((frontier.pixels, frontier.splats), (1200, 60));
     }
 
     #[test]
     fn a_broken_setting_is_not_timed() {
         let bench = bench();
-        let mut broken = candidates(&bench.base, [false, false]).remove(1);
+        let mut broken = candidates(&bench.base, false).remove(1);
         // The dials have the candidate's values; the function is another.
         broken.options = RenderOptions { blur: 300.0, ..broken.options };
         let mut truths = Vec::new();

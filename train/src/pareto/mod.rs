@@ -1,6 +1,5 @@
 //! `splat pareto`: measures the time and the error of every dial, on a given scene and device.
 
-mod brief;
 mod csv;
 mod dials;
 mod errors;
@@ -8,11 +7,11 @@ mod formats;
 mod measure;
 mod page;
 pub mod plot;
+mod quartiles;
 mod reference;
 mod subject;
 mod time;
 mod training;
-mod verdict;
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -21,20 +20,18 @@ use std::time::Duration;
 use anyhow::{Context, Result, ensure};
 use burn::tensor::Device;
 use clap::builder::RangedU64ValueParser;
-use splat_model::accuracy::{FrontierPoint, Provenance, Spread, decibels, frontier};
 use splat_model::capture::{Capture, Photo, Split};
 use splat_model::evaluate::evaluate;
 use splat_model::gaussians::GaussianRows;
 use splat_op::{RenderOptions, Splats};
 
-pub use self::brief::{UnmeasuredScene, beyond_f32, choose, error_db};
 use self::dials::{Role, candidates};
 use self::errors::MeasuredError;
 use self::formats::StoredScene;
 use self::measure::{Bench, BenchOutcome, SettingMeasurements};
 use self::plot::{Chart, Dot, Mark};
-pub use self::subject::MeasuredView;
-use self::subject::{DeviceScene, off_the_clamp};
+use self::quartiles::{Quartiles, decibels, frontier};
+use self::subject::{DeviceScene, MeasuredView, off_the_clamp};
 use self::time::FrameTimes;
 use self::training::{Runs, TrainingResult};
 use crate::accuracy::ModelArgs;
@@ -45,8 +42,6 @@ use crate::options::PhotoArgs;
 use crate::output::OutputFolder;
 use crate::{input, progress};
 
-/// The measured settings, for `--frontier`.
-pub const FRONTIER: &str = "pareto.json";
 /// The measurements, a line per setting.
 pub const TABLE: &str = "pareto.csv";
 /// The tables and their summary.
@@ -66,7 +61,7 @@ pub struct ParetoArgs {
     /// Scene file, in any format that `convert` reads
     #[arg(long, value_name = "FILE")]
     pub scene: PathBuf,
-    /// Folder for pareto.md, pareto.csv, pareto.json and the plots
+    /// Folder for pareto.md, pareto.csv and the plots
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
     /// Device to measure; the exact reference is computed on the CPU in float64
@@ -115,7 +110,7 @@ pub fn run(args: &ParetoArgs) -> Result<()> {
     let extent = input::extent(&capture);
     let base = args.model.config().render_options(extent);
     let bench = Bench::new(&rows, shots, background.colour(), base, &device)?;
-    let all = candidates(&base, [splat_op::is_gpu(&device), true]);
+    let all = candidates(&base, splat_op::is_gpu(&device));
     progress::note(&format!("{} settings, {} views of {} splats", all.len(), photos.len(), rows.len()));
     let score = |splats: &Splats, options: &RenderOptions| -> Result<_> {
         let scores = evaluate(splats, &photos, &background, options, |_, _| ())?;
@@ -137,9 +132,6 @@ pub fn run(args: &ParetoArgs) -> Result<()> {
         base,
     };
     write(&out, &subject, (&outcome, &stored), &trained)?;
-    let provenance = Provenance::new(&capture, &rows, &base);
-    let json = outcome.frontier(&bench, &device_name, provenance).to_json()?;
-    out.write(FRONTIER, |file| Ok(file.write_all(json.as_bytes())?))?;
     say(&out, &outcome, &trained);
     Ok(())
 }
@@ -156,7 +148,7 @@ fn spread(views: &[usize], count: usize) -> Vec<usize> {
 }
 
 fn prepare(args: &ParetoArgs, capture: &Capture) -> Result<OutputFolder> {
-    let mut files = [&[FRONTIER, TABLE, PAGE], &PLOT[..], &FORMATS_PLOT].concat();
+    let mut files = [&[TABLE, PAGE], &PLOT[..], &FORMATS_PLOT].concat();
     files.extend(args.train.then_some(TRAIN_PLOT).into_iter().flatten());
     let inputs = Inputs::default().and_scene(&args.scene).and_capture(capture).and(args.background.file());
     OutputFolder::prepare(&args.out, inputs, &files, &[])
@@ -196,11 +188,10 @@ fn train(
 
 /// Rows on the frontier of renders, and rows on the frontier of training steps.
 fn members(outcome: &BenchOutcome) -> [Vec<usize>; 2] {
-    let of = |error: fn(&MeasuredError) -> f64, time: fn(&FrameTimes) -> Spread| {
+    let of = |error: fn(&MeasuredError) -> f64, time: fn(&FrameTimes) -> Quartiles| {
         // Model choices are not on it: they have no error to be placed by.
         let quality_db = |row: &SettingMeasurements| row.accuracy.as_ref().map_or(f64::NAN, |a| decibels(error(a)));
-        let point = |row| FrontierPoint { quality_db: quality_db(row), time: time(&row.times) };
-        frontier(&outcome.rows.iter().map(point).collect::<Vec<_>>())
+        frontier(&outcome.rows.iter().map(|row| (quality_db(row), time(&row.times))).collect::<Vec<_>>())
     };
     [of(|accuracy| accuracy.rms, |times| times.forward), of(|accuracy| accuracy.gradient_error, |times| times.step)]
 }
@@ -255,9 +246,7 @@ fn chart(subject: &page::PageSubject, outcome: &BenchOutcome, members: &[usize])
 }
 
 fn train_chart(trained: &[TrainingResult]) -> Option<Chart> {
-    let points: Vec<FrontierPoint> =
-        trained.iter().map(|run| FrontierPoint { quality_db: run.psnr.median, time: run.seconds }).collect();
-    let members = frontier(&points);
+    let members = frontier(&trained.iter().map(|run| (run.psnr.median, run.seconds)).collect::<Vec<_>>());
     let dot = |(i, run): (usize, &TrainingResult)| Dot {
         name: run.name.into(),
         mark: if i == 0 { Mark::Preset } else { Mark::Dial },
@@ -280,7 +269,7 @@ fn say(out: &OutputFolder, outcome: &BenchOutcome, trained: &[TrainingResult]) {
         let (db, ms) = (row.error_db().unwrap_or(f64::NAN), row.times.forward.median);
         progress::say(&format!("  {db:6.1} dB {ms:9.2} ms  {} ({})", row.candidate.name, row.candidate.setting));
     }
-    for name in [PAGE, TABLE, FRONTIER].into_iter().chain(PLOT).chain(FORMATS_PLOT).chain(TRAIN_PLOT) {
+    for name in [PAGE, TABLE].into_iter().chain(PLOT).chain(FORMATS_PLOT).chain(TRAIN_PLOT) {
         if !trained.is_empty() || !TRAIN_PLOT.contains(&name) {
             progress::say(&out.join(name).display().to_string());
         }

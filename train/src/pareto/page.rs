@@ -1,14 +1,14 @@
-//! `pareto.md`: the tables, and their summary by the rules of [`super::verdict`].
+//! `pareto.md`: the tables.
 
 use std::fmt::Write;
 
-use splat_model::accuracy::{DIALS, Dial, Judge, STANDARD, Spread, Workload, decibels};
+use splat_model::accuracy::{DIALS, Dial, Judge, Preset};
 use splat_op::RenderOptions;
 
 use super::dials::Role;
 use super::measure::{Alone, BenchOutcome, SettingMeasurements};
+use super::quartiles::{Quartiles, decibels};
 use super::training::TrainingResult;
-use super::verdict::{DialVerdict, Graded, HARMLESS_DB, INVISIBLE_DB, choice, verdict};
 
 /// Quartiles of fewer rounds than this are unreliable.
 const FEW_ROUNDS: usize = 8;
@@ -29,7 +29,7 @@ pub struct PageSubject<'a> {
 /// the dials.
 pub fn page(subject: &PageSubject, outcome: &BenchOutcome, members: [&[usize]; 2], more: &[&str]) -> String {
     let mut text = intro(subject, outcome);
-    text.push_str(&taken(subject, outcome, members));
+    text.push_str(&frontiers(outcome, members));
     text.push_str("\n## Presets and combinations\n\n");
     let several = |row: &&SettingMeasurements| !matches!(row.candidate.role, Role::Dial(_));
     text.push_str(&table(outcome, outcome.rows.iter().filter(several).map(|row| (row.candidate.name.clone(), row))));
@@ -70,37 +70,15 @@ fn intro(subject: &PageSubject, outcome: &BenchOutcome) -> String {
          differed by at most {reference:.0e} from a renderer that visits every Gaussian in every pixel. *Error* is the PSNR of the pictures \
          against it, in dB, and *max* the largest error of a pixel's channel, of colours in 0..1. Gradients are those of L1 + \
          D-SSIM at the exact picture, of the parameter that fares worst. Times are medians with their quartiles, ms a frame; \
-         settings whose quartiles overlap are *not told apart*, and not ranked. The verdict on a dial uses the \
-         errors of that dial alone. Memory is the most that a render with its \
+         settings whose quartiles overlap are *not told apart*, and not ranked. Memory is the most that a render with its \
          backward pass holds.\n",
         views.len()
     )
 }
 
-/// Returns the summary.
-fn taken(subject: &PageSubject, outcome: &BenchOutcome, members: [&[usize]; 2]) -> String {
-    let mut text = String::from("\n## What to take from it\n\n");
-    let works = [(Workload::Render, INVISIBLE_DB, "to render"), (Workload::Train, HARMLESS_DB, "to train")];
-    for dial in measured_dials(outcome, Judge::Exact) {
-        let found = works.map(|(work, harmless, _)| verdict(&graded(dial, subject, outcome, work), harmless));
-        let said = works
-            .iter()
-            .zip(&found)
-            .filter_map(|((_, _, what), found)| Some(format!("{what}, {}", found.as_ref()?.sentence())));
-        _ = write!(text, "- `{}`: {}.", dial.name, said.collect::<Vec<_>>().join("; "));
-        if found.iter().flatten().all(DialVerdict::is_dominated) {
-            text.push_str(" **Dominated here**: no coarser value saves time.");
-        }
-        text.push('\n');
-    }
-    for dial in measured_dials(outcome, Judge::Photographs) {
-        let known = values(dial, subject, outcome);
-        let scored = known.filter_map(|(name, row)| Some((name, row.scores?.0, row.times.forward)));
-        let own = dial.value_in(&subject.base).map_or("", |value| value.name);
-        if let Some(said) = choice(&scored.collect::<Vec<_>>(), own) {
-            _ = writeln!(text, "- `{}`, by photographs: {said}.", dial.name);
-        }
-    }
+/// Returns the names of the settings that no other beats in both time and error.
+fn frontiers(outcome: &BenchOutcome, members: [&[usize]; 2]) -> String {
+    let mut text = String::new();
     for (members, what) in members.into_iter().zip(["renders", "training steps"]) {
         let names: Vec<&str> = members.iter().map(|&i| outcome.rows[i].candidate.name.as_str()).collect();
         _ = write!(text, "\nThe frontier of {what}, from accurate to fast: {}.\n", names.join(", "));
@@ -138,27 +116,12 @@ fn alone(dial: &Dial, outcome: &BenchOutcome) -> String {
     text
 }
 
-/// A dial's values with their errors in isolation, which other dials would hide, and their times with the other dials
-/// at the base.
-fn graded(dial: &'static Dial, subject: &PageSubject, outcome: &BenchOutcome, work: Workload) -> Vec<Graded> {
-    let one = |(value, row): (String, &SettingMeasurements)| {
-        let alone = outcome.alone.iter().find(|alone| alone.dial == dial.name && alone.value == value)?;
-        let accuracy = &alone.accuracy;
-        let (quality_db, time) = match work {
-            Workload::Render => (decibels(accuracy.rms), row.times.forward),
-            Workload::Train => (decibels(accuracy.gradient_error), row.times.step),
-        };
-        Some(Graded { value, quality_db, time })
-    };
-    values(dial, subject, outcome).filter_map(one).collect()
-}
-
 fn table<'a>(outcome: &'a BenchOutcome, rows: impl Iterator<Item = (String, &'a SettingMeasurements)>) -> String {
     let mut text = String::from(
         "| setting | error, dB | max | PSNR, dB | SSIM | forward, ms | backward, ms | memory, MiB | gradient error | cosine | \
          a frame, to the standard |\n|---|---|---|---|---|---|---|---|---|---|---|\n",
     );
-    let standard = outcome.rows.iter().find(|row| row.candidate.name == STANDARD);
+    let standard = outcome.rows.iter().find(|row| row.candidate.name == Preset::Standard.name());
     let or_none = |found: Option<String>| found.unwrap_or_else(|| "–".into());
     for (name, row) in rows {
         let accuracy = row.accuracy.as_ref();
@@ -185,12 +148,12 @@ fn table<'a>(outcome: &'a BenchOutcome, rows: impl Iterator<Item = (String, &'a 
     text
 }
 
-fn times(spread: &Spread) -> String {
+fn times(spread: &Quartiles) -> String {
     format!("{:.2} ({:.2}–{:.2})", spread.median, spread.lower, spread.upper)
 }
 
 /// Formats a time relative to another.
-fn pace(ours: &Spread, theirs: &Spread) -> String {
+fn pace(ours: &Quartiles, theirs: &Quartiles) -> String {
     match () {
         () if ours == theirs => "itself".into(),
         () if ours.overlaps(theirs) => "not told apart".into(),

@@ -27,21 +27,6 @@ impl<'a> From<&'a Photo> for MeasuredView<'a> {
     }
 }
 
-impl MeasuredView<'_> {
-    /// Mean number of pixels of some shots.
-    pub fn pixels(shots: &[Self]) -> usize {
-        let all: usize = shots.iter().map(|shot| shot.intrinsics.width * shot.intrinsics.height).sum();
-        all / shots.len().max(1)
-    }
-}
-
-impl MeasuredView<'static> {
-    /// Returns a camera without a photograph.
-    pub fn unseen(intrinsics: &Intrinsics, cam_from_world: &DAffine3) -> Self {
-        Self { intrinsics: *intrinsics, cam_from_world: *cam_from_world, photo: None }
-    }
-}
-
 /// A scene and cameras on one device, in one float type.
 pub struct DeviceScene {
     /// The parameters, tracked.

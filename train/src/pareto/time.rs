@@ -1,60 +1,49 @@
 //! Times of all settings, measured in turns.
 
-use std::ops::Range;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
 use burn::tensor::Tensor;
-use splat_model::accuracy::Spread;
 use splat_op::RenderOptions;
 
 use super::measure::Bench;
+use super::quartiles::Quartiles;
 
 /// Minimum number of rounds: fewer have no spread.
 pub const ROUNDS_MIN: usize = 3;
 
-/// Duration of a measurement.
-#[derive(Clone, Copy, Debug)]
-pub struct Budget {
-    /// The time after which no round begins, unless there are fewer than [`ROUNDS_MIN`].
-    pub time: Duration,
-    /// Number of rounds, at most.
-    pub rounds: usize,
-}
-
 /// Times of a frame, ms.
 #[derive(Clone, Copy, Debug)]
 pub struct FrameTimes {
-    pub forward: Spread,
-    pub backward: Spread,
-    pub step: Spread,
+    pub forward: Quartiles,
+    pub backward: Quartiles,
+    pub step: Quartiles,
 }
 
 impl Bench<'_> {
-    /// Times all settings on some views in turns, so that other load on the machine affects all alike. Every setting has
-    /// run before, in its check, so kernels are compiled. Without cotangents, which are those of the views, no backward pass
-    /// runs. Returns the times and the number of rounds.
+    /// Times all settings on all views in turns, so that other load on the machine affects all alike. Every setting has
+    /// run before, in its check, so kernels are compiled. After `budget` no round begins, unless there were fewer than
+    /// [`ROUNDS_MIN`]. Returns the times and the number of rounds.
     pub(super) fn time(
         &self,
         all: &[RenderOptions],
-        views: &Range<usize>,
         cotangents: &[Tensor<3>],
-        budget: Budget,
+        budget: Duration,
     ) -> Result<(Vec<FrameTimes>, usize)> {
         let begin = Instant::now();
         let mut samples = vec![[const { Vec::new() }; 3]; all.len()];
         let mut rounds = 0;
-        while rounds < ROUNDS_MIN || (begin.elapsed() < budget.time && rounds < budget.rounds) {
+        while rounds < ROUNDS_MIN || begin.elapsed() < budget {
             for (options, samples) in all.iter().zip(&mut samples) {
-                let forward = self.time_forward(options, views)?;
-                let backward = self.time_backward(options, views, cotangents)?;
+                let forward = self.time_forward(options)?;
+                let backward = self.time_backward(options, cotangents)?;
                 for (samples, ms) in samples.iter_mut().zip([forward, backward, forward + backward]) {
                     samples.push(ms);
                 }
             }
             rounds += 1;
         }
-        let spread = |samples: &Vec<f64>| Spread::of(samples).context("a time is not finite");
+        let spread = |samples: &Vec<f64>| Quartiles::of(samples).context("a time is not finite");
         let times = samples.iter().map(|[forward, backward, step]| {
             Ok(FrameTimes { forward: spread(forward)?, backward: spread(backward)?, step: spread(step)? })
         });
@@ -62,7 +51,8 @@ impl Bench<'_> {
     }
 
     /// Time of a frame, ms.
-    fn time_forward(&self, options: &RenderOptions, views: &Range<usize>) -> Result<f64> {
+    fn time_forward(&self, options: &RenderOptions) -> Result<f64> {
+        let views = 0..self.shots.len();
         self.place.device.sync()?;
         let start = Instant::now();
         // Kept until they are computed: a result that nobody waits for may never be computed.
@@ -74,9 +64,9 @@ impl Bench<'_> {
     }
 
     /// Time of a frame's backward pass, ms.
-    fn time_backward(&self, options: &RenderOptions, views: &Range<usize>, cotangents: &[Tensor<3>]) -> Result<f64> {
+    fn time_backward(&self, options: &RenderOptions, cotangents: &[Tensor<3>]) -> Result<f64> {
         let mut elapsed = Duration::ZERO;
-        for (view, cotangent) in views.clone().zip(cotangents) {
+        for (view, cotangent) in cotangents.iter().enumerate() {
             let picture = self.place.tracked(view, options)?;
             self.place.device.sync()?;
             let start = Instant::now();
@@ -85,6 +75,6 @@ impl Bench<'_> {
             elapsed += start.elapsed();
             drop(gradients);
         }
-        Ok(1e3 * elapsed.as_secs_f64() / views.len() as f64)
+        Ok(1e3 * elapsed.as_secs_f64() / cotangents.len() as f64)
     }
 }

@@ -4,13 +4,14 @@ use std::time::Instant;
 
 use anyhow::{Context, Result};
 use burn::tensor::Device;
-use splat_model::accuracy::{Preset, Spread};
+use splat_model::accuracy::Preset;
 use splat_model::capture::{Photo, PointCloud};
 use splat_model::effects::background::Background;
 use splat_model::evaluate::evaluate;
 use splat_model::optim::MomentBits;
 use splat_model::trainer::{Resolution, TrainConfig, Trainer};
 
+use super::quartiles::Quartiles;
 use crate::progress;
 
 /// Runs of each variant, with different seeds. The spread of a score is its variation from run to run.
@@ -69,12 +70,12 @@ pub const WAYS: &[Way] = &[
     Way { name: "exact renders", flags: "--accuracy exact", change: |config| preset(config, Preset::Exact) },
 ];
 
-/// Applies a preset and keeps the model choices.
 /// Changes the number of steps, and what `splat train` makes depend on it.
 fn rescale(config: &mut TrainConfig, steps: usize) {
     *config = std::mem::take(config).with_steps(steps);
 }
 
+/// Applies a preset and keeps the model choices.
 fn preset(config: &mut TrainConfig, preset: Preset) {
     config.dials = std::mem::take(&mut config.dials).and(&preset.setting());
 }
@@ -89,9 +90,9 @@ pub struct TrainingResult {
     pub name: &'static str,
     pub flags: String,
     /// PSNR of the held-out photographs over the runs, dB.
-    pub psnr: Spread,
+    pub psnr: Quartiles,
     /// Duration of the steps, s.
-    pub seconds: Spread,
+    pub seconds: Quartiles,
     /// Number of Gaussians at the end of the last run.
     pub splats: usize,
 }
@@ -128,7 +129,7 @@ impl Runs<'_> {
             let flags = [("{N/2}", steps / 2), ("{N/4}", steps / 4), ("{2N}", 2 * steps)];
             let flags =
                 flags.iter().fold(way.flags.to_owned(), |text, (name, number)| text.replace(name, &number.to_string()));
-            let spread = |values: &[f64]| Spread::of(values).context("a score is not finite");
+            let spread = |values: &[f64]| Quartiles::of(values).context("a score is not finite");
             Ok(TrainingResult { name: way.name, flags, psnr: spread(&psnr)?, seconds: spread(&seconds)?, splats })
         });
         trained.collect()

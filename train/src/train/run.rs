@@ -8,7 +8,6 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, ensure};
 use serde::Serialize;
-use splat_model::accuracy::Workload;
 use splat_model::capture::{Capture, Photograph};
 use splat_model::density::Focus;
 use splat_model::effects::EffectKind;
@@ -23,14 +22,12 @@ use super::results::{write_learnt, write_scene};
 use super::start::{start_points, started};
 use super::steps::{Done, Steps};
 use super::{ResumeArgs, TrainArgs};
-use crate::accuracy::{self, RequestedAccuracy};
 use crate::effects::Chosen;
 use crate::input::PhotoSelection;
 use crate::inputs::Inputs;
 use crate::live::Live;
 use crate::lpips::LpipsArgs;
 use crate::options::PhotoArgs;
-use crate::pareto::{MeasuredView, UnmeasuredScene};
 use crate::progress;
 use crate::ranks::{self, Setup};
 use crate::report::log::LogLine;
@@ -140,7 +137,6 @@ fn to_the_end(
         config = args.schedule(config, steps);
     }
     let (device, device_name) = args.device.resolve()?;
-    let accuracy = args.accuracy.resolve(&device_name)?;
     let lpips = args.lpips.read(&device)?;
     let (out, mut capture, start) = open(&args)?;
     let inputs = Inputs::of(&args.capture);
@@ -192,15 +188,6 @@ fn to_the_end(
     );
     let train_views = views_of(&capture, &train);
     let described = args.snapshots.then(|| Described::new(config.steps, &capture, &train, &test));
-    let shots: Vec<MeasuredView> =
-        train.iter().map(|photo| MeasuredView::unseen(&photo.intrinsics, &photo.cam_from_world)).collect();
-    let base = config.render_options(input::extent(&capture));
-    let mut accuracy = Some(accuracy.on((&capture, None, MeasuredView::pixels(&shots)), &base, Workload::Train)?);
-    if let Some(RequestedAccuracy::Known(setting)) =
-        accuracy.take_if(|accuracy| matches!(accuracy, RequestedAccuracy::Known(_)))
-    {
-        config.dials = config.dials.and(&setting);
-    }
     progress::note(&format!(
         "{}: {} photographs to train on, {} to test on, {} points",
         capture.folder.display(),
@@ -243,21 +230,20 @@ fn to_the_end(
         version: env!("CARGO_PKG_VERSION"),
     });
     let live = server.map(|server| Live::start(server, &trainer, &test, &device, out.path())).transpose()?;
-    let choice = accuracy.filter(|_| !so_far.dials_chosen).map(|accuracy| (accuracy, shots.clone()));
     let steps = Steps {
         args: &args,
         capture: &capture,
         out: &out,
         test: &test,
-        device: (&device, &device_name),
+        device: &device,
         lpips: lpips.as_ref(),
         snapshots: snapshots.as_ref(),
         checkpoints,
         live,
         ranks,
     };
-    let Done { seconds: train, history, checkpoints, live, stopped_at } = steps.run(&mut trainer, so_far, choice)?;
-    // Dials and schedules may have changed since the start.
+    let Done { seconds: train, history, checkpoints, live, stopped_at } = steps.run(&mut trainer, so_far)?;
+    // Schedules may have changed since the start.
     config = trainer.config().clone();
     let background = trainer.background();
     let render_options = trainer.render_options();
@@ -269,11 +255,6 @@ fn to_the_end(
         true => Gaussians::from_rows(&trainer.rows(), &device)?,
         false => trainer.gaussians().untracked(),
     };
-    if let Some(target_db) = args.accuracy.target_error {
-        let (background, device) = (background.colour(), (&device, device_name.as_str()));
-        let (rows, base, work) = (&trainer.rows(), render_options, Workload::Train);
-        accuracy::note_reached(target_db, &UnmeasuredScene { rows, shots, background, base, device, work })?;
-    }
     effects.measure(&mut trainer)?;
     // The page and the scores need the memory of photographs and moments, which are no longer used.
     drop(trainer);

@@ -1,11 +1,9 @@
-//! The steps of a run, and the work between them: choosing dials, taking scores, writing checkpoints, and stopping on
-//! request.
+//! The steps of a run, and the work between them: taking scores, writing checkpoints, and stopping on request.
 
 use std::rc::Rc;
 
 use anyhow::{Context, Result};
 use burn::tensor::Device;
-use splat_model::accuracy::Workload;
 use splat_model::capture::{Capture, Photograph};
 use splat_model::metrics::lpips::Lpips;
 use splat_model::trainer::ranks::Ranks;
@@ -16,21 +14,13 @@ use super::checkpoints::{Checkpoints, SoFar};
 use super::results::keep_scene;
 use super::stop::{Interrupted, Stop};
 use super::time_limit::{TimeLimit, set_steps};
-use crate::accuracy::RequestedAccuracy;
 use crate::live::Live;
 use crate::output::OutputFolder;
-use crate::pareto::{MeasuredView, UnmeasuredScene};
 use crate::progress;
 use crate::ranks::{self, Order};
 use crate::report::history::History;
 use crate::report::log::RunLog;
 use crate::snapshots::Snapshots;
-
-/// With an accuracy target, settings are measured after one part in this many of the steps.
-const MEASURED_AFTER: usize = 10;
-
-/// A choice of dials that is still to be made, by measuring them on these views.
-pub type PendingChoice<'a> = (RequestedAccuracy, Vec<MeasuredView<'a>>);
 
 /// Inputs of the steps.
 pub struct Steps<'a> {
@@ -38,7 +28,7 @@ pub struct Steps<'a> {
     pub capture: &'a Capture,
     pub out: &'a OutputFolder,
     pub test: &'a [Photograph],
-    pub device: (&'a Device, &'a str),
+    pub device: &'a Device,
     /// LPIPS for scores during the run, if asked for.
     pub lpips: Option<&'a Lpips>,
     /// Snapshots of the evaluations, if asked for.
@@ -65,10 +55,9 @@ impl<'a> Steps<'a> {
     ///
     /// # Errors
     /// If a step fails; [`Interrupted`] if the run was asked to stop.
-    pub fn run(mut self, trainer: &mut Trainer, so_far: SoFar, mut choice: Option<PendingChoice>) -> Result<Done<'a>> {
+    pub fn run(mut self, trainer: &mut Trainer, so_far: SoFar) -> Result<Done<'a>> {
         let stop = Stop::listen().context("cannot listen for Ctrl-C")?;
         let mut time_limit = self.args.time.map(TimeLimit::new);
-        let mut dials_chosen = so_far.dials_chosen;
         // The first checkpoint comes before the first step: a run killed at once can be resumed too, and an unwritable
         // folder is found now.
         if trainer.steps_done() == 0 && self.args.checkpoint_every > 0 {
@@ -80,26 +69,14 @@ impl<'a> Steps<'a> {
         while !trainer.is_done() {
             if let Some(signal) = stop.asked() {
                 let seconds = log.recorder.seconds();
-                let so_far = self.so_far(trainer, seconds, dials_chosen, log.finish());
+                let so_far = self.so_far(trainer, seconds, log.finish());
                 return Err(self.interrupted(trainer, &so_far, signal));
-            }
-            // Before this, the scene does not resemble the final one.
-            if trainer.steps_done() >= trainer.config().steps / MEASURED_AFTER
-                && let Some((accuracy, shots)) = choice.take()
-            {
-                let (rows, base) = (trainer.rows(), trainer.render_options());
-                let background = trainer.background().colour();
-                let (device, work) = (self.device, Workload::Train);
-                let dials =
-                    accuracy.setting(&UnmeasuredScene { rows: &rows, shots, background, base, device, work })?;
-                trainer.turn(&dials);
-                dials_chosen = true;
             }
             self.order_step(trainer, &mut told)?;
             let mut evaluated = Ok(());
             let step = trainer.step_and_look(|trainer| {
                 if self.args.eval_during.is_some_and(|every| trainer.steps_done().is_multiple_of(every)) {
-                    evaluated = log.evaluate(trainer, (self.test, self.device.0), self.lpips, self.snapshots);
+                    evaluated = log.evaluate(trainer, (self.test, self.device), self.lpips, self.snapshots);
                 }
             });
             match step {
@@ -117,7 +94,7 @@ impl<'a> Steps<'a> {
                 stopped_at = Some(trainer.steps_done());
                 time_limit = None;
                 let (seconds, history) = (log.recorder.seconds(), log.recorder.history.clone());
-                self.checkpoints.write(trainer, self.args, &self.so_far(trainer, seconds, dials_chosen, history))?;
+                self.checkpoints.write(trainer, self.args, &self.so_far(trainer, seconds, history))?;
                 // One more step, which waits for the device and finds its faults.
                 set_steps(trainer.steps_done() + 1, trainer, self.args, &mut log)?;
             }
@@ -127,8 +104,7 @@ impl<'a> Steps<'a> {
             // At least one step is done, and no such number is a multiple of 0.
             if trainer.steps_done().is_multiple_of(self.args.checkpoint_every) {
                 let (seconds, history) = (log.recorder.seconds(), log.recorder.history.clone());
-                let so_far = self.so_far(trainer, seconds, dials_chosen, history);
-                self.checkpoints.try_write(trainer, self.args, &so_far);
+                self.checkpoints.try_write(trainer, self.args, &self.so_far(trainer, seconds, history));
             }
         }
         self.order(Order::End)?;
@@ -159,8 +135,8 @@ impl<'a> Steps<'a> {
     }
 
     /// Returns the progress of the run besides its trainer.
-    fn so_far(&self, trainer: &Trainer, seconds: f64, dials_chosen: bool, history: History) -> SoFar {
-        SoFar { seconds, steps: self.args.time.map(|_| trainer.config().steps), dials_chosen, history }
+    fn so_far(&self, trainer: &Trainer, seconds: f64, history: History) -> SoFar {
+        SoFar { seconds, steps: self.args.time.map(|_| trainer.config().steps), history }
     }
 
     /// Saves a run that was asked to stop.
