@@ -51,8 +51,6 @@ pub struct Scores {
     pub lpips_missing: Option<String>,
     /// The network of LPIPS, `alex` or `vgg`; `None` without weights.
     pub lpips_net: Option<String>,
-    /// The range of the network's input, `-1..1` or `0..1`; `None` without weights.
-    pub lpips_input: Option<String>,
     /// Scores of each view.
     pub views: Vec<ViewScore>,
 }
@@ -130,7 +128,6 @@ pub fn evaluate_each<P: Borrow<Photo>, E: From<SplatError>>(
         lpips: mean_lpips,
         lpips_missing: missing_lpips(lpips, &views),
         lpips_net: lpips.map(|lpips| lpips.net().name().to_owned()),
-        lpips_input: lpips.map(|lpips| lpips.input().range().to_owned()),
         views,
     })
 }

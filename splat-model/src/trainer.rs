@@ -2,8 +2,6 @@
 
 mod checked;
 mod config;
-mod cost;
-mod covered;
 mod differentiate;
 mod effects;
 mod error;
@@ -33,10 +31,7 @@ use crate::gaussians::Gaussians;
 use crate::loss::{Truth, photometric};
 use crate::optim::{Adam, Decay, scene_extent, sh_degree_at};
 
-pub use self::checked::Stage;
-use self::checked::{Wrong, check_parameters};
 pub use self::config::TrainConfig;
-pub use self::cost::MeasuredCost;
 use self::differentiate::Batch;
 pub use self::error::TrainError;
 pub use self::guard::{Fault, Guard};
@@ -105,8 +100,6 @@ pub struct Trainer {
     ranks: Rc<dyn Ranks>,
     /// Whether the ranks are known to begin from the same run.
     agreed: bool,
-    /// Whether each stage is checked.
-    checks: bool,
     rng: ChaCha8Rng,
     /// Remaining views of this epoch.
     queue: Vec<usize>,
@@ -172,7 +165,6 @@ impl Trainer {
             guard: Guard::new(device),
             ranks: Rc::new(Alone),
             agreed: false,
-            checks: false,
             rng,
             queue: Vec::new(),
             seen,
@@ -206,11 +198,6 @@ impl Trainer {
     pub fn with_ranks(self, ranks: Rc<dyn Ranks>) -> Self {
         let guard = if ranks.count() > 1 { Guard::at_once() } else { self.guard };
         Self { ranks, guard, ..self }
-    }
-
-    /// Checks the output of each stage in every step, to find the first that goes wrong. Slow.
-    pub fn with_checks(self) -> Self {
-        Self { checks: true, ..self }
     }
 
     /// The current parameters of the scene. After a failed step, these are the parameters before that step.
@@ -276,11 +263,6 @@ impl Trainer {
         self.density.acts_at(step)
     }
 
-    /// The numbers of Gaussians to expect in the rest of the run ([`Strategy::outlook`]). Waits for the device.
-    pub fn outlook(&self) -> Option<Vec<(usize, usize)>> {
-        self.density.outlook(&self.scene, self.step)
-    }
-
     /// Renders the views of a step, compares them with their photographs, and takes an optimiser step on every parameter.
     /// Density control follows.
     ///
@@ -313,11 +295,7 @@ impl Trainer {
         let first = views[0].0;
         let others = self.config.step_rates().after(step as f64 / steps as f64);
         let rates = StepRates { rates: others, means: self.means_decay.at(step) };
-        if self.checks {
-            self.checked_update(first, gradients, &rates)?;
-        } else {
-            self.scene.step(gradients, &self.adam(), &rates, step, held.as_ref());
-        }
+        self.scene.step(gradients, &self.adam(), &rates, step, held.as_ref());
         for (view, mut of_effects) in views {
             self.effects.step(&mut of_effects, EffectContext { view, step, steps, verdict: held.as_ref() });
         }
@@ -353,24 +331,12 @@ impl Trainer {
         Adam::default().for_batch(self.config.batch)
     }
 
-    /// Takes the optimiser step, and reverts it if a Gaussian becomes unusable.
-    fn checked_update(&mut self, view: usize, gradients: Gradients, rates: &StepRates) -> Result<(), TrainError> {
-        let before = self.scene.clone();
-        self.scene.step(gradients, &self.adam(), rates, self.step, None);
-        let found = check_parameters(&before.gaussians.to_rows(), &self.scene.gaussians.to_rows());
-        found.map_err(|wrong| {
-            self.scene = before;
-            self.wrong(view, wrong)
-        })
-    }
-
-    fn non_finite(&self, fault: Fault) -> TrainError {
+    /// The error of a step that was not taken, with the stage that goes wrong first.
+    fn non_finite(&mut self, fault: Fault) -> TrainError {
         let Fault { step, view, what } = fault;
-        TrainError::NonFinite { step, view: self.views.name(view).to_owned(), what }
-    }
-
-    fn wrong(&self, view: usize, Wrong { stage, detail }: Wrong) -> TrainError {
-        TrainError::Check { step: self.step, view: self.views.name(view).to_owned(), stage, detail }
+        let sound = "every stage of the render is sound, so it is the loss or a backward pass that goes wrong";
+        let stage = self.diagnose(view).map_or(sound.into(), |wrong| wrong.to_string());
+        TrainError::NonFinite { step, view: self.views.name(view).to_owned(), what, stage }
     }
 
     /// The next view, which begins to be decoded.

@@ -83,7 +83,7 @@ fn a_step_that_is_not_finite_leaves_the_scene_as_it_was() {
         }
         let (stopped, error) = found.unwrap_or_else(|| panic!("{name}: the run is not stopped"));
         let message = error.to_string();
-        let TrainError::NonFinite { step, view: named, what } = error else { panic!("{name}: {message}") };
+        let TrainError::NonFinite { step, view: named, what, .. } = error else { panic!("{name}: {message}") };
         assert_eq!((step, what.as_str()), (bad, "the gradient of `log_scales`"), "{name}");
         // The error comes at once on the CPU, and within fifty steps on a device that would otherwise have to wait.
         let late = stopped - bad;

@@ -15,7 +15,7 @@ use splat_model::effects::optics::OpticsConfig;
 use splat_model::effects::plan::slowness;
 use splat_model::effects::pose::{PoseConfig, anchors};
 use splat_model::effects::{EffectKind, Plan, Survey};
-use splat_model::trainer::{MeasuredCost, TrainConfig, TrainError, Trainer};
+use splat_model::trainer::{TrainConfig, Trainer};
 
 use crate::background::{ENVIRONMENT_DEGREE, TrainBackground};
 use crate::progress;
@@ -118,7 +118,7 @@ impl EffectsArg {
                 "pass `--antialias` to `splat eval` and `splat render` to show this scene as it was trained",
             );
         }
-        Ok(Chosen { asked: self.text.clone(), on, plan, survey, measured: BTreeMap::new() })
+        Ok(Chosen { asked: self.text.clone(), on, plan, survey })
     }
 }
 
@@ -134,8 +134,6 @@ pub struct Chosen {
     /// The survey that the plan is based on.
     #[serde(skip)]
     survey: Option<Survey>,
-    /// Measured cost of the effects of a step, by name.
-    pub measured: BTreeMap<&'static str, MeasuredCost>,
 }
 
 impl Chosen {
@@ -145,7 +143,7 @@ impl Chosen {
     /// If a name is unknown.
     pub fn named(names: &[String]) -> Result<Self> {
         let on = names.iter().map(|name| name.parse()).collect::<Result<_, String>>().map_err(anyhow::Error::msg)?;
-        Ok(Self { asked: names.join(","), on, plan: None, survey: None, measured: BTreeMap::new() })
+        Ok(Self { asked: names.join(","), on, plan: None, survey: None })
     }
 
     /// Whether an effect is on.
@@ -199,19 +197,6 @@ impl Chosen {
     /// Survey and plan that decided on the effects; `None` where nothing was left to decide.
     pub fn grounds(&self) -> Option<(&Survey, &Plan)> {
         self.survey.as_ref().zip(self.plan.as_ref())
-    }
-
-    /// Measures the cost of the effects, at the end of a run.
-    ///
-    /// # Errors
-    /// If the operation refuses the scene.
-    pub fn measure(&mut self, trainer: &mut Trainer) -> Result<(), TrainError> {
-        for &effect in &self.on {
-            if let Some(cost) = trainer.cost_of(effect)? {
-                self.measured.insert(effect.name(), cost);
-            }
-        }
-        Ok(())
     }
 }
 

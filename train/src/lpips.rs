@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use anyhow::Result;
 use burn::tensor::Device;
 use serde::{Deserialize, Serialize};
-use splat_model::metrics::lpips::{InputScaling, Lpips};
+use splat_model::metrics::lpips::Lpips;
 
 /// Options of the LPIPS score.
 #[derive(Clone, Debug, Default, clap::Args, Serialize, Deserialize)]
@@ -14,10 +14,6 @@ pub struct LpipsArgs {
     /// [default: not measured]
     #[arg(long, value_name = "WEIGHTS")]
     pub lpips: Option<PathBuf>,
-    /// With `--lpips`: pass pixels from 0 to 1 to the network, as the evaluation of the original 3D Gaussian splatting
-    /// code does, for comparison with published numbers [default: from -1 to 1, as the network expects]
-    #[arg(long, requires = "lpips")]
-    pub lpips_unscaled: bool,
 }
 
 impl LpipsArgs {
@@ -26,12 +22,11 @@ impl LpipsArgs {
     /// # Errors
     /// If the weights cannot be read.
     pub fn read(&self, device: &Device) -> Result<Option<Lpips>> {
-        let input = if self.lpips_unscaled { InputScaling::Unscaled } else { InputScaling::Scaled };
-        Ok(self.lpips.as_deref().map(|path| Lpips::read(path, input, device)).transpose()?)
+        Ok(self.lpips.as_deref().map(|path| Lpips::read(path, device)).transpose()?)
     }
 
     /// Returns the options with an absolute path, which holds in any working directory.
     pub fn from_anywhere(self) -> Self {
-        Self { lpips: self.lpips.map(|path| std::path::absolute(&path).unwrap_or(path)), ..self }
+        Self { lpips: self.lpips.map(|path| std::path::absolute(&path).unwrap_or(path)) }
     }
 }

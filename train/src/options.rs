@@ -121,7 +121,7 @@ mod tests {
     #[test]
     fn a_run_that_goes_on_takes_no_options_of_a_new_one() {
         let resume = |option: &str| Cli::try_parse_from(["splat", "resume", "out", option]);
-        for option in ["--steps=7", "--check", "--out=other", "--device=cpu", "capture"] {
+        for option in ["--steps=7", "--seed=1", "--out=other", "--device=cpu", "capture"] {
             assert!(resume(option).is_err(), "{option}");
         }
         for option in ["--quiet", "--json"] {

@@ -231,7 +231,7 @@ impl StepProgress {
     pub fn show(&mut self, step: usize, trainer: &Trainer) {
         self.shown = Instant::now();
         let (sum, count) = std::mem::take(&mut self.losses);
-        let (left, rate) = (self.left_s(trainer), 1.0 / self.forecast.mean_s());
+        let (left, rate) = (self.left_s(), 1.0 / self.forecast.mean_s());
         let line = progress_line((step, self.steps), sum / count as f64, trainer.gaussians().len(), (rate, left));
         match &self.bar {
             None => note(&line),
@@ -242,9 +242,8 @@ impl StepProgress {
         }
     }
 
-    /// Predicts the time that the run has left, s. Waits for the device.
-    pub fn left_s(&mut self, trainer: &Trainer) -> f64 {
-        self.forecast.expect(trainer.outlook());
+    /// Predicts the time that the run has left, s.
+    pub fn left_s(&self) -> f64 {
         self.forecast.left_s()
     }
 

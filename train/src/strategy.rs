@@ -1,9 +1,8 @@
-//! `--strategy` chooses a density strategy, which adds, moves and removes splats. `--rates` chooses learning rates.
+//! `--strategy` chooses a density strategy, which adds, moves and removes splats.
 
 use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
 use splat_model::density::{AdaptiveConfig, DensityConfig, GRADUAL_OPACITY_WEIGHT, McmcConfig};
-use splat_model::optim::LearningRates;
 
 /// Density strategies by name. All but `gradual` have their published settings.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
@@ -16,9 +15,6 @@ pub enum StrategyName {
     Adaptive,
     /// Like adaptive, but with absolute gradients, which find splats that blur fine detail (AbsGS, Ye et al. 2024)
     Absgrad,
-    /// Like adaptive, but densify only where several views show an error, and remove splats that hardly show in any
-    /// view (after FastGS, Ren et al. 2025)
-    Consistent,
     /// Move faint splats to others and grow by 5% at a time, up to `--max-splats`, which should be chosen for the
     /// capture (3DGS-MCMC, Kheradmand et al. 2024)
     Mcmc,
@@ -31,7 +27,6 @@ impl StrategyName {
             Self::Gradual => AdaptiveConfig::gradual().into(),
             Self::Adaptive => AdaptiveConfig::default().into(),
             Self::Absgrad => AdaptiveConfig::absgrad().into(),
-            Self::Consistent => AdaptiveConfig::consistent().into(),
             Self::Mcmc => McmcConfig::default().into(),
         }
     }
@@ -39,30 +34,5 @@ impl StrategyName {
     /// Returns the weight of the mean opacity in the loss that belongs to it. MCMC adds its own.
     pub fn opacity_weight(self) -> f64 {
         if self == Self::Gradual { GRADUAL_OPACITY_WEIGHT } else { 0.0 }
-    }
-}
-
-/// Learning rates by name.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
-pub enum RatesName {
-    /// Rates for a run of this length: the published ones in a run of 30,000 steps, higher at the start of a shorter one
-    #[default]
-    ForLength,
-    /// The published rates, which are made for 30,000 steps (Kerbl et al. 2023)
-    Published,
-}
-
-impl RatesName {
-    /// Returns the rates for a run of `steps`.
-    pub fn rates(self, steps: usize) -> LearningRates {
-        match self {
-            Self::ForLength => LearningRates::for_steps(steps),
-            Self::Published => LearningRates::default(),
-        }
-    }
-
-    /// The rates of a checkpoint that names none, which was written before there was a choice.
-    pub fn published() -> Self {
-        Self::Published
     }
 }

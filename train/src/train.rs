@@ -15,7 +15,7 @@ use std::path::PathBuf;
 use anyhow::Result;
 use clap::builder::RangedU64ValueParser;
 use serde::{Deserialize, Serialize};
-use splat_model::optim::{MomentBits, sh_every_for};
+use splat_model::optim::{LearningRates, MomentBits, sh_every_for};
 use splat_model::trainer::{Resolution, TrainConfig, TrainError};
 
 pub use self::checkpoints::{RunState, state_of};
@@ -34,7 +34,7 @@ use crate::lpips::LpipsArgs;
 use crate::options::PhotoArgs;
 use crate::progress::VoiceArgs;
 use crate::reconstruct::CameraArgs;
-use crate::strategy::{RatesName, StrategyName};
+use crate::strategy::StrategyName;
 
 /// Default number of steps on the demo capture, chosen so that the whole run takes under 3 minutes on 2 CPU cores.
 pub const DEMO_STEPS: usize = 1500;
@@ -98,10 +98,6 @@ pub struct TrainArgs {
     /// Density strategy: how splats are added, moved and removed
     #[arg(long, value_name = "NAME", value_enum, default_value_t)]
     pub strategy: StrategyName,
-    /// Learning rates
-    #[arg(long, value_name = "NAME", value_enum, default_value_t)]
-    #[serde(default = "RatesName::published")]
-    pub rates: RatesName,
     /// Photographs per step. Learning rates grow with the square root of their number; divide `--steps` by it to use
     /// each photograph as often
     #[arg(long, value_name = "N", default_value_t = TrainConfig::default().batch, value_parser = RangedU64ValueParser::<usize>::new().range(1..))]
@@ -134,14 +130,10 @@ pub struct TrainArgs {
     /// with the strategy `gradual`, else 0]
     #[arg(long, value_name = "W")]
     pub opacity_weight: Option<f64>,
-    /// Begin with photographs downsized by this factor: 1, 2, 4, 8 or 16 [default: 1; with `--for`, 8 in a run of up to 1,000
-    /// steps, else 4]
+    /// Begin with photographs downsized by this factor, 1, 2, 4, 8 or 16, until half of the steps are done [default: 1; with `--for`,
+    /// 8 in a run of up to 1,000 steps, else 4]
     #[arg(long, value_name = "N")]
     pub coarsest: Option<usize>,
-    /// With `--coarsest`: fraction of the steps after which photographs have their full size [default: 0.5; with `--for`, that
-    /// of 1,000 steps, but at most 0.7]
-    #[arg(long, value_name = "SHARE")]
-    pub full_from: Option<f64>,
     /// Accuracy of the renders.
     #[command(flatten)]
     pub accuracy: AccuracyArgs,
@@ -178,10 +170,6 @@ pub struct TrainArgs {
     #[command(flatten)]
     #[serde(skip)]
     pub live: LiveArgs,
-    /// Check the results of every stage of every step, and stop at the first stage that goes wrong; several times as
-    /// slow
-    #[arg(long)]
-    pub check: bool,
     /// Memory for decoded photographs, and as much for photographs prepared for the loss, MB. Photographs that do not
     /// fit are decoded again, in the background, each time they are used [default: half of the available memory]
     #[arg(long, value_name = "MB")]
@@ -252,8 +240,8 @@ impl TrainArgs {
         let sh_every = self.sh_every.unwrap_or(sh_every_for(steps));
         let usual = if self.time.is_some() { Resolution::within_time(steps) } else { Resolution::FULL };
         let coarsest_divisor = self.coarsest.unwrap_or(usual.coarsest_divisor);
-        let resolution = Resolution { coarsest_divisor, full_from: self.full_from.unwrap_or(usual.full_from) };
-        TrainConfig { steps, sh_every, learning_rates: self.rates.rates(steps), resolution, ..config }
+        let resolution = Resolution { coarsest_divisor, ..usual };
+        TrainConfig { steps, sh_every, learning_rates: LearningRates::for_steps(steps), resolution, ..config }
     }
 }
 
@@ -278,8 +266,8 @@ mod tests {
         assert_eq!(config(&["capture", "--out", "out"]).unwrap(), TrainConfig::for_steps(30_000));
         assert_eq!(of("2000"), TrainConfig::for_steps(2_000));
         assert_eq!(config(&["capture", "--opacity-weight", "0"]).unwrap().opacity_weight, 0.0);
-        let original = ["capture", "--strategy", "adaptive", "--rates", "published", "--sh-every", "1000"];
-        assert_eq!(config(&original).unwrap(), TrainConfig::default());
+        let original = config(&["capture", "--strategy", "adaptive", "--sh-every", "1000"]).unwrap();
+        assert_eq!(original, TrainConfig { learning_rates: LearningRates::for_steps(30_000), ..TrainConfig::default() });
     }
 
     #[test]
@@ -293,10 +281,6 @@ mod tests {
         let text = serde_json::to_string(&args).unwrap();
         let read: TrainArgs = serde_json::from_str(&text).unwrap();
         assert_eq!(format!("{read:?}"), format!("{args:?}"));
-        // A checkpoint from before `--rates` existed.
-        let mut older: serde_json::Value = serde_json::from_str(&text).unwrap();
-        older.as_object_mut().unwrap().remove("rates").unwrap();
-        assert_eq!(serde_json::from_value::<TrainArgs>(older).unwrap().rates, RatesName::Published);
     }
 
     #[test]
@@ -344,7 +328,6 @@ mod tests {
         let divisor = |arguments: &[&str], step| config(arguments).unwrap().resolution.divisor_at(step, 100);
         assert_eq!(divisor(&[], 1), 1);
         assert_eq!([1, 26, 51].map(|step| divisor(&["--coarsest", "4"], step)), [4, 2, 1]);
-        assert_eq!(divisor(&["--coarsest", "4", "--full-from", "0.8"], 80), 2);
         assert_eq!(
             [(&["--for", "60s"][..]), &["--for", "60s", "--coarsest", "1"]].map(|flags| divisor(flags, 1)),
             [4, 1]

@@ -11,9 +11,7 @@ use splat_op::tally::{self, Tally};
 pub use self::config::{AdaptiveConfig, GRADUAL_OPACITY_WEIGHT};
 pub use self::division::Division;
 use self::division::{push_halves, push_parts};
-use super::consistency::Agreement;
 use super::order::morton_order;
-use super::outlook;
 use super::rows::{RowEdit, Trained};
 use super::strategy::{Observed, RefineReport, Signals, Strategy, StrategyContext};
 use crate::gaussians::{self, GaussianRows, RowsError, values_of};
@@ -34,14 +32,12 @@ pub struct Adaptive {
     steps: usize,
     /// `[N]`: sums of gradient norms, and numbers of steps with a gradient. `None` right after an edit of rows.
     seen: Option<Tally>,
-    /// Statistics of the views that were evaluated since the last edit.
-    agreement: Option<Agreement>,
 }
 
 impl Adaptive {
     /// A strategy for a run of `steps` on a scene of `extent` (see [`crate::optim::scene_extent`]).
     pub fn new(config: AdaptiveConfig, extent: f64, steps: usize) -> Self {
-        Self { config, extent, steps, seen: None, agreement: None }
+        Self { config, extent, steps, seen: None }
     }
 
     /// Whether a refinement or a reset is due at `step`, counted from 1.
@@ -57,19 +53,6 @@ impl Adaptive {
         self.is_time_at(step) && self.densifies_at(step)
     }
 
-    /// Growth of a refinement by the statistics so far, as a share of the Gaussians, where those below `fading` times the
-    /// opacity of pruning are removed. `None` before the first statistics, and without Gaussians.
-    fn growth_now(&self, scene: &Trained, fading: f64) -> Option<f64> {
-        let Tally { sums, counts } = self.seen.as_ref().filter(|_| !scene.gaussians.is_empty())?;
-        let opacity = fading * self.config.prune_opacity;
-        let logits = scene.gaussians.logit_opacities.val().inner();
-        let fading = logits.lower_elem((opacity / (1.0 - opacity)).ln());
-        let chosen =
-            sums.clone().greater(counts.clone() * self.config.grad_threshold).bool_and(fading.clone().bool_not());
-        let added = (chosen.int() - fading.int()).float().mean();
-        Some(added.into_scalar::<f64>()).filter(|growth| growth.is_finite())
-    }
-
     fn resets_at(&self, step: usize) -> bool {
         self.config.reset_every > 0 && step.is_multiple_of(self.config.reset_every)
     }
@@ -78,13 +61,8 @@ impl Adaptive {
         let rows = scene.gaussians.to_rows();
         let gradients = self.mean_gradients(rows.len());
         let keep_largest = self.config.reset_every == 0 || step <= self.config.reset_every;
-        let agreement = self.config.consistency.zip(self.agreement.take());
-        let agreed = agreement.map(|(config, agreement)| agreement.read(&config));
-        let hardly_shows = |i: usize| agreed.as_ref().is_some_and(|agreed| agreed[i].hardly_shows);
-        let doomed: Vec<bool> =
-            (0..rows.len()).map(|i| self.is_doomed(&rows, i, keep_largest) || hardly_shows(i)).collect();
-        let is_wrong = |i: usize| agreed.as_ref().is_none_or(|agreed| agreed[i].is_wrong);
-        let wanted = |i: &usize| !doomed[*i] && f64::from(gradients[*i]) > self.config.grad_threshold && is_wrong(*i);
+        let doomed: Vec<bool> = (0..rows.len()).map(|i| self.is_doomed(&rows, i, keep_largest)).collect();
+        let wanted = |i: &usize| !doomed[*i] && f64::from(gradients[*i]) > self.config.grad_threshold;
         let wanted = self.focused((0..rows.len()).filter(wanted).collect(), (&rows, &doomed), &gradients, step);
         let (chosen, threshold) = self.choose(wanted, &gradients, &doomed, step);
         let split_above = (self.config.split_scale * self.extent) as f32;
@@ -196,14 +174,10 @@ impl Strategy for Adaptive {
     fn listens_at(&self, step: usize) -> Signals {
         let listens = self.is_time_at(step);
         let absolute = self.config.absolute;
-        let asks = self.config.consistency.is_some_and(|config| config.asks_at(step, self.config.every));
-        Signals { gradient: listens && !absolute, abs_gradient: listens && absolute, covered: listens && asks }
+        Signals { gradient: listens && !absolute, abs_gradient: listens && absolute }
     }
 
     fn observe(&mut self, seen: Observed) {
-        if let Some(covered) = seen.covered {
-            self.agreement = Some(Agreement::with(self.agreement.take(), covered));
-        }
         let Some(grad_mean2d) = seen.gradient.or(seen.abs_gradient) else { return };
         // Half the picture size: normalised device coordinates run from -1 to 1.
         let per_ndc = [seen.size.0 as f32 / 2.0, seen.size.1 as f32 / 2.0];
@@ -236,27 +210,6 @@ impl Strategy for Adaptive {
         Ok(report)
     }
 
-    fn outlook(&self, scene: &Trained, step: usize) -> Option<Vec<(usize, usize)>> {
-        let (config, count) = (&self.config, scene.gaussians.len());
-        let refined = (1..=step).filter(|&step| self.refines_at(step)).count();
-        // Right after a refinement, the statistics are of a few views, whose largest gradients are not averaged yet.
-        if refined > 0 && step % config.every.max(1) < config.every / 2 {
-            return None;
-        }
-        let growth = self.growth_now(scene, if refined == 0 { outlook::FADING } else { 1.0 })?;
-        let later = (step + 1..=self.steps).filter(|&step| self.refines_at(step));
-        Some(match config.growth {
-            None => outlook::expected(later, refined, count, growth, config.max_splats),
-            Some(largest) => outlook::expected_by_shares(
-                &later.collect::<Vec<_>>(),
-                refined,
-                count,
-                growth.min((growth - config.waiting).min(HASTE * largest).max(largest)),
-                config.max_splats,
-            ),
-        })
-    }
-
     fn set_steps(&mut self, steps: usize) {
         self.steps = steps;
     }
@@ -265,9 +218,6 @@ impl Strategy for Adaptive {
         if let Some(Tally { sums, counts }) = &self.seen {
             to.put("gradient_sum", sums.clone());
             to.put("seen_count", counts.clone());
-        }
-        if let Some(agreement) = &self.agreement {
-            to.put_part("agreement", agreement.save());
         }
         Ok(())
     }
@@ -278,10 +228,6 @@ impl Strategy for Adaptive {
             let sums: Tensor<1> = from.take("gradient_sum", device)?;
             let counts = from.take_shaped("seen_count", sums.dims(), device)?;
             self.seen = Some(Tally { sums, counts });
-        }
-        self.agreement = None;
-        if from.has("agreement") {
-            self.agreement = Some(from.load_part("agreement", |part| Agreement::load(part, device))?);
         }
         Ok(())
     }

@@ -90,8 +90,7 @@ mod tests {
 
     #[test]
     fn a_strategy_is_written_by_its_name() {
-        let consistent = AdaptiveConfig::consistent();
-        for config in [DensityConfig::default(), consistent.into(), McmcConfig::default().into()] {
+        for config in [DensityConfig::default(), AdaptiveConfig::absgrad().into(), McmcConfig::default().into()] {
             let text = serde_json::to_string(&config).unwrap();
             assert_eq!(serde_json::from_str::<DensityConfig>(&text).unwrap(), config, "{text}");
         }

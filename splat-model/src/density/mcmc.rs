@@ -211,19 +211,6 @@ impl Strategy for Mcmc {
         Ok(report)
     }
 
-    fn outlook(&self, scene: &Trained, step: usize) -> Option<Vec<(usize, usize)>> {
-        let mut count = scene.gaussians.len();
-        let later = (step + 1..=self.steps).filter(|&step| self.acts_at(step));
-        Some(
-            later
-                .map(|step| {
-                    count = self.grown(count).max(count);
-                    (step, count)
-                })
-                .collect(),
-        )
-    }
-
     fn set_steps(&mut self, steps: usize) {
         self.steps = steps;
     }

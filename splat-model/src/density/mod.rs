@@ -4,18 +4,15 @@
 
 mod adaptive;
 mod config;
-mod consistency;
 mod focus;
 mod mcmc;
 mod noise;
 mod order;
-mod outlook;
 pub mod rows;
 mod strategy;
 
 pub use adaptive::{Adaptive, AdaptiveConfig, Division, GRADUAL_OPACITY_WEIGHT};
 pub use config::DensityConfig;
-pub use consistency::ConsistencyConfig;
 pub use focus::Focus;
 pub use mcmc::{Mcmc, McmcConfig};
 pub use order::morton_order;

@@ -19,8 +19,6 @@ pub struct Signals {
     /// The gradient at the projected centres as a sum of absolute values over the pixels (AbsGS, Ye et al. 2024, eq. 7), so
     /// that the gradients of two edges of a Gaussian that is too large do not cancel.
     pub abs_gradient: bool,
-    /// The pixels that each Gaussian covers, and the share of them with a large error. Takes another render.
-    pub covered: bool,
 }
 
 /// The requested signals of one view. Each view of a batch has its own.
@@ -30,9 +28,6 @@ pub struct Observed {
     pub gradient: Option<Tensor<2>>,
     /// `[N, 2]`: `Σ |∂L/∂mean2d|` over the pixels, per px.
     pub abs_gradient: Option<Tensor<2>>,
-    /// `[N, 2]`: covered pixels, each weighted by the Gaussian's share in its colour, and the same sum over the pixels
-    /// whose error exceeds the picture's mean.
-    pub covered: Option<Tensor<2>>,
     /// Width and height of the picture, px.
     pub size: (usize, usize),
 }
@@ -102,13 +97,6 @@ pub trait Strategy {
         at: &StrategyContext,
         rng: &mut dyn Rng,
     ) -> Result<Option<RefineReport>, RowsError>;
-
-    /// The numbers of Gaussians to expect after later refinements, each with its step, in step order, as far as they can be
-    /// told after `step`. For the time that a run has left; training does not depend on it. `None` if the strategy cannot
-    /// tell. The growth so far is then expected to go on.
-    fn outlook(&self, _scene: &Trained, _step: usize) -> Option<Vec<(usize, usize)>> {
-        None
-    }
 
     /// Informs the strategy that the run will have `steps` steps, for one that reads the number before [`Self::act`] tells it.
     fn set_steps(&mut self, _steps: usize) {}

@@ -24,7 +24,7 @@ use splat_op::{Intrinsics, Rendered, environment};
 use thiserror::Error;
 
 use super::learned::{EffectContext, Falling, Learned};
-use super::{Effect, EffectKind, Leaf, RenderInput, saved_bytes};
+use super::{Effect, EffectKind, Leaf, RenderInput};
 use crate::gaussians::{Gaussians, values_of};
 use crate::json;
 use crate::state::{State, StateError};
@@ -350,11 +350,6 @@ impl Effect for Environment {
 
     fn load(&mut self, from: &mut State, _: &Device) -> Result<(), StateError> {
         self.coefficients.load(from)
-    }
-
-    /// Includes the cached directions.
-    fn bytes(&self) -> usize {
-        saved_bytes(self) + self.cached_bytes
     }
 }
 

@@ -197,7 +197,7 @@ impl Depths {
 
     /// Whether a view's depth must be rendered: the step is supervised, and the photograph has known depths.
     fn supervises(&self, at: EffectContext) -> bool {
-        at.step.is_multiple_of(self.every()) && self.samples.get(at.view).is_some_and(|samples| !samples.is_empty())
+        at.step.is_multiple_of(self.config.every.max(1)) && self.samples.get(at.view).is_some_and(|samples| !samples.is_empty())
     }
 
     /// The loss of a supervised view, `[1]`, from the render's accumulated depth and alpha, `[H, W, 1]` each.
@@ -206,7 +206,7 @@ impl Depths {
             return None;
         }
         let EffectContext { view, step, steps, .. } = at;
-        let weight = self.config.weight.at(step, steps) * self.every() as f64;
+        let weight = self.config.weight.at(step, steps) * self.config.every.max(1) as f64;
         let samples = &self.samples[view];
         let [height, width, _] = depth.dims();
         let size = [width, height];
@@ -232,15 +232,6 @@ impl Effect for Depths {
 
     fn penalty(&mut self, _: &RenderInput, picture: &Rendered<3>, at: EffectContext) -> Option<Tensor<1>> {
         self.miss(picture.depth.clone()?, picture.alpha.clone(), at)
-    }
-
-    fn every(&self) -> usize {
-        self.config.every.max(1)
-    }
-
-    fn bytes(&self) -> usize {
-        let bytes = |kept: &DeviceDepths| kept.depths.dims()[0] * 2 * size_of::<f32>();
-        self.on_device.iter().flatten().map(bytes).sum()
     }
 }
 
@@ -309,7 +300,6 @@ mod tests {
         assert!(gradient.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-6), "{gradient:?}");
         assert!(depths.supervises(at(0)) && !depths.supervises(at(1)) && !depths.supervises(at(7)));
         assert!(depths.miss(depth.clone(), alpha.clone(), at(1)).is_none());
-        assert_eq!(depths.bytes(), 3 * 8);
         // At another picture size, samples map to other pixels.
         let small = |values: &[f32]| tracked(values, [1, 1, 1]);
         let loss = depths.miss(small(&[2.0]), small(&[1.0]), at(0)).unwrap().inner().into_scalar::<f32>();

@@ -183,21 +183,4 @@ pub trait Effect: Any {
     fn background(&self) -> Option<Background> {
         None
     }
-
-    /// The effect works in the steps whose number is a multiple of this, at least 1. The trainer calls the effect in the other steps
-    /// too; [`Trainer::cost_of`](crate::trainer::Trainer::cost_of) measures a step in which it works, and divides.
-    fn every(&self) -> usize {
-        1
-    }
-
-    /// Memory kept between steps, bytes. The default counts the saved arrays.
-    fn bytes(&self) -> usize {
-        saved_bytes(self)
-    }
-}
-
-/// Size of the arrays that an effect saves, bytes.
-pub(super) fn saved_bytes(effect: &(impl Effect + ?Sized)) -> usize {
-    let mut state = State::default();
-    effect.save(&mut state).map_or(0, |()| state.bytes())
 }

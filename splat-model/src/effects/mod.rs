@@ -30,7 +30,6 @@ use std::str::FromStr;
 use serde::Serialize;
 
 pub(crate) use self::effect::mean_of;
-use self::effect::saved_bytes;
 pub use self::effect::{Effect, RenderInput};
 pub use self::leaf::Leaf;
 pub(crate) use self::leaf::stand_in;
@@ -99,15 +98,6 @@ impl EffectKind {
             Self::RollingShutter => "rolling-shutter",
             Self::Defocus => "defocus",
             Self::DepthSupervision => "depth-supervision",
-        }
-    }
-
-    /// The name of the entry in an [`EffectStack`] that simulates the effect. Masks have none, because they are part of the
-    /// photographs.
-    pub(crate) const fn in_stack(self) -> &'static str {
-        match self {
-            Self::MotionBlur | Self::RollingShutter | Self::Defocus => "optics",
-            _ => self.name(),
         }
     }
 }

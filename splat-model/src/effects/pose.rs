@@ -22,7 +22,7 @@ use splat_op::{Rendered, pose};
 
 use self::anchors::{Anchors, DeviceAnchors, rotation};
 use super::learned::{EffectContext, Learned};
-use super::{Effect, EffectKind, Leaf, RenderInput, saved_bytes};
+use super::{Effect, EffectKind, Leaf, RenderInput};
 use crate::gaussians::{Gaussians, values_of};
 use crate::state::{State, StateError};
 
@@ -129,10 +129,6 @@ impl Effect for Poses {
 
     fn load(&mut self, from: &mut State, _: &Device) -> Result<(), StateError> {
         Learned::load_all(&mut self.corrections, from)
-    }
-
-    fn bytes(&self) -> usize {
-        saved_bytes(self) + self.anchors.iter().flatten().map(DeviceAnchors::bytes).sum::<usize>()
     }
 }
 

@@ -36,21 +36,6 @@ impl EffectStack {
         self.0.iter_mut().find_map(|effect| (&mut **effect as &mut dyn Any).downcast_mut())
     }
 
-    /// The effect of the given name, if there is one.
-    pub fn named(&self, name: &str) -> Option<&dyn Effect> {
-        self.0.iter().find(|effect| effect.name() == name).map(Box::as_ref)
-    }
-
-    /// Removes the effect of a name and returns it with its position, so that a run can be timed without it.
-    pub(crate) fn take(&mut self, name: &str) -> Option<(usize, Box<dyn Effect>)> {
-        let at = self.0.iter().position(|effect| effect.name() == name)?;
-        Some((at, self.0.remove(at)))
-    }
-
-    /// Puts back an effect that [`Self::take`] removed.
-    pub(crate) fn put_back(&mut self, (at, effect): (usize, Box<dyn Effect>)) {
-        self.0.insert(at, effect);
-    }
 }
 
 impl Effect for EffectStack {
@@ -107,9 +92,5 @@ impl Effect for EffectStack {
 
     fn background(&self) -> Option<Background> {
         self.0.iter().rev().find_map(|effect| effect.background())
-    }
-
-    fn bytes(&self) -> usize {
-        self.0.iter().map(|effect| effect.bytes()).sum()
     }
 }

@@ -1,18 +1,17 @@
-//! A step that checks the output of every stage, for `splat train --check`. Slow, because it reads all outputs.
+//! Search for the stage that goes wrong first, after a step whose loss or gradients are not finite. Slow, because it reads all
+//! outputs.
 
 use std::fmt;
 
 use burn::tensor::Tensor;
-use splat_op::{Intersections, Projected, Rendered, colours_up_to, intersect, rasterize};
+use splat_op::{Intersections, Projected, Rendered, SplatError, colours_up_to, intersect, rasterize};
 
-use super::TrainError;
-use crate::density::rows::Gradients;
-use crate::effects::{RenderInput, mean_of};
-use crate::gaussians::{GaussianRows, values_of};
+use crate::effects::RenderInput;
+use crate::gaussians::values_of;
 
-/// The stages of a step, in the order in which they are computed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Stage {
+/// The stages of a render, in the order in which they are computed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Stage {
     /// Gaussians to ellipses.
     Project,
     /// Spherical harmonics to colours.
@@ -21,12 +20,6 @@ pub enum Stage {
     Intersect,
     /// Tile lists to a picture.
     Rasterize,
-    /// The picture to a number.
-    Loss,
-    /// The gradients of the parameters.
-    Gradients,
-    /// The parameters after the optimiser's step.
-    Parameters,
 }
 
 impl fmt::Display for Stage {
@@ -35,29 +28,42 @@ impl fmt::Display for Stage {
     }
 }
 
-/// An invalid output: the stage, and the field, its position, the found and the expected value.
+/// An output that is not valid: the stage, and the field, its position, the found and the expected value.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Wrong {
     pub stage: Stage,
     pub detail: String,
 }
 
-/// [`RenderInput::render`] stage by stage, with a check of each output before the next stage runs.
-pub(super) fn render_checked(
-    input: &RenderInput,
-    error: impl Fn(Wrong) -> TrainError,
-) -> Result<Rendered<3>, TrainError> {
-    let features = colours_up_to(&input.splats, &input.camera, input.options.sh_degree)?;
-    let checked = |projected: &Projected| {
-        let opacities = check_projected(projected).map_err(&error)?;
-        check_colours(&features, &opacities).map_err(&error)?;
-        let intersections = intersect(projected, &input.options)?;
-        check_intersections(&intersections, projected.len()).map_err(&error)?;
-        let picture = rasterize(projected, &features, &intersections, &input.extras, &input.options)?;
-        check_picture(&picture).map_err(&error)?;
-        Ok(picture)
+impl fmt::Display for Wrong {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(out, "the stage `{}` is the first to go wrong: {}", self.stage, self.detail)
+    }
+}
+
+/// [`RenderInput::render`] stage by stage, until an output is not valid. A render that is refused tells nothing.
+pub(super) fn first_wrong(input: &RenderInput) -> Option<Wrong> {
+    let rendered = || -> Result<Option<Wrong>, SplatError> {
+        let features = colours_up_to(&input.splats, &input.camera, input.options.sh_degree)?;
+        for projected in input.project()? {
+            let opacities = match check_projected(&projected) {
+                Ok(opacities) => opacities,
+                Err(wrong) => return Ok(Some(wrong)),
+            };
+            let intersections = intersect(&projected, &input.options)?;
+            let before = check_colours(&features, &opacities)
+                .and_then(|()| check_intersections(&intersections, projected.len()));
+            if let Err(wrong) = before {
+                return Ok(Some(wrong));
+            }
+            let picture = rasterize(&projected, &features, &intersections, &input.extras, &input.options)?;
+            if let Err(wrong) = check_picture(&picture) {
+                return Ok(Some(wrong));
+            }
+        }
+        Ok(None)
     };
-    Ok(mean_of(input.project()?.iter().map(checked).collect::<Result<_, TrainError>>()?))
+    rendered().ok().flatten()
 }
 
 /// Checks that ellipses are finite, have an area, and have opacities from 0 to 1. Returns the opacities.
@@ -103,45 +109,6 @@ fn check_picture(picture: &Rendered<3>) -> Result<(), Wrong> {
     let (colour, alpha) = (host(picture.colour.clone()), host(picture.alpha.clone()));
     look(Stage::Rasterize, "colour", (&colour, channels, "pixel"), "a finite number", f32::is_finite)?;
     look(Stage::Rasterize, "alpha", (&alpha, 1, "pixel"), "0 to 1", |value| (0.0..=1.0).contains(&value))
-}
-
-pub(super) fn check_loss(loss: &Tensor<1>) -> Result<(), Wrong> {
-    let value = host(loss.clone());
-    look(Stage::Loss, "the loss", (&value, 1, "value"), "a finite number", f32::is_finite)
-}
-
-pub(super) fn check_gradients(gradients: &Gradients) -> Result<(), Wrong> {
-    fn one<'a, const D: usize>(
-        field: &str,
-        blocks: impl IntoIterator<Item = &'a Tensor<D>> + Clone,
-    ) -> Result<(), Wrong> {
-        let Some(first) = blocks.clone().into_iter().next() else { return Ok(()) };
-        let columns = first.dims()[1..].iter().product();
-        let values: Vec<f32> = blocks.into_iter().flat_map(|block| host(block.clone())).collect();
-        look(Stage::Gradients, field, (&values, columns, "Gaussian"), "a finite number", f32::is_finite)
-    }
-    one("means", &gradients.means)?;
-    one("rotations", &gradients.rotations)?;
-    one("log_scales", &gradients.log_scales)?;
-    one("logit_opacities", &gradients.logit_opacities)?;
-    one("sh", gradients.sh.iter().chain(gradients.sh_more.iter().flatten()))
-}
-
-/// Checks that no Gaussian became unusable. `before` and `after` are the same Gaussians.
-pub(super) fn check_parameters(before: &GaussianRows, after: &GaussianRows) -> Result<(), Wrong> {
-    let spoilt = (0..after.len()).find(|&i| before.is_usable(i) && !after.is_usable(i));
-    let Some(i) = spoilt else { return Ok(()) };
-    let rest = after.rest_per_row();
-    let detail = format!(
-        "Gaussian {i} became unusable: mean {:?}, rotation {:?}, log_scale {:?}, logit_opacity {}, sh_dc {:?}, sh_rest {:?}",
-        after.means[i],
-        after.rotations[i],
-        after.log_scales[i],
-        after.logit_opacities[i],
-        after.sh_dc[i],
-        &after.sh_rest[rest * i..rest * (i + 1)],
-    );
-    Err(Wrong { stage: Stage::Parameters, detail })
 }
 
 /// Returns an error for the first value for which `good` is false.

@@ -193,36 +193,3 @@ fn the_mean_of_equal_renders_is_the_render() {
     };
     assert_eq!(losses(2), losses(1));
 }
-
-/// Waits in one of four steps.
-struct Waiting;
-
-impl Effect for Waiting {
-    fn name(&self) -> &'static str {
-        EffectKind::DepthSupervision.name()
-    }
-
-    fn before(&mut self, _: &mut RenderInput, _: &Gaussians, at: EffectContext) {
-        if at.step.is_multiple_of(self.every()) {
-            std::thread::sleep(std::time::Duration::from_millis(40));
-        }
-    }
-
-    fn every(&self) -> usize {
-        4
-    }
-}
-
-/// The cost does not depend on the step at which it is measured, and measuring leaves the step as it is.
-#[test]
-fn an_effect_of_one_of_four_steps_costs_a_fourth() {
-    let config = TrainConfig { steps: 9, ..TrainConfig::default() };
-    let trainer = Trainer::new(photos([0.0; 3]), &points(), config, &Device::flex()).unwrap();
-    let mut trainer = trainer.with_effect(Waiting);
-    for step in 0..3 {
-        let cost = trainer.cost_of(EffectKind::DepthSupervision).unwrap().unwrap();
-        assert!((7.0..20.0).contains(&cost.ms_per_step), "after step {step}: {} ms of 40", cost.ms_per_step);
-        assert_eq!(trainer.steps_done(), step);
-        trainer.step().unwrap();
-    }
-}

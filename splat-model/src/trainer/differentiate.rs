@@ -7,8 +7,7 @@
 use burn::tensor::{Bool, Gradients as Remaining, Int, Tensor};
 use splat_op::{Extras, Rendered};
 
-use super::checked::{check_gradients, check_loss, render_checked};
-use super::covered::covered;
+use super::checked::{Wrong, first_wrong};
 use super::{LossInputs, TrainError, Trainer};
 use crate::density::rows::Gradients;
 use crate::density::{Observed, Signals};
@@ -111,8 +110,8 @@ impl Trainer {
     fn differentiate_over(&mut self, view: usize, drawn: Option<[f32; 3]>) -> Result<OneView, TrainError> {
         let prepared = self.prepare(view, drawn)?;
         let picture = self.render(&prepared)?;
-        let (loss, covered) = self.compare(&prepared, picture)?;
-        self.go_back(prepared, loss, covered)
+        let loss = self.compare(&prepared, picture);
+        Ok(self.go_back(prepared, loss))
     }
 
     /// Prepares a view: Gaussians, camera and background after the effects, and the photograph.
@@ -138,20 +137,18 @@ impl Trainer {
     /// Renders a view: the mean of all renders if effects make several.
     fn render(&mut self, prepared: &PreparedStep) -> Result<Rendered<3>, TrainError> {
         let inputs = self.effects.samples(prepared.input.clone(), prepared.at);
-        let render = |input: &RenderInput| match self.checks {
-            true => render_checked(input, |wrong| self.wrong(prepared.at.view, wrong)),
-            false => Ok(input.render()?),
-        };
-        Ok(mean_of(inputs.iter().map(render).collect::<Result<_, _>>()?))
+        Ok(mean_of(inputs.iter().map(RenderInput::render).collect::<Result<_, _>>()?))
     }
 
-    /// Computes the loss of a picture with all penalties, `[1]`, tracked, and [`Observed::covered`] if it is requested.
-    pub(super) fn compare(
-        &mut self,
-        prepared: &PreparedStep,
-        picture: Rendered<3>,
-    ) -> Result<(Tensor<1>, Option<Tensor<2>>), TrainError> {
-        let PreparedStep { at, input, truth, excluded, signals } = prepared;
+    /// Renders a view once more, stage by stage. Returns the first output that is not valid, if there is one.
+    pub(super) fn diagnose(&mut self, view: usize) -> Option<Wrong> {
+        let prepared = self.prepare(view, None).ok()?;
+        self.effects.samples(prepared.input, prepared.at).iter().find_map(first_wrong)
+    }
+
+    /// Computes the loss of a picture with all penalties, `[1]`, tracked.
+    fn compare(&mut self, prepared: &PreparedStep, picture: Rendered<3>) -> Tensor<1> {
+        let PreparedStep { at, input, truth, excluded, .. } = prepared;
         let cleared = |picture: Tensor<3>| match excluded {
             Some(excluded) => masks::cleared(picture, excluded),
             None => picture,
@@ -159,10 +156,6 @@ impl Trainer {
         // Excluded pixels are cleared last, so that they do not train the effects either.
         let image = cleared(self.effects.image(picture.colour.clone(), input, &picture, *at));
         let alpha = cleared(picture.alpha.clone());
-        let covered = match signals.covered {
-            true => Some(covered(&input.splats, &input.camera, &input.options, (image.clone(), truth.image()))?),
-            false => None,
-        };
         let name = self.views.name(at.view);
         let mut loss =
             self.loss.loss(&LossInputs { image, alpha, truth, splats: &input.splats, step: at.step, view: name });
@@ -176,19 +169,11 @@ impl Trainer {
         if let Some(penalty) = self.density.penalty(&input.splats, at.step) {
             loss = loss + penalty;
         }
-        if self.checks {
-            check_loss(&loss).map_err(|wrong| self.wrong(at.view, wrong))?;
-        }
-        Ok((loss, covered))
+        loss
     }
 
     /// Computes the gradients of the scene, of the probes and of the effects.
-    fn go_back(
-        &mut self,
-        prepared: PreparedStep,
-        loss: Tensor<1>,
-        covered: Option<Tensor<2>>,
-    ) -> Result<OneView, TrainError> {
+    fn go_back(&self, prepared: PreparedStep, loss: Tensor<1>) -> OneView {
         let PreparedStep { at, input: RenderInput { splats, camera, extras, .. }, signals, .. } = prepared;
         drop(splats);
         let mut left = loss.backward();
@@ -197,12 +182,9 @@ impl Trainer {
             let mut taken = |probe: Option<Tensor<2>>| probe.and_then(|probe| probe.grad_remove(&mut left));
             let (gradient, abs_gradient) = (taken(extras.mean2d_probe), taken(extras.mean2d_abs_probe));
             let size = (camera.intrinsics.width, camera.intrinsics.height);
-            seen = Some(Observed { gradient, abs_gradient, covered, size });
+            seen = Some(Observed { gradient, abs_gradient, size });
         }
         let gradients = Gradients::take(&self.scene.gaussians, &mut left);
-        if self.checks {
-            check_gradients(&gradients).map_err(|wrong| self.wrong(at.view, wrong))?;
-        }
-        Ok(OneView { view: at.view, loss: loss.inner(), gradients, left, seen })
+        OneView { view: at.view, loss: loss.inner(), gradients, left, seen }
     }
 }

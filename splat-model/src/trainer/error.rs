@@ -4,7 +4,7 @@ use splat_op::SplatError;
 use thiserror::Error;
 
 use super::ranks::RankError;
-use super::{Resolution, Stage};
+use super::Resolution;
 use crate::capture::{CaptureError, PointsSeen};
 use crate::effects::optics::LensError;
 use crate::gaussians::RowsError;
@@ -31,7 +31,7 @@ pub enum TrainError {
     EnvironmentDegree(usize),
     /// The schedule of the photographs' size is out of range.
     #[error(
-        "`resolution` is {} from {}, expected a power of two up to {} and a share from 0 to 1: see `--coarsest` and `--full-from`",
+        "`resolution` is {} from {}, expected a power of two up to {} and a share from 0 to 1: see `--coarsest`",
         .0.coarsest_divisor, .0.full_from, Resolution::DIVISOR_MAX
     )]
     Resolution(Resolution),
@@ -82,8 +82,7 @@ pub enum TrainError {
     },
     /// A loss or gradient is not finite. The scene keeps its state before the step.
     #[error(
-        "step {step}, photograph `{view}`: {what} is not finite, so the step was not taken and the run ends. Train with \
-         `--check` to learn which stage goes wrong first"
+        "step {step}, photograph `{view}`: {what} is not finite, so the step was not taken and the run ends; {stage}"
     )]
     NonFinite {
         /// Number of the step, counted from 1.
@@ -92,6 +91,8 @@ pub enum TrainError {
         view: String,
         /// The loss, or the names of the parameters with non-finite gradients.
         what: String,
+        /// The stage of the render that goes wrong first, or that none does.
+        stage: String,
     },
     /// Another rank of the run failed. The scene keeps its state before the step.
     #[error("rank {rank}: {message}")]
@@ -131,23 +132,11 @@ pub enum TrainError {
     /// The ranks are no longer connected.
     #[error(transparent)]
     Ranks(#[from] RankError),
-    /// A stage produced an invalid value (see [`with_checks`](super::Trainer::with_checks)).
-    #[error("step {step}, photograph `{view}`: the stage `{stage}` is the first to go wrong: {detail}")]
-    Check {
-        /// Number of the step, counted from 1.
-        step: usize,
-        /// The photograph's name.
-        view: String,
-        /// The stage.
-        stage: Stage,
-        /// The field, its position, the found and the expected value.
-        detail: String,
-    },
 }
 
 impl TrainError {
     /// Whether the run failed after its start and the scene before the failed step can be saved.
     pub fn keeps_scene(&self) -> bool {
-        matches!(self, Self::NonFinite { .. } | Self::Check { .. } | Self::Photograph(_) | Self::OtherRank { .. })
+        matches!(self, Self::NonFinite { .. } | Self::Photograph(_) | Self::OtherRank { .. })
     }
 }

@@ -24,7 +24,7 @@ enum Account {
     /// Every view is differentiated.
     Views(Vec<ViewAccount>),
     /// A loss or gradient is not finite.
-    NonFinite { view: String, what: String },
+    NonFinite { view: String, what: String, stage: String },
     /// Something else went wrong.
     Failed(String),
 }
@@ -100,8 +100,8 @@ impl Trainer {
     ) -> Result<(Vec<OneView>, Vec<ViewAccount>), TrainError> {
         let account = match &own {
             Ok(own) => Account::Views(own.iter().map(|one| self.account_of(one)).collect()),
-            Err(TrainError::NonFinite { view, what, .. }) => {
-                Account::NonFinite { view: view.clone(), what: what.clone() }
+            Err(TrainError::NonFinite { view, what, stage, .. }) => {
+                Account::NonFinite { view: view.clone(), what: what.clone(), stage: stage.clone() }
             }
             Err(error) => Account::Failed(error.to_string()),
         };
@@ -112,7 +112,9 @@ impl Trainer {
                     all.extend(views);
                     continue;
                 }
-                Account::NonFinite { view, what } => TrainError::NonFinite { step: self.step, view, what },
+                Account::NonFinite { view, what, stage } => {
+                    TrainError::NonFinite { step: self.step, view, what, stage }
+                }
                 Account::Failed(message) => TrainError::OtherRank { rank, message },
             };
             return Err(if rank == self.ranks.rank() { own.err().unwrap_or(failed) } else { failed });
@@ -125,7 +127,7 @@ impl Trainer {
         let signals = one
             .seen
             .as_ref()
-            .map(|seen| ([seen.gradient.is_some(), seen.abs_gradient.is_some(), seen.covered.is_some()], seen.size));
+            .map(|seen| ([seen.gradient.is_some(), seen.abs_gradient.is_some()], seen.size));
         ViewAccount {
             loss_bits: one.loss.clone().into_scalar::<f32>().to_bits(),
             scene: one.gradients.present(),
@@ -190,12 +192,12 @@ impl Trainer {
         &self,
         owner: usize,
         own: Option<Observed>,
-        signals: [bool; 3],
+        signals: [bool; 2],
         size: (usize, usize),
     ) -> Result<Observed, TrainError> {
         let shape = [self.scene.gaussians.len(), 2];
-        let Observed { gradient, abs_gradient, covered, .. } = own.unwrap_or_default();
-        let mut found = [gradient, abs_gradient, covered];
+        let Observed { gradient, abs_gradient, .. } = own.unwrap_or_default();
+        let mut found = [gradient, abs_gradient];
         for (signal, is_there) in found.iter_mut().zip(signals) {
             if is_there {
                 let mut values = signal.take().map_or_else(|| vec![0.0; 2 * shape[0]], values_of);
@@ -203,8 +205,8 @@ impl Trainer {
                 *signal = Some(Tensor::from_data(TensorData::new(values, shape), &self.device));
             }
         }
-        let [gradient, abs_gradient, covered] = found;
-        Ok(Observed { gradient, abs_gradient, covered, size })
+        let [gradient, abs_gradient] = found;
+        Ok(Observed { gradient, abs_gradient, size })
     }
 
     /// The gradients of the parameters of effects at a view: `left` on its rank, and stand-ins on the others.

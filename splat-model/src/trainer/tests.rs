@@ -25,7 +25,6 @@ const EVENTFUL: AdaptiveConfig = AdaptiveConfig {
     until_share: 0.9,
     grad_threshold: 1e-5,
     absolute: false,
-    consistency: None,
     split_scale: 0.01,
     prune_opacity: 0.005,
     prune_scale: 0.1,

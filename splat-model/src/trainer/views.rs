@@ -42,8 +42,6 @@ pub(super) struct Views {
     /// Whether photographs are packed. On a CPU packing would only copy them.
     packs: bool,
     divisor: usize,
-    /// Set while the cost of masks is measured.
-    ignores_masks: bool,
     /// Photographs that are decoded ahead, of those that are not kept.
     ahead: Ahead,
     /// The photograph whose pixels are in memory for one step.
@@ -72,7 +70,6 @@ impl Views {
             cache_left: cache,
             packs: splat_op::is_gpu(device),
             divisor: 1,
-            ignores_masks: false,
             ahead: Ahead::default(),
             visiting: None,
         }
@@ -116,18 +113,6 @@ impl Views {
         }
     }
 
-    /// Switches masks off or on.
-    pub fn ignore_masks(&mut self, ignore: bool) {
-        self.ignores_masks = ignore;
-    }
-
-    /// Size of the photographs' masks on a CPU, bytes. `None` if no photograph has a mask.
-    pub fn masked_bytes(&self) -> Option<usize> {
-        let masked = self.views.iter().filter(|view| view.photograph.has_mask);
-        let pixels = |view: &TrainingView| view.photograph.intrinsics.width * view.photograph.intrinsics.height;
-        masked.map(pixels).reduce(|a, b| a + b)
-    }
-
     /// Begins to decode those of the next photographs whose pixels are needed and not kept.
     pub fn expect(&mut self, next: impl IntoIterator<Item = usize>) {
         for view in next.into_iter().take(ahead::MOST) {
@@ -166,7 +151,7 @@ impl Views {
     /// # Errors
     /// If the photograph must be decoded again and cannot be.
     pub fn excluded(&mut self, view: usize) -> Result<Option<Tensor<3, Bool>>, CaptureError> {
-        if self.ignores_masks || !self.views[view].photograph.has_mask {
+        if !self.views[view].photograph.has_mask {
             return Ok(None);
         }
         if let Some(excluded) = &self.views[view].excluded {

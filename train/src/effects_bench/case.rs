@@ -7,7 +7,6 @@ use clap::Parser;
 use splat_model::capture::demo::DemoOptions;
 use splat_model::capture::{Capture, write_binary_with_tracks};
 use splat_model::effects::{EffectKind, Plan, Survey};
-use splat_model::trainer::MeasuredCost;
 use splat_op::{CameraModel, Intrinsics};
 
 use crate::options::{Cli, Command};
@@ -225,8 +224,6 @@ pub struct EffectGain {
     pub score_db: [f64; 2],
     /// Training times, s.
     pub seconds: [f64; 2],
-    /// Cost of the effect in a step, from `metrics.json` of the run with it.
-    pub cost: Option<MeasuredCost>,
 }
 
 impl EffectCase {
@@ -244,12 +241,10 @@ impl EffectCase {
         let runs = [(&without, self.without, &[][..], "without"), (&folder, self.with, self.eval_with, "with")];
         let mut score_db = [0.0; 2];
         let mut seconds = [0.0; 2];
-        let mut cost = None;
         for (i, (capture, options, eval, name)) in runs.into_iter().enumerate() {
             let out = work.join(format!("{}-{name}", self.name));
             let metrics = self.train(capture, &out, options, scale)?;
             seconds[i] = metrics.seconds.train.unwrap_or_default();
-            cost = metrics.effects.as_ref().and_then(|chosen| chosen.measured.get(self.name).copied());
             score_db[i] = self.evaluate(capture, &out, eval)?;
         }
         Ok(EffectGain {
@@ -258,7 +253,6 @@ impl EffectCase {
             evidence,
             score_db,
             seconds,
-            cost,
         })
     }
 

@@ -1,7 +1,5 @@
 //! The written page: measured figures between two marks. The text around the marks stays unchanged.
 
-use splat_model::trainer::MeasuredCost;
-
 use super::{EffectCase, EffectGain, RunSize};
 
 /// Mark before the measured figures.
@@ -23,9 +21,8 @@ pub(super) fn around(page: &str) -> Option<(&str, &str)> {
 /// The table, with one line per case.
 pub(super) fn table(gains: &[(&EffectCase, EffectGain)]) -> String {
     let mut text = String::from(
-        "| demo | `auto` switches on | evidence | without, dB | with, dB | gain, dB | cost: ms a step | of a step | gain, dB per 10% of a step | memory, MiB | \
-         training, s |\n\
-         |---|---|---|---|---|---|---|---|---|---|---|\n",
+        "| demo | `auto` switches on | evidence | without, dB | with, dB | gain, dB | training without and with, s |\n\
+         |---|---|---|---|---|---|---|\n",
     );
     for (case, gain) in gains {
         let mut names: Vec<&str> = gain.planned.iter().map(|effect| effect.name()).collect();
@@ -33,23 +30,14 @@ pub(super) fn table(gains: &[(&EffectCase, EffectGain)]) -> String {
         let names = if names.is_empty() { "nothing".into() } else { names.join(", ") };
         let [without, with] = gain.score_db;
         let flags = if case.demo_flags.is_empty() { "plain".into() } else { format!("`{}`", case.demo_flags) };
-        let cost = gain.cost.map_or("– | – | – | –".into(), |cost| priced(&cost, with - without));
         let [before, after] = gain.seconds;
         text.push_str(&format!(
-            "| {flags} | {names} | {} | {without:.2} | {with:.2} | {:+.2} | {cost} | {before:.0}, {after:.0} |\n",
+            "| {flags} | {names} | {} | {without:.2} | {with:.2} | {:+.2} | {before:.0}, {after:.0} |\n",
             gain.evidence,
             with - without,
         ));
     }
     text
-}
-
-/// The columns of a cost: time, its share of a step, gain per cost, and memory. What costs less than a hundredth of a step has
-/// no ratio, which would be noise.
-fn priced(cost: &MeasuredCost, gain_db: f64) -> String {
-    let share = cost.ms_per_step / cost.without_ms;
-    let ratio = if share < 0.01 { "–".into() } else { format!("{:.2}", 0.1 * gain_db / share) };
-    format!("{:.1} | {:.0}% | {ratio} | {:.2}", cost.ms_per_step, 100.0 * share, cost.mib)
 }
 
 /// The complete page.
@@ -62,13 +50,6 @@ pub(super) fn page((before, after): (&str, &str), table: &str, scale: &RunSize) 
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_cost_is_told_in_time_and_for_its_gain() {
-        let cost = |ms_per_step| MeasuredCost { ms_per_step, without_ms: 20.0, mib: 0.5 };
-        assert_eq!(priced(&cost(4.0), 3.0), "4.0 | 20% | 1.50 | 0.50");
-        assert_eq!(priced(&cost(0.1), 3.0), "0.1 | 0% | – | 0.50");
-    }
 
     #[test]
     fn text_stays_and_what_was_measured_is_replaced() {

@@ -68,7 +68,7 @@ fn prepare(ranks: &Rc<dyn Ranks>, setup: Setup) -> Result<Trainer> {
     let trainer = Trainer::of(train, &points, config, &device)?;
     let trainer = if checkpoint.is_none() { started(trainer, &args, &capture)? } else { trainer };
     let trainer = effects.supply(trainer, &capture, &views)?;
-    let mut trainer = if args.check { trainer.with_checks() } else { trainer }.with_ranks(Rc::clone(ranks));
+    let mut trainer = trainer.with_ranks(Rc::clone(ranks));
     if let Some(path) = checkpoint {
         let saved = checkpoints::read(&path).with_context(|| format!("cannot resume from {}", path.display()))?;
         trainer.resume(saved.trainer)?;

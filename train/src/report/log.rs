@@ -115,9 +115,9 @@ impl RunLog {
         Ok(())
     }
 
-    /// Predicts the time that the run has left, s. Waits for the device.
-    pub fn left_s(&mut self, trainer: &Trainer) -> f64 {
-        self.bar.left_s(trainer)
+    /// Predicts the time that the run has left, s.
+    pub fn left_s(&self) -> f64 {
+        self.bar.left_s()
     }
 
     /// Adapts the log to a number of steps that has changed.

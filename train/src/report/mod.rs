@@ -115,12 +115,12 @@ pub fn say(metrics: &Metrics, scene: &str, out: &OutputFolder) {
     }
 }
 
-/// Formats the mean LPIPS with its network and input, or the reason why it was not measured.
+/// Formats the mean LPIPS with its network, or the reason why it was not measured.
 fn perceived(scores: &Scores) -> String {
-    let Scores { lpips, lpips_missing, lpips_net, lpips_input, .. } = scores;
+    let Scores { lpips, lpips_missing, lpips_net, .. } = scores;
     let of = |text: &Option<String>| text.clone().unwrap_or_default();
     match lpips {
-        Some(lpips) => format!("{lpips:.4} (network {}, pixels from {})", of(lpips_net), of(lpips_input)),
+        Some(lpips) => format!("{lpips:.4} (network {})", of(lpips_net)),
         None => format!("not measured: {}", of(lpips_missing)),
     }
 }

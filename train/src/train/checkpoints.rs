@@ -50,8 +50,6 @@ pub struct SoFar {
     /// Number of steps, if a time limit chose it.
     #[serde(default)]
     pub steps: Option<usize>,
-    /// Whether the dials have been chosen, where a target asks for a choice.
-    pub dials_chosen: bool,
     /// History of the run.
     pub history: History,
 }

@@ -47,7 +47,6 @@ struct TrainOptionsRecord<'a> {
     #[serde(flatten)]
     config: &'a TrainConfig,
     start: Option<&'a Path>,
-    check: bool,
     #[serde(flatten)]
     lpips: &'a LpipsArgs,
 }
@@ -201,8 +200,7 @@ fn to_the_end(
     let trainer = Trainer::of(train, &points, config.clone(), &device)?;
     let trainer = if kept.is_none() { started(trainer, &args, &capture)? } else { trainer };
     let trainer = effects.supply(trainer, &capture, &train_views)?;
-    let trainer = change(if args.check { trainer.with_checks() } else { trainer });
-    let mut trainer = trainer.with_ranks(Rc::clone(&ranks));
+    let mut trainer = change(trainer).with_ranks(Rc::clone(&ranks));
     let load = seconds_since(start);
 
     // All errors in the capture have been found by now: a run that does not begin leaves no files.
@@ -255,7 +253,6 @@ fn to_the_end(
         true => Gaussians::from_rows(&trainer.rows(), &device)?,
         false => trainer.gaussians().untracked(),
     };
-    effects.measure(&mut trainer)?;
     // The page and the scores need the memory of photographs and moments, which are no longer used.
     drop(trainer);
     let rows = gaussians.to_rows();
@@ -271,7 +268,6 @@ fn to_the_end(
         photos: &photo_args,
         config: &config,
         start: args.start.as_deref(),
-        check: args.check,
         lpips: &args.lpips,
     };
     let metrics = Metrics {

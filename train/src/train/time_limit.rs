@@ -110,7 +110,7 @@ impl TimeLimit {
         self.next = share + share.min(BETWEEN);
         for _ in 0..CHANGES {
             let (step, steps) = (trainer.steps_done(), trainer.config().steps);
-            let left = log.left_s(trainer);
+            let left = log.left_s();
             if !(left > 0.0 && left.is_finite()) {
                 break;
             }

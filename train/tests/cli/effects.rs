@@ -66,10 +66,6 @@ fn effects_are_adjusted_recorded_and_measured() {
     };
     let metrics = train("+exposure");
     assert_eq!(metrics["effects"]["on"], serde_json::json!(["exposure", "masks"]));
-    for name in ["exposure", "masks"] {
-        assert!(metrics["effects"]["measured"][name]["ms_per_step"].is_number(), "{metrics}");
-        assert!(metrics["effects"]["measured"][name]["mib"].as_f64().unwrap() > 0.0);
-    }
     assert!(metrics["options"]["exposure"]["rate"]["from"].is_number());
     // The scores exclude the masked pixels, and those of `eval` can do the same.
     let scene = out.join("scene.ply");
@@ -138,7 +134,7 @@ fn what_is_learnt_beside_the_scene_lies_beside_it() {
         json(&out.join("metrics.json"))
     };
     let metrics = train(&["--effects", "pose-refinement", "--background", "environment:1"]);
-    assert!(metrics["effects"]["measured"]["pose-refinement"]["mib"].as_f64().unwrap() > 0.0, "{metrics}");
+    assert_eq!(metrics["effects"]["on"], serde_json::json!(["pose-refinement"]));
     let poses = json(&out.join("poses.json"));
     assert_eq!(poses.as_object().unwrap().len(), 7, "of the photographs that were trained on");
     let background = out.join("background.json");

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::Division;
-use crate::density::{ConsistencyConfig, Focus};
+use crate::density::Focus;
 
 /// Options of adaptive density control. Defaults are those of the original implementation unless stated otherwise.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -21,8 +21,6 @@ pub struct AdaptiveConfig {
     /// Whether the gradient is AbsGS's (Ye et al. 2024): the sum of absolute values over the pixels, so that the gradients
     /// of the two edges of a Gaussian that blurs smaller detail do not cancel.
     pub absolute: bool,
-    /// Whether Gaussians are copied, split and kept only where several views agree, and by how much: off.
-    pub consistency: Option<ConsistencyConfig>,
     /// Largest size of a Gaussian that is copied instead of split, as a share of the scene extent: 0.01.
     pub split_scale: f64,
     /// Opacity below which Gaussians are removed: 0.005.
@@ -57,7 +55,6 @@ impl Default for AdaptiveConfig {
             until_share: 0.5,
             grad_threshold: 2e-4,
             absolute: false,
-            consistency: None,
             split_scale: 0.01,
             prune_opacity: 0.005,
             prune_scale: 0.1,
@@ -101,11 +98,6 @@ impl AdaptiveConfig {
             Some(_) => Self { grad_threshold: 0.5 * Self::gradual().grad_threshold, ..self },
             None => self,
         }
-    }
-
-    /// Densification and pruning by the agreement of several views.
-    pub fn consistent() -> Self {
-        Self { consistency: Some(ConsistencyConfig::default()), ..Self::default() }
     }
 }
 

@@ -272,39 +272,6 @@ fn statistics_are_taken_up_again() {
     assert_eq!(again.mean_gradients(2), [0.0; 2]);
 }
 
-#[test]
-fn views_have_to_agree() {
-    let config = AdaptiveConfig::consistent();
-    let asked: Vec<usize> = (1..=40).filter(|step| adaptive(config).listens_at(*step).covered).collect();
-    assert_eq!(asked, [10, 20, 30, 40]);
-    assert!(!adaptive(AdaptiveConfig::default()).listens_at(10).covered);
-    assert!(!adaptive(config).listens_at(STEPS).covered);
-    let rows = round(&[(SMALL, 0.5); 5]);
-    let (mut policy, mut scene) = (adaptive(config), trained(&rows));
-    policy.observe(seen(&[[1.0, 0.0]; 5], UNIT));
-    // Covered and wrong pixels: enough in the mean; too few; hardly visible; visible in one view only; visible in none.
-    let views = [
-        [[9.0, 2.5], [9.0, 2.5], [0.05, 0.0], [0.05, 0.0], [0.0, 0.0]],
-        [[9.0, 1.6], [9.0, 1.4], [0.02, 0.0], [0.2, 0.0], [0.0, 0.0]],
-    ];
-    for view in views {
-        let covered = TensorData::new(view.as_flattened().to_vec(), [5, 2]);
-        let covered = Some(Tensor::from_data(covered, &Device::flex()));
-        policy.observe(Observed { covered, size: UNIT, ..Observed::default() });
-    }
-    let mut state = State::default();
-    policy.save(&mut state).unwrap();
-    let mut again = adaptive(config);
-    again.load(&mut state, &Device::flex()).unwrap();
-    state.finish().unwrap();
-    let report = again.act(&mut scene, &at(500), &mut rng()).unwrap().unwrap();
-    assert_eq!((report.cloned, report.split, report.pruned), (1, 0, 1));
-    let after = scene.gaussians.to_rows();
-    for (now, was) in [0, 1, 3, 4, 0].into_iter().enumerate() {
-        assert_eq!(row(&after, now), row(&rows, was), "row {now}");
-    }
-}
-
 /// Of 200 rows, 200 are wanted: a tenth is taken, or all but those that may wait, within the pace that meets the cap. The last
 /// refinement of a run of 30,000 steps is at 14,900.
 #[test]

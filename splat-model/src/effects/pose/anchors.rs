@@ -115,10 +115,6 @@ impl DeviceAnchors {
     pub fn penalty(&self, pose: &Tensor<2>) -> Tensor<1> {
         miss(pose, &self.points, &self.directions, ROBUST_RAD).expect("points and poses on one device")
     }
-
-    pub fn bytes(&self) -> usize {
-        2 * self.points.shape().num_elements() * size_of::<f32>()
-    }
 }
 
 /// Derivative of the direction to a point `p`, camera frame, with respect to the camera's `ω` and `τ`: the columns of

@@ -41,27 +41,6 @@ const MOST_ON_CPU: usize = 1088;
 /// adapter supports for a buffer.
 const MOST_ON_GPU: usize = 720;
 
-/// The range of the network's input, for pictures from 0 to 1.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum InputScaling {
-    /// −1 to 1, as the network's scaling expects.
-    #[default]
-    Scaled,
-    /// 0 to 1, unscaled, as in the evaluation of 3D Gaussian splatting's original implementation and in work that compares with
-    /// its numbers. Values are usually lower than those of [`Self::Scaled`].
-    Unscaled,
-}
-
-impl InputScaling {
-    /// The range as text.
-    pub fn range(self) -> &'static str {
-        match self {
-            Self::Scaled => "-1..1",
-            Self::Unscaled => "0..1",
-        }
-    }
-}
-
 /// A picture that is too small for the network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 #[error(
@@ -90,7 +69,6 @@ struct Convolution {
 #[derive(Clone, Debug)]
 pub struct Lpips {
     net: Net,
-    input: InputScaling,
     /// Convolutions, in the order of the network's layers.
     convolutions: Vec<Convolution>,
     /// Weights of the taps, `[1, C]` each.
@@ -104,11 +82,6 @@ impl Lpips {
     /// The network whose weights were read.
     pub fn net(&self) -> Net {
         self.net
-    }
-
-    /// The range of the network's input.
-    pub fn input(&self) -> InputScaling {
-        self.input
     }
 
     /// LPIPS of `image` and `truth`, `[H, W, 3]` each, RGB from 0 to 1, clamped first. Equal pictures have 0, and values above
@@ -190,10 +163,7 @@ impl Lpips {
 
     /// Scales colours to the network's input.
     fn scaled(&self, picture: Tensor<4>) -> Tensor<4> {
-        let picture = match self.input {
-            InputScaling::Scaled => picture * 2.0 - 1.0,
-            InputScaling::Unscaled => picture,
-        };
+        let picture = picture * 2.0 - 1.0;
         let colour = |of: [f32; 3]| Tensor::<1>::from_floats(of, &self.device).reshape([1, 3, 1, 1]);
         (picture - colour(SHIFT)) / colour(SCALE)
     }

@@ -52,7 +52,7 @@ fn file(tensors: &NamedTensors) -> (TempDir, PathBuf) {
 
 pub(crate) fn read(tensors: &NamedTensors) -> Result<Lpips, WeightsError> {
     let (_folder, path) = file(tensors);
-    Lpips::read(&path, InputScaling::Scaled, &Device::flex())
+    Lpips::read(&path, &Device::flex())
 }
 
 fn noise(height: usize, width: usize) -> Tensor<3> {
@@ -160,7 +160,7 @@ fn wrong_weights_are_named() {
 #[test]
 fn other_types_and_other_files_are_refused() {
     let (folder, path) = file(&tensors(Net::Alex));
-    let read = || Lpips::read(&path, InputScaling::Scaled, &Device::flex());
+    let read = || Lpips::read(&path, &Device::flex());
     let whole = fs::read(&path).unwrap();
     for length in [0, 7, 8, 9, 500, whole.len() - 1] {
         fs::write(&path, &whole[..length]).unwrap();

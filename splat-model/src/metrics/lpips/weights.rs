@@ -10,7 +10,7 @@ use splat_op::is_gpu;
 use thiserror::Error;
 
 use super::layers::{Net, NetworkLayer};
-use super::{Convolution, InputScaling, Lpips, MOST_ON_CPU, MOST_ON_GPU};
+use super::{Convolution, Lpips, MOST_ON_CPU, MOST_ON_GPU};
 
 /// Largest size of a file, bytes. Torchvision's complete VGG16, including the layers that LPIPS does not use, is 553 MB.
 const MOST_BYTES: u64 = 600_000_000;
@@ -80,7 +80,7 @@ impl Lpips {
     /// # Errors
     /// If the file cannot be read or is not a safetensors file, if its tensors belong to no supported network, or if one of
     /// them is missing, has another shape or type, or holds values that are not finite or, in a linear layer, negative.
-    pub fn read(path: &Path, input: InputScaling, device: &Device) -> Result<Self, WeightsError> {
+    pub fn read(path: &Path, device: &Device) -> Result<Self, WeightsError> {
         let io = |source| WeightsError::Io { path: path.to_owned(), source };
         let format = |detail: String| WeightsError::Format { path: path.to_owned(), detail };
         let mut bytes = Vec::new();
@@ -115,7 +115,7 @@ impl Lpips {
             linear.push(Tensor::<4>::from_data(weights, &device).reshape([1, channels]));
         }
         let most = if is_gpu(&device) { MOST_ON_GPU } else { MOST_ON_CPU };
-        Ok(Self { net, input, convolutions, linear, device, most })
+        Ok(Self { net, convolutions, linear, device, most })
     }
 }
 

@@ -9,7 +9,7 @@ use super::threads::together;
 use super::*;
 use crate::capture::{CaptureError, Photo, Photograph};
 use crate::density::rows::Trained;
-use crate::density::{AdaptiveConfig, ConsistencyConfig, DensityConfig, Division, McmcConfig};
+use crate::density::{AdaptiveConfig, DensityConfig, Division, McmcConfig};
 use crate::effects::background::Backdrop;
 use crate::effects::depth::{DepthConfig, DepthSample};
 use crate::effects::exposure::ExposureConfig;
@@ -22,7 +22,7 @@ use crate::trainer::testing::{HEIGHT, WIDTH, photos, points};
 use crate::trainer::{LossInputs, Resolution, TrainConfig, Trainer};
 
 /// Each strategy with a schedule for a few dozen steps.
-fn strategies() -> [DensityConfig; 5] {
+fn strategies() -> [DensityConfig; 4] {
     let adaptive = AdaptiveConfig {
         every: 5,
         from: 5,
@@ -32,13 +32,11 @@ fn strategies() -> [DensityConfig; 5] {
         max_splats: 45,
         ..AdaptiveConfig::default()
     };
-    let consistency = Some(ConsistencyConfig { views: 5, wrong_px: 8.0, ..ConsistencyConfig::default() });
     let mcmc =
         McmcConfig { every: 5, from: 5, growth: 1.2, max_splats: 60, dead_opacity: 0.3, ..McmcConfig::default() };
     [
         adaptive.into(),
         AdaptiveConfig { absolute: true, ..adaptive }.into(),
-        AdaptiveConfig { consistency, ..adaptive }.into(),
         AdaptiveConfig { division: Division::LongAxis, growth: Some(0.2), ..adaptive }.into(),
         mcmc.into(),
     ]
@@ -196,7 +194,7 @@ fn an_effect_of_ones_own_lists_its_parameters_or_is_found_out() {
 
 #[test]
 fn a_run_goes_on_with_another_number_of_ranks() {
-    for config in [config(3), with_effects(3), TrainConfig { density: strategies()[4], ..config(4) }] {
+    for config in [config(3), with_effects(3), TrainConfig { density: strategies()[3], ..config(4) }] {
         let (losses, state) = trained(trainer(&config), config.steps);
         let (first, halfway) = trained(trainer(&config), 7);
         let go_on = |count, from: &State, until| {

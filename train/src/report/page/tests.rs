@@ -37,7 +37,6 @@ fn metrics(views: Vec<ViewScore>, capture: &str) -> Metrics {
         lpips: None,
         lpips_missing: Some("no <weights>".into()),
         lpips_net: None,
-        lpips_input: None,
         views,
     };
     Metrics {
