@@ -7,7 +7,7 @@ use burn::tensor::{Device, Tensor};
 use rand::Rng;
 use splat_hard_cases::scratch;
 use splat_model::capture::Photo;
-use splat_model::capture::demo::DemoOptions;
+use splat_demo::DemoOptions;
 use splat_model::density::rows::Trained;
 use splat_model::density::{AdaptiveConfig, DensityConfig, Observed, RefineReport, Signals, Strategy, StrategyContext};
 use splat_model::gaussians::RowsError;

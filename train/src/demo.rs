@@ -7,7 +7,7 @@ use anyhow::{Context, Result, bail};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use splat_model::capture::Capture;
-use splat_model::capture::demo::{self, DemoOptions};
+use splat_demo::{self as demo, DemoOptions};
 
 use crate::own::{self, OwnFiles};
 use crate::{output, progress};

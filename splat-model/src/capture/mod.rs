@@ -4,7 +4,6 @@ pub mod blocks;
 pub mod image;
 
 mod colmap;
-pub mod demo;
 mod error;
 pub mod exif;
 mod find;

@@ -24,7 +24,7 @@ pub struct Tracks {
 
 impl Tracks {
     /// Adds the next point: its observations, `None` for each dangling one, and the file's reprojection error, px.
-    pub(crate) fn push(&mut self, observations: impl IntoIterator<Item = Option<Observation>>, stated_error_px: f64) {
+    pub fn push(&mut self, observations: impl IntoIterator<Item = Option<Observation>>, stated_error_px: f64) {
         for observation in observations {
             match observation.filter(|observation| observation.at_px.iter().all(|px| px.is_finite())) {
                 Some(observation) => self.observations.push(observation),

@@ -256,7 +256,7 @@ impl DeviceDepths {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::capture::demo::{self, DemoOptions};
+    use splat_demo::{self as demo, DemoOptions};
     use crate::gaussians::values_of;
 
     fn depths(samples: Vec<DepthSample>, every: usize) -> Depths {

@@ -9,7 +9,7 @@ use rand_chacha::ChaCha8Rng;
 use splat_op::Intrinsics;
 
 use super::effects::typical_depth;
-use crate::capture::demo::{self, DemoOptions};
+use splat_demo::{self as demo, DemoOptions};
 use crate::capture::{Capture, Photograph, PhotographFacts, PointCloud, Tracks, origin, strays};
 use crate::cleanup::Bulk;
 use crate::effects::depth::{Depths, from_tracks};

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use splat_model::capture::demo::{DemoError, DemoOptions, write};
+use splat_demo::{DemoError, DemoOptions, write};
 use splat_model::capture::{Capture, CaptureError, Photo, load_all};
 
 /// A folder that is removed when it is dropped.

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::{Component, Path, PathBuf};
 
 use glam::{DMat3, DVec3};
-use splat_model::capture::demo::{self, DemoOptions};
+use splat_demo::{self as demo, DemoOptions};
 use splat_model::capture::{Capture, Split};
 use splat_model::effects::masks;
 

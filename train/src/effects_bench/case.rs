@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use clap::Parser;
-use splat_model::capture::demo::DemoOptions;
+use splat_demo::DemoOptions;
 use splat_model::capture::{Capture, write_binary_with_tracks};
 use splat_model::effects::{EffectKind, Plan, Survey};
 use splat_op::{CameraModel, Intrinsics};

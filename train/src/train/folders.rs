@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::Result;
-use splat_model::capture::demo::DemoOptions;
+use splat_demo::DemoOptions;
 use splat_model::capture::{Capture, Split};
 
 use super::{OUT, TrainArgs, checkpoints};

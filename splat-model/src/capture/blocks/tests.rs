@@ -7,7 +7,7 @@ use glam::{DQuat, DVec3, Vec3};
 use tempfile::TempDir;
 
 use super::*;
-use crate::capture::demo::{self, DemoOptions};
+use splat_demo::{self as demo, DemoOptions};
 
 /// A small town and its capture.
 static TOWN: LazyLock<(TempDir, Capture)> = LazyLock::new(|| {

@@ -180,7 +180,7 @@ fn step(point: DVec3, seen: &[(&View, &Mark)]) -> Option<DVec3> {
 
 #[cfg(test)]
 mod tests {
-    use crate::capture::demo::{self, DemoOptions};
+    use splat_demo::{self as demo, DemoOptions};
     use crate::capture::testing::assert_says;
 
     use super::*;

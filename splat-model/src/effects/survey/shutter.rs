@@ -81,7 +81,7 @@ fn left(observations: &[ShutterObservation], share: impl Fn(&ShutterObservation)
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::capture::demo::{self, DemoOptions};
+    use splat_demo::{self as demo, DemoOptions};
 
     fn of(options: DemoOptions) -> ShutterEvidence {
         let folder = tempfile::tempdir().unwrap();

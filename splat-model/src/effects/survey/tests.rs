@@ -3,7 +3,7 @@
 use tempfile::TempDir;
 
 use super::*;
-use crate::capture::demo::{self, DemoOptions};
+use splat_demo::{self as demo, DemoOptions};
 use crate::capture::testing::real_capture;
 use crate::effects::plan::{Decision, EffectVerdict};
 use crate::effects::{EffectKind, Plan};

@@ -8,7 +8,7 @@ use std::path::Path;
 
 use burn::tensor::{Device, Tensor};
 use glam::DVec3;
-use splat_model::capture::demo::DemoOptions;
+use splat_demo::DemoOptions;
 use splat_model::capture::{Capture, write_binary};
 use splat_model::gaussians::Gaussians;
 use splat_model::loss::{DEFAULT_LAMBDA, Truth, photometric};

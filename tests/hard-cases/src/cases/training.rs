@@ -2,7 +2,7 @@
 
 use burn::tensor::Tensor;
 use glam::DVec3;
-use splat_model::capture::demo::DemoOptions;
+use splat_demo::DemoOptions;
 use splat_model::capture::{Photo, PointCloud};
 use splat_model::density::AdaptiveConfig;
 use splat_model::gaussians::GaussianRows;

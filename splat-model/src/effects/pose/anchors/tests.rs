@@ -3,7 +3,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::*;
-use crate::capture::demo::{self, DemoOptions};
+use splat_demo::{self as demo, DemoOptions};
 
 /// Points in front of a camera, with noise on the directions, and the camera's pose.
 fn observations(count: usize, noise: f64) -> (Anchors, DAffine3) {

@@ -3,11 +3,11 @@ use std::fs;
 use glam::DVec3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use splat_model::capture::Capture;
 
 use super::super::geometry::Ray;
 use super::*;
-use crate::capture::Capture;
-use crate::capture::demo;
+use crate as demo;
 
 const SMALL: DemoOptions = DemoOptions { width: 48, height: 36, views: 40, points: 400, ..DemoOptions::TOWN };
 

@@ -8,7 +8,7 @@ use super::light::{LitScene, display};
 use super::options::Stream;
 use super::picture::to_bytes;
 use super::shot::{ExposurePoint, Shot};
-use crate::capture::{Observation, PointCloud, Tracks};
+use splat_model::capture::{Observation, PointCloud, Tracks};
 
 /// Two positions on a surface count as the same if their distances to a camera differ by at most this share.
 const SAME: f64 = 1e-6;

@@ -54,7 +54,7 @@ pub struct DemoOptions {
     pub zoom: bool,
     /// The poses in the model are wrong, except those of held-out photographs: turned by [`DemoOptions::POSE_ANGLE_DEG`] about
     /// a random axis and moved by [`DemoOptions::POSE_SHARE`] of the scene's extent (that of the cameras, see
-    /// [`scene_extent`](crate::optim::scene_extent)) in a random direction. Points and tracks are exact.
+    /// [`scene_extent`](splat_model::optim::scene_extent)) in a random direction. Points and tracks are exact.
     pub poses: bool,
     /// Beyond the ground lies a landscape with a sky, [`DemoOptions::FAR_RADIUS`] away, instead of a sky at 8 scene units. The
     /// cameras stand lower, so that all of them see it.
@@ -147,7 +147,7 @@ impl DemoOptions {
     pub const FOCUS_SHARE: f64 = 0.81;
     /// Scene units per level of a depth map.
     pub const DEPTH_SCALE: f64 = 0.001;
-    /// Interval of held-out photographs, starting with the first: the split that [`Split::every`](crate::capture::Split)
+    /// Interval of held-out photographs, starting with the first: the split that [`Split::every`](splat_model::capture::Split)
     /// makes by default.
     pub const HELD_OUT_EVERY: usize = 8;
 

@@ -189,7 +189,7 @@ pub(super) fn shots(options: &DemoOptions) -> Vec<Shot> {
 }
 
 /// The gain of each photograph, per channel: one, unless exposures differ.
-pub(crate) fn gains(options: &DemoOptions) -> Vec<DVec3> {
+pub fn gains(options: &DemoOptions) -> Vec<DVec3> {
     let mut random = options.random(Stream::Exposures);
     let mut gain = || (DemoOptions::EXPOSURE_STOPS * (2.0 * random.random::<f64>() - 1.0)).exp2();
     let mut of_view = || if options.exposure { DVec3::new(gain(), gain(), gain()) } else { DVec3::ONE };

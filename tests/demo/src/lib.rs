@@ -27,14 +27,13 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
+use splat_model::capture::{CaptureError, View, write_binary_with_tracks};
 use thiserror::Error;
 
 use self::light::LitScene;
 pub use self::options::DemoOptions;
 use self::scene::DemoScene;
-#[cfg(test)]
-pub(crate) use self::shot::gains;
-use super::{CaptureError, View, write_binary_with_tracks};
+pub use self::shot::gains;
 
 /// A demo capture that cannot be made.
 #[derive(Debug, Error)]

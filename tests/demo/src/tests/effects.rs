@@ -8,8 +8,8 @@ use super::super::picture::mask;
 use super::super::pose;
 use super::super::shot::ExposurePoint;
 use super::*;
-use crate::capture::Capture;
-use crate::optim::scene_extent;
+use splat_model::capture::Capture;
+use splat_model::optim::scene_extent;
 
 /// Options with each switch alone.
 pub(super) fn switches(base: DemoOptions) -> Vec<(&'static str, DemoOptions)> {
@@ -324,7 +324,7 @@ fn captures_of_every_switch_are_read() {
         let capture = Capture::load(folder.path()).unwrap();
         assert_eq!((capture.views.len(), capture.points.positions.len()), (10, 60), "{name}");
         for view in &capture.views {
-            crate::capture::image::load(view, None).unwrap();
+            splat_model::capture::image::load(view, None).unwrap();
         }
     }
 }

@@ -7,7 +7,7 @@ use super::DemoOptions;
 use super::camera::DemoCamera;
 use super::options::Stream;
 use super::shot::Shot;
-use crate::optim::scene_extent;
+use splat_model::optim::scene_extent;
 
 /// The poses written to the model: those of the shots, perturbed unless held out where `poses` asks for it.
 pub(super) fn written(shots: &[Shot], options: &DemoOptions) -> Vec<DAffine3> {

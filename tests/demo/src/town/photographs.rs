@@ -15,7 +15,7 @@ use super::super::options::Stream;
 use super::super::picture::to_bytes;
 use super::light::LitTown;
 use super::{BETWEEN_STREETS, HALF};
-use crate::capture::{Observation, PointCloud, Tracks};
+use splat_model::capture::{Observation, PointCloud, Tracks};
 
 /// Horizontal field of view.
 const FOV_X_DEG: f64 = 75.0;
