@@ -1,13 +1,12 @@
 //! EXIF of photographs: what a camera wrote down about itself.
 //!
-//! Tags: Exif 2.3 (CIPA DC-008-2012), sections 4.6.4 (`Make`, `Model`, `Orientation`), 4.6.5 (`FocalLength`, `FocalLengthIn35mmFilm`)
-//! and 4.6.6 (GPS). The orientation turns no picture: COLMAP and [`image::load`](super::image::load) both use pixels as they are stored, so
+//! Tags: Exif 2.3 (CIPA DC-008-2012), sections 4.6.4 (`Make`, `Model`), 4.6.5 (`FocalLength`, `FocalLengthIn35mmFilm`)
+//! and 4.6.6 (GPS). EXIF's orientation turns no picture: COLMAP and [`image::load`](super::image::load) both use pixels as they are stored, so
 //! that photographs that a camera took upright and sideways share its lens.
 
 use std::path::Path;
 
 use exif::{In, Reader, Tag, Value};
-use glam::DVec2;
 use image::ImageDecoder;
 
 use super::CaptureError;
@@ -27,8 +26,6 @@ pub struct Exif {
     pub focal_35mm: Option<f64>,
     /// Where the photograph was taken.
     pub gps: Option<Gps>,
-    /// How viewers turn and mirror the stored picture to show it, 2 to 8; `None` as it is.
-    pub orientation: Option<u8>,
 }
 
 /// A position on WGS 84.
@@ -69,27 +66,6 @@ impl Exif {
             focal_mm: positive(Tag::FocalLength),
             focal_35mm: positive(Tag::FocalLengthIn35mmFilm),
             gps: Gps::of(value),
-            orientation: value(Tag::Orientation)
-                .and_then(|value| value.get_uint(0))
-                .and_then(|number| u8::try_from(number).ok())
-                .filter(|number| (2..=8).contains(number)),
-        }
-    }
-
-    /// The position in the stored picture, px, of a position in the picture as viewers show it; `size` is the stored width and height.
-    pub fn stored_from_shown(&self, shown: DVec2, size: [usize; 2]) -> DVec2 {
-        let [width, height] = size.map(|side| side as f64);
-        let DVec2 { x, y } = shown;
-        // The eight ways in which the stored rows and columns are sides of the shown picture.
-        match self.orientation {
-            Some(2) => DVec2::new(width - x, y),
-            Some(3) => DVec2::new(width - x, height - y),
-            Some(4) => DVec2::new(x, height - y),
-            Some(5) => DVec2::new(y, x),
-            Some(6) => DVec2::new(y, height - x),
-            Some(7) => DVec2::new(width - y, height - x),
-            Some(8) => DVec2::new(width - y, x),
-            _ => shown,
         }
     }
 
@@ -214,24 +190,6 @@ pub(crate) mod tests {
         // A square of film's diagonal has that diagonal in px as its focal length at 43.27 mm.
         let focal_px = found.focal_px([3000, 4000]).unwrap();
         assert!((focal_px - 26.0 / 43.2666 * 5000.0).abs() < 0.01, "{focal_px}");
-    }
-
-    /// Against the turning of the decoder's library.
-    #[test]
-    fn positions_in_a_shown_picture_are_found_in_the_stored_one() {
-        let stored = RgbImage::from_fn(5, 3, |x, y| image::Rgb([x as u8, y as u8, 0]));
-        for orientation in 0..=9 {
-            let exif = Exif::parse(raw(&[field(Tag::Orientation, Value::Short(vec![orientation]))]));
-            let mut shown = image::DynamicImage::ImageRgb8(stored.clone());
-            if let Some(turn) = image::metadata::Orientation::from_exif(orientation as u8) {
-                shown.apply_orientation(turn);
-            }
-            for (x, y, pixel) in shown.into_rgb8().enumerate_pixels() {
-                let centre = DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5);
-                let expected = DVec2::new(f64::from(pixel[0]) + 0.5, f64::from(pixel[1]) + 0.5);
-                assert_eq!(exif.stored_from_shown(centre, [5, 3]), expected, "orientation {orientation}");
-            }
-        }
     }
 
     #[test]

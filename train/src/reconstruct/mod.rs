@@ -64,39 +64,15 @@ pub struct CameraArgs {
     #[arg(long, value_name = "MODEL", value_enum)]
     #[serde(skip)]
     pub camera_model: Option<CameraModelName>,
-    /// Size of the scene: `gps` (positions in EXIF), or two marked points and the metres between them, as in left,right=0.75. The scene's
-    /// file states the metres of a unit
-    #[arg(long, value_name = "WHAT")]
-    #[serde(with = "optional_text")]
+    /// Size of the scene, which its file states as the metres of a unit [default: scale.json in the capture's folder, if there is one]
+    #[arg(long, value_name = "WHAT", value_enum)]
     pub scale_from: Option<ScaleFrom>,
-    /// File of marks for --scale-from, a line for each mark: NAME PHOTOGRAPH X Y, px from the upper left corner of the picture as
-    /// viewers show it; each point in at least two photographs [default: marks.txt beside the photographs]
-    #[arg(long, value_name = "FILE", requires = "scale_from")]
-    pub marks: Option<PathBuf>,
-}
-
-/// An optional value as its text.
-mod optional_text {
-    use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error};
-
-    use super::ScaleFrom;
-
-    pub fn serialize<S: Serializer>(value: &Option<ScaleFrom>, serializer: S) -> Result<S::Ok, S::Error> {
-        value.as_ref().map(ToString::to_string).serialize(serializer)
-    }
-
-    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<ScaleFrom>, D::Error> {
-        let text = Option::<String>::deserialize(deserializer)?;
-        text.map(|text| text.parse().map_err(D::Error::custom)).transpose()
-    }
 }
 
 impl CameraArgs {
     /// What is left of these options once the cameras are known, for a run that may be resumed from another working directory.
-    pub fn from_anywhere(&self, source: &Path) -> Self {
-        let marks = self.marks.clone().unwrap_or_else(|| scale::marks_beside(source));
-        let marks = self.scale_from.is_some().then(|| std::path::absolute(&marks).unwrap_or(marks));
-        Self { marks, scale_from: self.scale_from.clone(), ..Self::default() }
+    pub fn from_anywhere(&self) -> Self {
+        Self { scale_from: self.scale_from, ..Self::default() }
     }
 
     /// Refuses options about finding cameras for a capture that has them.
@@ -120,9 +96,8 @@ impl CameraArgs {
     /// # Errors
     /// If it cannot be determined or written.
     pub fn scale(&self, capture: &mut Capture) -> Result<()> {
-        if let Some(from) = &self.scale_from {
-            let marks = self.marks.clone().unwrap_or_else(|| scale::marks_beside(&capture.folder));
-            let scale = scale::measure(capture, from, &marks)?;
+        if let Some(from) = self.scale_from {
+            let scale = scale::measure(capture, from)?;
             cache::keep_scale(&capture.folder, &scale)?;
             capture.scale = Some(scale);
         }
@@ -143,7 +118,7 @@ pub fn run(args: &ReconstructArgs) -> Result<()> {
     }
     let folder = args.out.clone().unwrap_or_else(|| own_folder(source));
     let mut capture = reconstruct(source, &folder, &args.cameras)?;
-    args.cameras.from_anywhere(source).scale(&mut capture)?;
+    args.cameras.scale(&mut capture)?;
     progress::say(&format!("{}: train on it with `splat train {0}`", folder.display()));
     Ok(())
 }

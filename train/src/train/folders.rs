@@ -52,7 +52,7 @@ pub fn open(args: &TrainArgs) -> Result<(PathBuf, Capture, Instant)> {
 /// not read that of `--start`.
 pub fn inputs_of(source: Inputs, args: &TrainArgs, capture: &Capture, begins: bool) -> Inputs {
     let inputs =
-        source.and_capture(capture).and(&args.lpips.lpips).and(&args.cameras.marks);
+        source.and_capture(capture).and(&args.lpips.lpips);
     args.start.iter().filter(|_| begins).fold(inputs, |inputs, scene| inputs.and_scene(scene))
 }
 

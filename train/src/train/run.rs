@@ -141,7 +141,7 @@ fn to_the_end(
     let inputs = Inputs::of(&args.capture);
     // A run may be resumed from any working directory, and a video does not tell which folder its frames are in.
     if let Some(source) = args.capture.take() {
-        args.cameras = args.cameras.from_anywhere(&source);
+        args.cameras = args.cameras.from_anywhere();
         let found = if reconstruct::is_needed(&source) { &capture.folder } else { &source };
         args.capture = Some(std::path::absolute(found)?);
     }

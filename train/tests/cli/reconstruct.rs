@@ -324,50 +324,21 @@ fn a_file_is_named_for_what_it_is_and_leaves_nothing() {
     }
 }
 
-/// Marks of two points of the demo, which is in metres, as if it were smaller.
-fn marks(photographs: usize) -> (String, f64) {
-    let capture = Capture::load(DEMO.as_path()).unwrap();
-    let points = [0, 1].map(|point| glam::Vec3::from_array(capture.points.positions[point]).as_dvec3());
-    let mut lines = String::from("# name photograph x y\n");
-    for (name, point) in ["left", "right"].into_iter().zip(points) {
-        for view in capture.views.iter().take(photographs) {
-            let at = view.intrinsics.px_from_cam(view.cam_from_world.transform_point3(point)).unwrap();
-            lines.push_str(&format!("{name} {} {} {}\n", view.name, at.x, at.y));
-        }
-    }
-    (lines, points[0].distance(points[1]))
-}
-
 #[test]
-fn a_measured_distance_is_kept_in_the_scene_and_by_convert() {
+fn a_scale_beside_the_capture_is_kept_in_the_scene_and_by_convert() {
     let alone = Alone::new();
-    let (lines, distance) = marks(4);
-    fs::write(alone.path("photos/marks.txt"), lines).unwrap();
-    let from = format!("left,right={}", 2.5 * distance);
-    let train = [&TRAIN[..], &["photos", "--out", "out", "--scale-from", &from]].concat();
-    let said = succeed(&mut alone.splat("ok", &train)).stderr;
-    assert!(said.contains("a scene unit is 2.5000 m") && said.contains("`left` and `right`"), "{said}");
+    succeed(&mut alone.splat("ok", &["reconstruct", "photos", "--out", "found"]));
+    fs::write(alone.path("found/scale.json"), "{\"metres_per_unit\": 2.5}").unwrap();
+    succeed(&mut alone.splat("ok", &[&TRAIN[..], &["found", "--out", "out"]].concat()));
     let metres = |name: &str| formats::read(&alone.path(name)).unwrap().0.metres_per_unit;
-    let found = metres("out/scene.ply").unwrap();
-    assert!((found - 2.5).abs() < 1e-6, "{found}");
+    assert_eq!(metres("out/scene.ply"), Some(2.5));
     let said = succeed(&mut alone.splat("ok", &["convert", "out/scene.ply", "a.compressed.ply"])).stdout;
     assert!(said.contains("a scene unit is 2.5"), "{said}");
-    assert_eq!(metres("a.compressed.ply"), Some(found));
+    assert_eq!(metres("a.compressed.ply"), Some(2.5));
     succeed(&mut alone.splat("ok", &["convert", "a.compressed.ply", "b.ply"]));
-    assert_eq!(metres("b.ply"), Some(found));
-    // The reconstruction keeps it for later runs.
-    let said = succeed(&mut alone.splat("ok", &["inspect", "out/reconstruction"])).stdout;
+    assert_eq!(metres("b.ply"), Some(2.5));
+    let said = succeed(&mut alone.splat("ok", &["inspect", "found"])).stdout;
     assert!(said.contains("a scene unit is 2.5000 m"), "{said}");
-    let again = [&TRAIN[..], &["out/reconstruction", "--out", "again"]].concat();
-    succeed(&mut alone.splat("ok", &again));
-    assert_eq!(metres("again/scene.ply"), Some(found));
-    // Captures that have cameras already take it too, and their folder is not written to.
-    let before = files(&DEMO);
-    let marks = alone.path("photos/marks.txt");
-    let demo = [&TRAIN[..], &[text(&DEMO), "--out", "demo", "--scale-from", &from, "--marks", text(&marks)]].concat();
-    succeed(&mut alone.splat("ok", &demo));
-    assert!((metres("demo/scene.ply").unwrap() - 2.5).abs() < 1e-6);
-    assert_eq!(files(&DEMO), before);
 }
 
 #[test]
@@ -378,12 +349,8 @@ fn a_scale_that_cannot_be_measured_is_refused() {
         command.args(["--scale-from", from]);
         command
     };
-    refuse(&mut with("left,right=1"), &["photos/marks.txt", "NAME PHOTOGRAPH X Y", "--marks"]);
-    let (lines, _) = marks(1);
-    fs::write(alone.path("photos/marks.txt"), lines).unwrap();
-    refuse(&mut with("left,right=1"), &["`left` is marked in 1 photographs", "at least two"]);
-    refuse(&mut with("gps"), &["0 of 8 placed photographs", "location"]);
-    assert_eq!(end(&mut with("left,right")).code, Some(2));
+    refuse(&mut with("gps"), &["0 of 8 placed photographs", "location", "scale.json"]);
+    assert_eq!(end(&mut with("left,right=1")).code, Some(2), "marked points went");
 }
 
 /// Whether programs are installed; where they are not, the test is skipped visibly.

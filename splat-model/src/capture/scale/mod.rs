@@ -1,19 +1,17 @@
-//! Real scale: how many metres a scene unit is, from two marked points with a known distance or from the GPS of EXIF.
+//! Real scale: how many metres a scene unit is, from the GPS of EXIF or from a file.
 //!
 //! A reconstruction from photographs knows no size. [`Scale`] is kept beside it in `scale.json`, and
 //! [`Capture::load`](super::Capture::load) reads it.
 
 mod gps;
-mod marks;
 
 use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 pub use gps::from_gps;
-pub use marks::{Mark, from_marks, in_stored_pictures, parse_marks};
 
 use super::CaptureError;
 use super::read::read;
@@ -40,68 +38,10 @@ pub struct Scale {
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum ScaleError {
-    /// A line of a file of marks is not one.
-    #[error("{}: line {line} is `{found}`, expected `NAME PHOTOGRAPH X Y` with the position in px", .file.display())]
-    Line {
-        /// The file of marks.
-        file: PathBuf,
-        /// The line, from one.
-        line: usize,
-        /// The line's text.
-        found: String,
-    },
-    /// A point is not marked in two photographs whose cameras are known.
-    #[error(
-        "the point `{name}` is marked in {placed} photographs with known cameras{}, expected at least two that show it from \
-         different sides: mark it in more photographs", without_camera(.unplaced)
-    )]
-    TooFewMarks {
-        /// The point.
-        name: String,
-        /// The number of photographs with known cameras that show it.
-        placed: usize,
-        /// Photographs whose camera is unknown.
-        unplaced: Vec<String>,
-    },
-    /// Two photographs with marks look at a point from the same direction.
-    #[error(
-        "the photographs in which the point `{name}` is marked see it from directions {angle_deg:.2}° apart, expected at least \
-         {expected_deg}°: mark it in photographs taken further apart"
-    )]
-    Parallel {
-        /// The point.
-        name: String,
-        /// The largest angle between two rays, degrees.
-        angle_deg: f64,
-        /// The smallest that is accepted, degrees.
-        expected_deg: f64,
-    },
-    /// The marks of a point do not meet.
-    #[error(
-        "the marks of the point `{name}` do not meet: in {photograph} it is {error_px:.0} px from where the other photographs \
-         place it, expected at most {expected_px:.0} px: mark the same point in each photograph, x to the right and y down from \
-         the upper left corner"
-    )]
-    Disagree {
-        /// The point.
-        name: String,
-        /// The photograph with the largest error.
-        photograph: String,
-        /// The error, px.
-        error_px: f64,
-        /// The largest error that is accepted, px.
-        expected_px: f64,
-    },
-    /// Two marked points are at the same place.
-    #[error("the points `{0}` and `{1}` are at the same place: mark two points that are far apart")]
-    Coincide(String, String),
-    /// A distance that no two points have.
-    #[error("the distance is {0}, expected a positive number of metres")]
-    Distance(f64),
     /// Too few photographs with a known camera have GPS.
     #[error(
         "{found} of {placed} placed photographs have a GPS position in EXIF, expected at least {expected}: switch on the \
-         location in the camera, or measure a distance and give two marked points"
+         location in the camera, or measure a distance and write {{\"metres_per_unit\": M}} to scale.json in the capture's folder"
     )]
     TooFewPositions {
         /// Photographs with both.
@@ -115,7 +55,7 @@ pub enum ScaleError {
     #[error(
         "the GPS positions of {photographs} photographs determine the scale to ±{percent:.0}%, expected ±{expected_percent:.0}% \
          or better: they differ by {residual_m:.1} m from the cameras, which are {spread_m:.1} m from their mean; cover more ground, \
-         or measure a distance and give two marked points"
+         or measure a distance and write {{\"metres_per_unit\": M}} to scale.json in the capture's folder"
     )]
     Noise {
         /// Photographs with GPS and a camera.
@@ -129,14 +69,6 @@ pub enum ScaleError {
         /// Root mean square distance of the cameras from their mean, m.
         spread_m: f64,
     },
-}
-
-fn without_camera(names: &[String]) -> String {
-    match names {
-        [] => String::new(),
-        [first] => format!(" ({first} is not one)"),
-        [first, rest @ ..] => format!(" ({first} and {} others are not)", rest.len()),
-    }
 }
 
 impl Scale {
