@@ -410,7 +410,7 @@ fn tensor<const D: usize>(values: Vec<f32>, shape: [usize; D], device: &Device) 
 }
 
 /// All elements of a tensor, row-major.
-pub(crate) fn values_of<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
+pub fn values_of<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
     let data = tensor.into_data().convert::<f32>();
     data.try_into_vec().expect("converted to f32 in the line above")
 }

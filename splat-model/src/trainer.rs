@@ -24,7 +24,7 @@ use splat_op::{RenderOptions, Splats};
 
 use crate::accuracy::Setting;
 use crate::capture::{Photo, Photograph, PointCloud, PointsSeen};
-use crate::density::rows::{Gradients, StepRates, Trained};
+use crate::density::rows::{StepRates, Trained};
 use crate::density::{RefineReport, Strategy, StrategyContext};
 use crate::effects::{Effect, EffectContext, EffectStack};
 use crate::gaussians::Gaussians;

@@ -4,11 +4,11 @@
 use std::collections::BTreeSet;
 use std::ffi::OsStr;
 use std::fs::{self, File};
-use std::io::{BufWriter, Write};
+use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail, ensure};
-use splat_model::replace::{name_of_temporary, temporary_name};
+use anyhow::{Context, Result, bail};
+use splat_model::replace::{name_of_temporary, replace};
 
 use crate::inputs::Inputs;
 
@@ -132,34 +132,16 @@ pub fn free_folder(parent: &Path, name: &OsStr, may_hold: &[&str]) -> PathBuf {
 /// # Errors
 /// If a folder or the file cannot be written, `fill` fails, or an empty file would replace another.
 pub fn write(path: &Path, fill: impl FnOnce(&mut BufWriter<File>) -> Result<()>) -> Result<()> {
-    let written = temporary_name(path).map_err(Into::into).and_then(|temporary| {
-        if let Some(folder) = path.parent() {
-            fs::create_dir_all(folder)?;
-        }
-        let written = fill_and_rename(&temporary, path, fill);
-        if written.is_err() {
-            // Best effort: the first error is the one to report.
-            let _ = fs::remove_file(&temporary);
-        }
-        written
-    });
+    let folder = path.parent().map_or(Ok(()), fs::create_dir_all).map_err(anyhow::Error::from);
+    let written = folder.and_then(|()| replace(path, fill));
     let shown = path.display();
     written.with_context(|| format!("cannot write {shown}: check that its folder can be written to and has room left"))
 }
 
-fn fill_and_rename(temporary: &Path, path: &Path, fill: impl FnOnce(&mut BufWriter<File>) -> Result<()>) -> Result<()> {
-    let mut file = BufWriter::new(File::create(temporary)?);
-    fill(&mut file)?;
-    file.flush()?;
-    let is_empty = file.get_ref().metadata()?.len() == 0;
-    ensure!(!is_empty || !path.exists(), "it would be empty, and the file of that name is kept");
-    // Closed before the rename, which some systems refuse for open files.
-    drop(file);
-    Ok(fs::rename(temporary, path)?)
-}
-
 #[cfg(test)]
 mod tests {
+    use std::io::Write;
+
     use super::*;
 
     fn names_in(folder: &Path) -> Vec<String> {
@@ -183,15 +165,14 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let written = ["a.txt", "scene.ply", "views/b.png", "none/c.png"];
         let out = OutputFolder::prepare(folder.path(), Inputs::default(), written, &["views"]).unwrap();
-        let kept = [".hidden", "a.txt.tmp-7-0", ".a.txt.tmp-x-0", ".tmp-7-0", ".mine.tmp-7-0", "views/b.png"];
-        for name in [&kept[..], &[".a.txt.tmp-7-0", "views/.b.png.tmp-123-45"]].concat() {
+        let kept = [".hidden", "a.txt.tmp-aB3dE9", ".a.txt.tmp-7-0", ".tmp-aB3dE9", ".mine.tmp-aB3dE9", "views/b.png"];
+        for name in [&kept[..], &[".a.txt.tmp-aB3dE9", ".scene.ply.tmp-000000", "views/.b.png.tmp-ZZZZZZ"]].concat() {
             out.write(name, |_| Ok(())).unwrap();
         }
-        fs::write(temporary_name(&out.join("scene.ply")).unwrap(), b"a half").unwrap();
         out.sweep();
         let mut left = names_in(folder.path());
         left.sort();
-        assert_eq!(left, [".a.txt.tmp-x-0", ".hidden", ".mine.tmp-7-0", ".tmp-7-0", "a.txt.tmp-7-0", "views"]);
+        assert_eq!(left, [".a.txt.tmp-7-0", ".hidden", ".mine.tmp-aB3dE9", ".tmp-aB3dE9", "a.txt.tmp-aB3dE9", "views"]);
         assert_eq!(names_in(&out.join("views")), ["b.png"]);
     }
 

@@ -10,7 +10,7 @@ use clap::ValueEnum;
 use image::{ImageFormat, RgbImage, Rgba32FImage};
 use splat_model::capture::{Capture, View};
 use splat_model::effects::background::Background;
-use splat_model::gaussians::Gaussians;
+use splat_model::gaussians::{Gaussians, values_of};
 use splat_op::{Camera, Extras, RenderOptions, Splats};
 
 use crate::accuracy::{AccuracyArgs, ModelArgs};
@@ -19,7 +19,6 @@ use crate::device::{self, DeviceName};
 use crate::inputs::Inputs;
 use crate::output::OutputFolder;
 use crate::report::pictures::{self, level};
-use crate::report::values_of;
 use crate::{input, progress};
 
 /// Value of `--view` for all views.

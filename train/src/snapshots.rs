@@ -21,14 +21,13 @@ use image::{ImageFormat, RgbImage};
 use serde::{Deserialize, Serialize};
 use splat_model::capture::{Capture, Photograph};
 use splat_model::evaluate::{Comparison, Scores};
-use splat_model::gaussians::GaussianRows;
+use splat_model::gaussians::{GaussianRows, values_of};
 use splat_model::ply;
 
 use crate::input::selected;
 use crate::output::OutputFolder;
 use crate::report::history::History;
 use crate::report::pictures::level;
-use crate::report::values_of;
 
 /// Folder of the snapshots, below a run's output folder.
 pub const FOLDER: &str = "snapshots";

@@ -67,7 +67,6 @@ pub use stream::{ConvertOptions, Converted, SceneReader, convert, is_streamed};
 use crate::density::morton_order;
 use crate::gaussians::GaussianRows;
 use crate::ply::{self, PlyError, WorldFrame};
-use crate::replace::Refused;
 
 /// The spherical harmonic of degree 0, `1 / (2 √π)`.
 pub(crate) const DC: f64 = 0.282_094_791_773_878_14;
@@ -257,10 +256,6 @@ impl FormatError {
 
     fn foreign(path: &Path, what: String, remedy: impl Into<String>) -> Self {
         Self::Foreign { path: path.to_path_buf(), what, remedy: remedy.into() }
-    }
-
-    fn refused(path: &Path, Refused { action, source }: Refused) -> Self {
-        Self::Io { path: path.to_path_buf(), action, source }
     }
 }
 

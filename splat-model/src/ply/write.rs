@@ -14,7 +14,7 @@ use super::row::{MAX_DEGREE, names, values_of_row};
 use super::{PlyError, VERTEX, WorldFrame};
 use crate::capture::scale::is_scale;
 use crate::gaussians::{GaussianRows, RowsError};
-use crate::replace::{Refused, replace};
+use crate::replace::{WRITE, replace};
 
 /// Writes a scene whose positions are in the frame `world`: an origin alone (world frame, scene units; zero without one), or a
 /// [`WorldFrame`].
@@ -66,7 +66,7 @@ pub fn write_parts<R: Borrow<GaussianRows>>(
     };
     let written = replace(path, to_file);
     empty?;
-    written.map_err(|Refused { action, source }| PlyError::Io { path: path.to_path_buf(), action, source })
+    written.map_err(|source| PlyError::Io { path: path.to_path_buf(), action: WRITE, source })
 }
 
 /// Refuses a scene of which no Gaussian can be rendered: it must not replace a file.

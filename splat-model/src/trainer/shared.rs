@@ -38,7 +38,7 @@ struct ViewAccount {
     /// Which parameters of effects have a gradient, in the order of [`Effect::leaves`].
     leaves: Vec<bool>,
     /// Which signals density control gets, in the order of [`Observed`], and the size of the picture. `None` without any.
-    signals: Option<([bool; 3], (usize, usize))>,
+    signals: Option<([bool; 2], (usize, usize))>,
 }
 
 impl Trainer {
@@ -296,5 +296,5 @@ fn checksums(state: &State) -> Vec<Fact> {
 fn checksum<'a>(bytes: impl IntoIterator<Item = &'a [u8]>) -> String {
     let mut hash = Sha256::new();
     bytes.into_iter().for_each(|bytes| hash.update(bytes));
-    hash.finalize().iter().take(8).map(|byte| format!("{byte:02x}")).collect()
+    format!("{:.16x}", hash.finalize())
 }

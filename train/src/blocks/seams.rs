@@ -6,14 +6,14 @@ use anyhow::Result;
 use burn::tensor::{Device, Tensor};
 use splat_model::capture::blocks::BlockFile;
 use splat_model::capture::{Capture, Photo};
-use splat_model::gaussians::{GaussianRows, Gaussians};
+use splat_model::gaussians::{GaussianRows, Gaussians, values_of};
 use splat_op::{Camera, Extras, RenderOptions, Splats, render_view};
 
 use super::job;
 use super::merge::holds;
 use super::planned::PlanFolder;
 use crate::background::TrainBackground;
-use crate::report::{SCENE, values_of};
+use crate::report::SCENE;
 use crate::{input, progress};
 
 /// Share of a pixel's colour that must come from the block's own cell for the pixel to count.

@@ -12,7 +12,6 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::Result;
-use burn::tensor::Tensor;
 use splat_model::capture::Photograph;
 use splat_model::effects::background::Background;
 use splat_model::evaluate::{Scores, evaluate_each};
@@ -123,10 +122,4 @@ fn perceived(scores: &Scores) -> String {
         Some(lpips) => format!("{lpips:.4} (network {})", of(lpips_net)),
         None => format!("not measured: {}", of(lpips_missing)),
     }
-}
-
-/// Returns all elements, row-major.
-pub(crate) fn values_of<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
-    let data = tensor.into_data().convert::<f32>();
-    data.try_into_vec().expect("converted to f32 in the line above")
 }

@@ -8,8 +8,8 @@ use std::path::{Component, Path, PathBuf};
 use anyhow::Result;
 use image::{ImageFormat, RgbImage};
 use splat_model::evaluate::Comparison;
+use splat_model::gaussians::values_of;
 
-use super::values_of;
 
 /// Magnification of the error: a twentieth of the range, plainly visible in the pictures side by side, becomes a fifth,
 /// and a quarter and more becomes white.

@@ -9,6 +9,7 @@ use std::thread;
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail, ensure};
+use splat_model::replace::name_of_temporary;
 use splat_model::state::State;
 use splat_model::trainer::Trainer;
 
@@ -118,6 +119,14 @@ impl Checkpoints {
         }
         // A run that has just ended here has removed it.
         fs::create_dir_all(&folder).with_context(cannot)?;
+        // What killed processes were writing.
+        for entry in fs::read_dir(&folder).into_iter().flatten().flatten() {
+            let name = entry.file_name();
+            if name.to_str().and_then(name_of_temporary).and_then(step_of).is_some() {
+                // A leftover file only takes up space.
+                let _ = fs::remove_file(entry.path());
+            }
+        }
         if let Some(other) = other_in(&folder) {
             let (folder, other) = (folder.display(), other.display());
             progress::note(&format!(
@@ -276,13 +285,15 @@ fn name_of(step: usize) -> String {
     format!("step-{step:08}.safetensors")
 }
 
+/// The step of a file name that [`name_of`] gives.
+fn step_of(name: &str) -> Option<usize> {
+    let step = name.strip_prefix("step-")?.strip_suffix(".safetensors")?.parse().ok()?;
+    (name == name_of(step)).then_some(step)
+}
+
 /// Lists steps and files in ascending order; empty if the folder does not exist.
 fn steps_in(folder: &Path) -> Vec<(usize, PathBuf)> {
-    let step = |path: PathBuf| {
-        let name = path.file_name()?.to_str()?;
-        let step = name.strip_prefix("step-")?.strip_suffix(".safetensors")?.parse().ok()?;
-        (name == name_of(step)).then_some((step, path))
-    };
+    let step = |path: PathBuf| Some((step_of(path.file_name()?.to_str()?)?, path));
     let paths = fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
     let mut steps: Vec<(usize, PathBuf)> = paths.filter_map(step).collect();
     steps.sort_unstable();

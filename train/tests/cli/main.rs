@@ -153,7 +153,7 @@ fn a_second_run_replaces_the_first() {
     let others = ["metrics.json", "report.html", "scene.ply"].map(String::from);
     assert_eq!(files(out), views.into_iter().chain(others).collect());
     // None of these is as this program writes it.
-    let mine = ["views/mine.png", "views/0002.png", "poses.json", "background.json", ".mine.tmp-7-0"];
+    let mine = ["views/mine.png", "views/0002.png", "poses.json", "background.json", ".mine.tmp-aB3dE9"];
     mine.iter().for_each(|name| fs::write(out.join(name), "kept").unwrap());
 
     succeed(splat(&TRAIN).args(["--out", text(out)]).arg(DEMO.as_path()));

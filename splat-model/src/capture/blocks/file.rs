@@ -10,7 +10,7 @@ use super::{Block, Bounds};
 use crate::capture::read::{Place, PlaceInFile, quoted, read, regular_size, unreadable};
 use crate::capture::strays::picked;
 use crate::capture::{Capture, CaptureError, PointCloud, Split};
-use crate::replace::{Refused, replace};
+use crate::replace::replace;
 
 /// The file's name.
 pub const BLOCK: &str = "block.json";
@@ -62,8 +62,8 @@ impl BlockFile {
     /// If it cannot be written.
     pub fn write(&self, folder: &Path) -> Result<(), CaptureError> {
         let file = folder.join(BLOCK);
-        let write = |out: &mut dyn Write| Ok(serde_json::to_writer(out, self)?);
-        replace(&file, |out| write(out)).map_err(|Refused { source: reason, .. }| CaptureError::Write { file, reason })
+        let write = |out: &mut dyn Write| Ok::<_, io::Error>(serde_json::to_writer(out, self)?);
+        replace(&file, |out| write(out)).map_err(|reason| CaptureError::Write { file, reason })
     }
 
     /// Reads the file of a block's folder.

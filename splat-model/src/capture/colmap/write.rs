@@ -11,7 +11,7 @@ use super::model::ColmapCameraModel;
 use super::{Files, binary, by_id, check_entries};
 use crate::capture::read::{Place, PlaceInFile};
 use crate::capture::{CaptureError, PointCloud, Tracks, View};
-use crate::replace::{Refused, replace};
+use crate::replace::replace;
 
 /// The largest accepted deviation of a pose from rigid: well above f64 rounding, well below what a picture shows.
 const RIGID_WITHIN: f64 = 1e-6;
@@ -60,8 +60,7 @@ pub fn write_binary_with_tracks(
     binary::points(&files.points, &point_bytes)?;
     fs::create_dir_all(&model).map_err(|reason| CaptureError::Write { file: model, reason })?;
     for (file, bytes) in [(files.cameras, camera_bytes), (files.images, image_bytes), (files.points, point_bytes)] {
-        replace(&file, |out| out.write_all(&bytes))
-            .map_err(|Refused { source: reason, .. }| CaptureError::Write { file, reason })?;
+        replace(&file, |out| out.write_all(&bytes)).map_err(|reason| CaptureError::Write { file, reason })?;
     }
     Ok(())
 }

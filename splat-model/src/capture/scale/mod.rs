@@ -103,7 +103,7 @@ impl Scale {
         let file = folder.join(SCALE_FILE);
         let text = serde_json::to_string_pretty(self).expect("numbers and text are JSON");
         replace(&file, |out| writeln!(out, "{text}"))
-            .map_err(|refused| CaptureError::Write { file, reason: refused.source })
+            .map_err(|reason| CaptureError::Write { file, reason })
     }
 }
 

@@ -13,7 +13,7 @@ use super::row::{CHUNKS, HARMONICS, PACKED, RANGES, Ranges};
 use crate::formats::{FormatError, opacity};
 use crate::gaussians::GaussianRows;
 use crate::ply::{VERTEX, WorldFrame, element, file_header, rest_names};
-use crate::replace::replace;
+use crate::replace::{WRITE, replace};
 
 /// Writes rows that fit the format ([`crate::formats::fit`]).
 pub fn write(path: &Path, rows: &GaussianRows, world: WorldFrame) -> Result<(), FormatError> {
@@ -75,7 +75,7 @@ impl PackedFile {
     /// # Errors
     /// If the system refuses it.
     pub fn write(&self, path: &Path, world: WorldFrame) -> Result<(), FormatError> {
-        replace(path, |out| self.write_to(out, world)).map_err(|refused| FormatError::refused(path, refused))
+        replace(path, |out| self.write_to(out, world)).map_err(FormatError::io(path, WRITE))
     }
 
     fn write_to(&self, out: &mut impl Write, world: WorldFrame) -> io::Result<()> {

@@ -11,7 +11,7 @@ use super::{CHUNKS, COLOUR_SPACE, EXTENSION, KERNEL, MAGIC, OPACITY, POSITION, R
 use crate::formats::frame::HalfTurn;
 use crate::formats::{DC, Format, FormatError, SceneFile, extras, opacity};
 use crate::gaussians::{GaussianRows, sigmoid};
-use crate::replace::replace;
+use crate::replace::{WRITE, replace};
 
 /// Codes of component types and of buffers for vertices.
 const UNSIGNED_BYTE: u32 = 5121;
@@ -33,7 +33,7 @@ pub fn write(path: &Path, rows: &GaussianRows, scene: &SceneFile, format: Format
         Format::Glb => outline.begin_binary(out, scene)?.put(out, rows),
         _ => text(out, &outline.document(scene), &attributes(rows), outline.bytes()),
     })
-    .map_err(|refused| FormatError::refused(path, refused))
+    .map_err(FormatError::io(path, WRITE))
 }
 
 /// What a document says of the Gaussians, which may come some at a time.

@@ -15,7 +15,7 @@ use super::palette::palette;
 use super::{LARGEST, META, PER_ROW, PLACES, compressed};
 use crate::formats::{FormatError, SceneFile, extras, opacity, quaternion};
 use crate::gaussians::GaussianRows;
-use crate::replace::replace;
+use crate::replace::{WRITE, replace};
 
 /// Largest number of palette entries: their indices have sixteen bits.
 const ENTRIES_MAX: usize = 1 << 16;
@@ -37,7 +37,7 @@ pub struct SogOptions {
 /// Writes rows that fit the format ([`crate::formats::fit`]). `scene` gives the origin and the mark of antialiasing.
 pub fn write(path: &Path, rows: &GaussianRows, scene: &SceneFile, options: SogOptions) -> Result<(), FormatError> {
     let written = pack(rows, scene, options).and_then(|archive| {
-        replace(path, |out| out.write_all(&archive)).map_err(|refused| (refused.action, refused.source))
+        replace(path, |out| out.write_all(&archive)).map_err(|source| (WRITE, source))
     });
     written.map_err(|(action, source)| FormatError::io(path, action)(source))
 }

@@ -10,7 +10,7 @@ use super::pack::{SECTIONS, farthest, fraction, pack};
 use super::{ANTIALIASED, HEADER, MAGIC};
 use crate::formats::FormatError;
 use crate::gaussians::GaussianRows;
-use crate::replace::replace;
+use crate::replace::{WRITE, replace};
 
 /// Level of zstd. The time of higher levels is better spent on another format: `docs/FORMATS.md` has the sizes and times.
 const LEVEL: i32 = 12;
@@ -79,7 +79,7 @@ impl PackedSections {
 
     /// Writes the file.
     pub fn write(self, path: &Path, antialiased: bool) -> Result<(), FormatError> {
-        replace(path, |out| self.write_to(out, antialiased)).map_err(|refused| FormatError::refused(path, refused))
+        replace(path, |out| self.write_to(out, antialiased)).map_err(FormatError::io(path, WRITE))
     }
 
     fn write_to(self, out: &mut impl Write, antialiased: bool) -> io::Result<()> {
