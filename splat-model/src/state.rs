@@ -6,6 +6,7 @@
 mod file;
 
 use std::collections::BTreeMap;
+use std::mem;
 
 use burn::tensor::kind::Basic;
 use burn::tensor::{DType, Device, Element, Int, Tensor, TensorData};
@@ -26,22 +27,14 @@ pub enum StateError {
         name: String,
     },
     /// An array does not have the expected shape.
-    #[error("`{name}` has the shape {found:?}, expected {expected:?}; start a new run")]
+    #[error("`{name}` has the shape {found:?}, expected {expected}; start a new run")]
     Shape {
         /// Name of the entry.
         name: String,
         /// Shape in the state.
         found: Vec<usize>,
         /// Expected shape.
-        expected: Vec<usize>,
-    },
-    /// Arrays do not fit together.
-    #[error("`{name}` has the shape {found:?}, which does not match the other arrays; start a new run")]
-    Fit {
-        /// Name of the entry.
-        name: String,
-        /// Shape in the state.
-        found: Vec<usize>,
+        expected: String,
     },
     /// A fact has another type, or cannot be represented as JSON.
     #[error("`{name}` does not have the form that this version requires: {source}; start a new run")]
@@ -89,7 +82,7 @@ pub struct State {
     pub(crate) arrays: BTreeMap<String, Array>,
     /// Facts by name, as JSON.
     pub(crate) facts: BTreeMap<String, String>,
-    /// Path of the enclosing part, for messages: empty, or ends with a slash.
+    /// Path of the part that is saved or loaded: empty, or ends with a slash.
     within: String,
 }
 
@@ -97,13 +90,14 @@ impl State {
     /// Saves a tensor of f32; reading it waits for the device.
     pub fn put<const D: usize>(&mut self, name: &str, tensor: Tensor<D>) {
         let shape = tensor.dims().to_vec();
-        self.arrays.insert(name.to_owned(), Array { shape, values: Values::F32(elements(&tensor.cast(DType::F32))) });
+        let values = Values::F32(elements(&tensor.cast(DType::F32)));
+        self.arrays.insert(self.full(name), Array { shape, values });
     }
 
     /// Saves a tensor of i32, bit for bit; reading it waits for the device.
     pub fn put_words(&mut self, name: &str, tensor: Tensor<2, Int>) {
         let shape = tensor.dims().to_vec();
-        self.arrays.insert(name.to_owned(), Array { shape, values: Values::I32(elements(&tensor)) });
+        self.arrays.insert(self.full(name), Array { shape, values: Values::I32(elements(&tensor)) });
     }
 
     /// Removes and returns the tensor of that name, on `device`, not tracked.
@@ -111,11 +105,28 @@ impl State {
     /// # Errors
     /// If there is no such tensor, or it has another number of dimensions.
     pub fn take<const D: usize>(&mut self, name: &str, device: &Device) -> Result<Tensor<D>, StateError> {
-        let Array { shape, values } = self.arrays.remove(name).ok_or_else(|| self.missing(name))?;
-        let Values::F32(values) = values else { return Err(self.missing(name)) };
-        match <[usize; D]>::try_from(shape) {
-            Ok(shape) => Ok(Tensor::from_data(TensorData::new(values, shape), device)),
-            Err(found) => Err(StateError::Shape { name: self.full(name), found, expected: vec![0; D] }),
+        let missing = || StateError::Missing { name: self.full(name) };
+        let Array { shape, values } = self.arrays.remove(&self.full(name)).ok_or_else(missing)?;
+        let Values::F32(values) = values else { return Err(missing()) };
+        let shape = <[usize; D]>::try_from(shape)
+            .map_err(|found| self.shape_error(name, found, &format!("{D} dimensions")))?;
+        Ok(Tensor::from_data(TensorData::new(values, shape), device))
+    }
+
+    /// Removes and returns the tensor of that name and shape, on `device`, not tracked.
+    ///
+    /// # Errors
+    /// If there is no such tensor, or it has another shape.
+    pub fn take_shaped<const D: usize>(
+        &mut self,
+        name: &str,
+        expected: [usize; D],
+        device: &Device,
+    ) -> Result<Tensor<D>, StateError> {
+        let tensor = self.take(name, device)?;
+        match tensor.dims() {
+            found if found == expected => Ok(tensor),
+            found => Err(self.shape_error(name, found.to_vec(), &format!("{expected:?}"))),
         }
     }
 
@@ -129,32 +140,19 @@ impl State {
         expected: [usize; 2],
         device: &Device,
     ) -> Result<Tensor<2, Int>, StateError> {
-        let Array { shape, values } = self.arrays.remove(name).ok_or_else(|| self.missing(name))?;
-        let Values::I32(words) = values else { return Err(self.missing(name)) };
-        if shape != expected {
-            return Err(StateError::Shape { name: self.full(name), found: shape, expected: expected.to_vec() });
+        match self.arrays.remove(&self.full(name)) {
+            Some(Array { shape, values: Values::I32(words) }) if shape == expected => {
+                Ok(Tensor::from_data(TensorData::new(words, expected), (device, DType::I32)))
+            }
+            Some(Array { shape, values: Values::I32(_) }) => {
+                Err(self.shape_error(name, shape, &format!("{expected:?}")))
+            }
+            _ => Err(StateError::Missing { name: self.full(name) }),
         }
-        Ok(Tensor::from_data(TensorData::new(words, expected), (device, DType::I32)))
     }
 
-    /// Removes and returns the tensor of that name and shape, on `device`, not tracked.
-    ///
-    /// # Errors
-    /// If there is no such tensor, or it has another shape.
-    pub fn take_shaped<const D: usize>(
-        &mut self,
-        name: &str,
-        expected: [usize; D],
-        device: &Device,
-    ) -> Result<Tensor<D>, StateError> {
-        match self.arrays.get(name) {
-            Some(array) if array.shape != expected => Err(StateError::Shape {
-                name: self.full(name),
-                found: array.shape.clone(),
-                expected: expected.to_vec(),
-            }),
-            _ => self.take(name, device),
-        }
+    pub(crate) fn shape_error(&self, name: &str, found: Vec<usize>, expected: &str) -> StateError {
+        StateError::Shape { name: self.full(name), found, expected: expected.into() }
     }
 
     /// Saves a fact.
@@ -163,7 +161,7 @@ impl State {
     /// If it cannot be represented as JSON.
     pub fn tell(&mut self, name: &str, fact: &impl Serialize) -> Result<(), StateError> {
         let text = serde_json::to_string(fact).map_err(|source| StateError::Fact { name: self.full(name), source })?;
-        self.facts.insert(name.to_owned(), text);
+        self.facts.insert(self.full(name), text);
         Ok(())
     }
 
@@ -172,33 +170,30 @@ impl State {
     /// # Errors
     /// If there is no such fact, or it has another type.
     pub fn told<T: DeserializeOwned>(&mut self, name: &str) -> Result<T, StateError> {
-        let text = self.facts.remove(name).ok_or_else(|| self.missing(name))?;
-        serde_json::from_str(&text).map_err(|source| StateError::Fact { name: self.full(name), source })
+        let name = self.full(name);
+        match self.facts.remove(&name) {
+            Some(text) => serde_json::from_str(&text).map_err(|source| StateError::Fact { name, source }),
+            None => Err(StateError::Missing { name }),
+        }
     }
 
     /// Whether there is an array, a fact or a part of that name.
     pub fn has(&self, name: &str) -> bool {
-        let below = format!("{name}/");
-        self.arrays.keys().chain(self.facts.keys()).any(|key| key == name || key.starts_with(&below))
+        let (name, below) = (self.full(name), format!("{}/", self.full(name)));
+        self.names().any(|key| *key == name || key.starts_with(&below))
     }
 
-    /// Size of all arrays, bytes.
-    pub(crate) fn bytes(&self) -> usize {
-        self.arrays.values().map(|array| array.values.bytes().len()).sum()
+    fn names(&self) -> impl Iterator<Item = &String> {
+        self.arrays.keys().chain(self.facts.keys())
     }
 
-    /// Saves all entries of a part below a name.
-    pub fn put_part(&mut self, name: &str, part: Self) {
-        self.arrays.extend(part.arrays.into_iter().map(|(key, array)| (format!("{name}/{key}"), array)));
-        self.facts.extend(part.facts.into_iter().map(|(key, fact)| (format!("{name}/{key}"), fact)));
-    }
-
-    /// Saves below a name what `save` puts into a part.
-    pub(crate) fn save_part<E>(&mut self, name: &str, save: impl FnOnce(&mut Self) -> Result<(), E>) -> Result<(), E> {
-        let mut part = Self::default();
-        save(&mut part)?;
-        self.put_part(name, part);
-        Ok(())
+    /// Saves or loads a part: what `part` does with entries is done below that name.
+    pub fn in_part<T>(&mut self, name: &str, part: impl FnOnce(&mut Self) -> T) -> T {
+        let inner = format!("{}/", self.full(name));
+        let outer = mem::replace(&mut self.within, inner);
+        let done = part(self);
+        self.within = outer;
+        done
     }
 
     /// What `load` takes out of the part of that name, which must be every entry.
@@ -207,25 +202,39 @@ impl State {
         name: &str,
         load: impl FnOnce(&mut Self) -> Result<T, StateError>,
     ) -> Result<T, StateError> {
-        let mut part = self.take_part(name);
-        let loaded = load(&mut part)?;
-        part.finish()?;
-        Ok(loaded)
+        self.in_part(name, |part| {
+            let loaded = load(part)?;
+            part.finish().map(|()| loaded)
+        })
+    }
+
+    /// Saves all entries of another state below a name.
+    pub fn put_part(&mut self, name: &str, part: Self) {
+        let full = |key: String| format!("{}/{key}", self.full(name));
+        let arrays: Vec<_> = part.arrays.into_iter().map(|(key, array)| (full(key), array)).collect();
+        let facts: Vec<_> = part.facts.into_iter().map(|(key, fact)| (full(key), fact)).collect();
+        self.arrays.extend(arrays);
+        self.facts.extend(facts);
     }
 
     /// Removes and returns all entries below that name, under their names within the part.
     pub fn take_part(&mut self, name: &str) -> Self {
-        let within = format!("{}{name}/", self.within);
-        Self { arrays: split_off(&mut self.arrays, name), facts: split_off(&mut self.facts, name), within }
+        fn taken<T>(entries: &mut BTreeMap<String, T>, below: &str) -> BTreeMap<String, T> {
+            let part = entries.extract_if(.., |key, _| key.starts_with(below));
+            part.map(|(key, value)| (key[below.len()..].to_owned(), value)).collect()
+        }
+        let below = format!("{}/", self.full(name));
+        let (arrays, facts) = (taken(&mut self.arrays, &below), taken(&mut self.facts, &below));
+        Self { arrays, facts, within: String::new() }
     }
 
-    /// Checks that every entry has been taken.
+    /// Checks that every entry has been taken; within a part, every entry of the part.
     ///
     /// # Errors
     /// [`StateError::Unknown`] if an entry has not.
-    pub fn finish(self) -> Result<(), StateError> {
-        match self.arrays.keys().chain(self.facts.keys()).next() {
-            Some(name) => Err(StateError::Unknown { name: self.full(name) }),
+    pub fn finish(&self) -> Result<(), StateError> {
+        match self.names().find(|name| name.starts_with(&self.within)) {
+            Some(name) => Err(StateError::Unknown { name: name.clone() }),
             None => Ok(()),
         }
     }
@@ -233,10 +242,6 @@ impl State {
     /// The name of an entry within the whole state.
     fn full(&self, name: &str) -> String {
         format!("{}{name}", self.within)
-    }
-
-    fn missing(&self, name: &str) -> StateError {
-        StateError::Missing { name: self.full(name) }
     }
 }
 
@@ -253,13 +258,6 @@ fn elements<const D: usize, K: Basic, E: Element>(tensor: &Tensor<D, K>) -> Vec<
         all.extend_from_slice(part.as_slice().expect("the caller names the type of the elements"));
     }
     all
-}
-
-/// Removes the entries below `name` and returns them without that prefix.
-fn split_off<T>(entries: &mut BTreeMap<String, T>, name: &str) -> BTreeMap<String, T> {
-    let below = format!("{name}/");
-    let part = entries.extract_if(.., |key, _| key.starts_with(&below));
-    part.map(|(key, value)| (key[below.len()..].to_owned(), value)).collect()
 }
 
 #[cfg(test)]
@@ -299,7 +297,6 @@ mod tests {
         let words = [0x7fa0_0001, i32::MIN, -1, 0];
         let mut state = State::default();
         state.put_words("words", Tensor::from_data(TensorData::new(words.to_vec(), [2, 2]), (&device, DType::I32)));
-        assert_eq!(state.bytes(), 16);
         let found = state.clone().take_words("words", [2, 2], &device).unwrap();
         assert_eq!(found.into_data().try_into_vec::<i32>().unwrap(), words);
         assert!(matches!(state.clone().take_words("words", [4, 1], &device), Err(StateError::Shape { .. })));
@@ -320,10 +317,13 @@ mod tests {
         assert!(state.has("a") && state.has("a/y") && !state.has("b"));
         let mut part = state.take_part("a");
         assert_eq!(values_of(part.take::<1>("x", &device).unwrap()), [1.0]);
-        assert_eq!(part.take_part("y").told::<f32>("z").unwrap(), 1.0);
-        assert!(part.told::<f32>("none").unwrap_err().to_string().contains("`a/none`"));
+        assert_eq!(part.in_part("y", |part| part.told::<f32>("z")).unwrap(), 1.0);
         part.finish().unwrap();
         assert!(!state.has("a"));
+        let lacking = state.in_part("ab", |part| part.told::<f32>("none")).unwrap_err();
+        assert!(lacking.to_string().contains("`ab/none`"), "{lacking}");
+        let left = state.load_part("ab", |part| part.told::<f32>("y/z")).unwrap_err();
+        assert!(matches!(left, StateError::Unknown { name } if name == "ab/x"));
         assert!(matches!(state.finish(), Err(StateError::Unknown { name }) if name == "ab/x"));
     }
 

@@ -6,10 +6,8 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, ensure};
 use clap::{ValueEnum, value_parser};
 use splat_model::formats::{
-    self, ConvertOptions, Converted, Deviation, Format, QuantisationError, QuantisationSums, SceneFile, SceneReader,
-    SogOptions, SpzOptions, SpzVersion,
+    self, Deviation, Format, QuantisationError, SceneFile, SogOptions, SpzOptions, SpzVersion, Written,
 };
-use splat_model::gaussians::{GaussianRows, ROWS_AT_ONCE};
 
 use crate::inputs::Inputs;
 use crate::output::prepare_file;
@@ -26,7 +24,7 @@ const SPZ_SCALE_ERROR: f64 = 0.033;
 /// Options of `splat convert`.
 #[derive(Clone, Debug, clap::Args)]
 pub struct ConvertArgs {
-    /// Scene to convert: PLY, SuperSplat's compressed PLY, SPZ, glTF or SOG, recognized by its content
+    /// Scene to convert: PLY, SuperSplat's compressed PLY, SPZ or SOG, recognized by its content
     pub scene: PathBuf,
     /// File to write, replacing an existing one; its name gives the format: .ply, .compressed.ply, .spz, .glb, .gltf or .sog
     pub out: PathBuf,
@@ -61,7 +59,7 @@ pub enum FormatName {
     CompressedPly,
     /// Niantic's format: 20 bytes a splat and one for each higher coefficient, then zstd
     Spz,
-    /// glTF with KHR_gaussian_splatting: all parameters to degree 3, in 32-bit floats
+    /// glTF with KHR_gaussian_splatting: all parameters to degree 3, in 32-bit floats; written, not read
     Glb,
     /// The same as JSON, which holds the data as base64
     Gltf,
@@ -95,9 +93,9 @@ pub fn run(args: &ConvertArgs) -> Result<()> {
             known.join(", ")
         )
     })?;
-    let reader = SceneReader::open(&args.scene).context("cannot read the scene")?;
-    let (found, (splats, of_degree)) = (reader.format(), reader.size());
-    let about = SceneFile { antialiased: reader.about().antialiased | args.antialias, ..reader.about().clone() };
+    let (mut scene, found) = formats::read(&args.scene).context("cannot read the scene")?;
+    scene.antialiased |= args.antialias;
+    let (splats, of_degree) = (scene.rows.len(), scene.rows.sh_degree);
     for (option, given, of) in [
         ("--sh-bits", args.sh_bits.is_some(), Format::Spz),
         ("--spz-version", args.spz_version.is_some(), Format::Spz),
@@ -110,14 +108,24 @@ pub fn run(args: &ConvertArgs) -> Result<()> {
         );
     }
     prepare_file(&args.out, &Inputs::default().and_scene(&args.scene))?;
-    let written = match formats::is_streamed(format) {
-        true => streamed(args, reader, format)?,
-        false => whole(args, reader, &about, format)?,
+    if let Some(degree) = args.sh_degree.map(usize::from).filter(|degree| *degree < of_degree) {
+        scene.rows = input::selected(&scene.rows, 0..splats, degree);
+    }
+    let written = match format {
+        Format::Sog => {
+            let entries = args.sh_palette.map(|entries| entries as usize);
+            formats::write_sog(&args.out, &scene, SogOptions { entries })
+        }
+        Format::Spz => formats::write_spz(&args.out, &scene, spz_options(args)),
+        _ => formats::write(&args.out, &scene, format),
     };
+    let written =
+        written.with_context(|| format!("cannot convert {} to {}", args.scene.display(), args.out.display()))?;
+    let (count, sh_degree) = (written.rows.len(), written.rows.sh_degree);
 
     progress::say(&describe_file(&args.scene, found, splats, of_degree)?);
-    progress::say(&describe_file(&args.out, format, written.count, written.sh_degree)?);
-    if let Some(metres) = about.metres_per_unit {
+    progress::say(&describe_file(&args.out, format, count, sh_degree)?);
+    if let Some(metres) = scene.metres_per_unit {
         progress::say(&format!("a scene unit is {metres} m"));
     }
     if written.added > 0 {
@@ -126,59 +134,18 @@ pub fn run(args: &ConvertArgs) -> Result<()> {
             written.added
         ));
     }
-    let mut lost = dropped(&about, format, &written, of_degree);
-    if !format.is_exact() {
-        lost.extend(table(&written.error, written.sh_degree));
-    }
-    if format == Format::Spz && written.error.scale.largest > SPZ_SCALE_ERROR {
-        lost.push(SPZ_SCALES.into());
+    let mut lost = dropped(&scene, format, &written, of_degree);
+    // Numbers of glTF are those of the scene but for the rounding of f32.
+    if !format.is_exact() && Format::READ.contains(&format) {
+        let read = formats::read(&args.out).context("cannot read what was written")?.0;
+        let error = QuantisationError::between(&written.rows, &read.rows);
+        lost.extend(table(&error, sh_degree));
+        if format == Format::Spz && error.scale.largest > SPZ_SCALE_ERROR {
+            lost.push(SPZ_SCALES.into());
+        }
     }
     progress::say(&if lost.is_empty() { "nothing is lost".into() } else { format!("lost:\n  {}", lost.join("\n  ")) });
     Ok(())
-}
-
-/// Converts some rows at a time.
-fn streamed(args: &ConvertArgs, mut reader: SceneReader, format: Format) -> Result<Converted> {
-    let options = ConvertOptions {
-        sh_degree: args.sh_degree.map(usize::from),
-        antialiased: args.antialias,
-        spz: spz_options(args),
-    };
-    formats::convert(&mut reader, &args.out, format, &options)
-        .with_context(|| format!("cannot convert {} to {}", args.scene.display(), args.out.display()))
-}
-
-/// Converts with all rows in memory, and compares some of the file's at a time with them.
-fn whole(args: &ConvertArgs, reader: SceneReader, about: &SceneFile, format: Format) -> Result<Converted> {
-    let rows = reader.read().context("cannot read the scene")?.rows;
-    rows.check()?;
-    let of_degree = rows.sh_degree;
-    let rows = match args.sh_degree.map(usize::from).filter(|degree| *degree < of_degree) {
-        Some(degree) => input::selected(&rows, 0..rows.len(), degree),
-        None => rows,
-    };
-    let scene = SceneFile { rows, ..about.clone() };
-    let written = match format {
-        Format::Sog => {
-            let entries = args.sh_palette.map(|entries| entries as usize);
-            formats::write_sog(&args.out, &scene, SogOptions { entries })
-        }
-        _ => formats::write(&args.out, &scene, format),
-    };
-    let written = written.context("cannot write the scene")?;
-    let (left_out, moved, added) = (written.left_out, written.moved, written.added);
-    let rows: GaussianRows = written.rows.into_owned();
-    // Only the rows that were written are needed from here on.
-    drop(scene);
-    let again = "cannot read what was written";
-    let mut read = SceneReader::open(&args.out).context(again)?;
-    let (count, sh_degree) = read.size();
-    let mut sums = QuantisationSums::default();
-    for first in (0..rows.len()).step_by(ROWS_AT_ONCE) {
-        let part = rows.part(first..rows.len().min(first + ROWS_AT_ONCE));
-        sums.add(&part, &read.next_rows(ROWS_AT_ONCE).context(again)?);
-    }
-    Ok(Converted { count, sh_degree, left_out, added, moved, error: sums.error() })
 }
 
 fn spz_options(args: &ConvertArgs) -> SpzOptions {
@@ -200,9 +167,9 @@ pub fn describe_file(path: &Path, format: Format, splats: usize, sh_degree: usiz
 }
 
 /// Lists everything that the format cannot store.
-fn dropped(scene: &SceneFile, format: Format, written: &Converted, of_degree: usize) -> Vec<String> {
+fn dropped(scene: &SceneFile, format: Format, written: &Written, of_degree: usize) -> Vec<String> {
     let mut lost = Vec::new();
-    let Converted { left_out, moved, sh_degree, .. } = *written;
+    let (left_out, moved, sh_degree) = (written.left_out, written.moved, written.rows.sh_degree);
     if moved > 0 {
         lost.push(format!(
             "the distance of {moved} splats, more than 512 times the scene's width away: they are moved to the border of \

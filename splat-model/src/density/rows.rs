@@ -341,10 +341,10 @@ fn untracked<const D: usize>(values: Tensor<D>) -> Tensor<D> {
 }
 
 fn put_parameter<const D: usize>(to: &mut State, name: &str, param: &Param<Tensor<D>>, moments: &Moments<D>) {
-    let mut part = State::default();
-    part.put("values", untracked(param.val()));
-    moments.save(&mut part);
-    to.put_part(name, part);
+    to.in_part(name, |part| {
+        part.put("values", untracked(param.val()));
+        moments.save(part);
+    });
 }
 
 /// A parameter on `device`, and its moments. Returns an error if `fits` rejects the shape.
@@ -359,7 +359,7 @@ fn take_parameter<const D: usize>(
         let values = part.take::<D>("values", &plain)?;
         let shape = values.dims();
         if !fits(&shape) {
-            return Err(StateError::Fit { name: name.to_owned(), found: shape.to_vec() });
+            return Err(part.shape_error("values", shape.to_vec(), "one that fits the other arrays"));
         }
         Ok((parameter(on(device, values)), Moments::load_with_bits(part, shape, bits, &plain)?))
     })

@@ -161,7 +161,7 @@ impl<const D: usize> Learned<D> {
     /// As [`Self::save`].
     pub fn save_all(all: &[Self], to: &mut State) -> Result<(), StateError> {
         for (view, one) in all.iter().enumerate() {
-            to.save_part(&view.to_string(), |part| one.save(part))?;
+            to.in_part(&view.to_string(), |part| one.save(part))?;
         }
         Ok(())
     }

@@ -215,10 +215,10 @@ impl Effect for Optics {
 
     fn save(&self, to: &mut State) -> Result<(), StateError> {
         if let Some(aperture) = &self.aperture {
-            to.save_part("aperture", |part| aperture.save(part))?;
+            to.in_part("aperture", |part| aperture.save(part))?;
         }
         let parts = [("exposures", &self.exposures), ("readouts", &self.readouts), ("foci", &self.foci)];
-        parts.into_iter().try_for_each(|(name, all)| to.save_part(name, |part| Learned::save_all(all, part)))
+        parts.into_iter().try_for_each(|(name, all)| to.in_part(name, |part| Learned::save_all(all, part)))
     }
 
     fn load(&mut self, from: &mut State, _: &Device) -> Result<(), StateError> {

@@ -79,7 +79,7 @@ impl Effect for EffectStack {
     }
 
     fn save(&self, to: &mut State) -> Result<(), StateError> {
-        self.0.iter().try_for_each(|effect| to.save_part(effect.name(), |part| effect.save(part)))
+        self.0.iter().try_for_each(|effect| to.in_part(effect.name(), |part| effect.save(part)))
     }
 
     fn load(&mut self, from: &mut State, device: &Device) -> Result<(), StateError> {

@@ -6,14 +6,13 @@ use std::path::Path;
 
 use flate2::bufread::GzDecoder;
 
-use super::{Format, FormatError, gltf, sog, spz};
+use super::{Format, FormatError, sog, spz};
 use crate::sniff::{FileClass, FileKind};
 
 /// What the first bytes of a scene's file tell.
 pub(super) enum Beginning {
     Ply,
     Spz,
-    Glb,
     Zip,
     Json,
 }
@@ -35,7 +34,7 @@ impl Beginning {
                 }
                 None => Self::Spz,
             },
-            () if first.starts_with(&gltf::MAGIC) => Self::Glb,
+            () if first.starts_with(b"glTF") => return Err(gltf(path)),
             () if first.starts_with(&sog::MAGIC) => Self::Zip,
             () if first.trim_ascii_start().starts_with(b"{") => Self::Json,
             () if line == b"ply" => Self::Ply,
@@ -63,12 +62,18 @@ fn unknown(path: &Path, first: &[u8]) -> FormatError {
     }
 }
 
-/// A file of JSON, and the format that it has.
-pub(super) fn json(path: &Path) -> Result<(Format, Vec<u8>), FormatError> {
+/// The error for a scene in glTF.
+fn gltf(path: &Path) -> FormatError {
+    let what = "a scene in glTF, which is written here and not read".into();
+    FormatError::foreign(path, what, "convert it to PLY with `npx @playcanvas/splat-transform IN OUT.ply`")
+}
+
+/// The document of a scene in SOG.
+pub(super) fn json(path: &Path) -> Result<Vec<u8>, FormatError> {
     let json = fs::read(path).map_err(FormatError::io(path, "read the scene (is the path right?)"))?;
     match () {
-        () if gltf::is_document(&json) => Ok((Format::Gltf, json)),
-        () if sog::is_meta(&json) => Ok((Format::Sog, json)),
+        () if sog::is_meta(&json) => Ok(json),
+        () if Format::of_name(path) == Some(Format::Gltf) => Err(gltf(path)),
         () => Err(unknown(path, &json[..json.len().min(16)])),
     }
 }

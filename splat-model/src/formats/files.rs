@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use serde_json::Value;
 
-use super::{Beginning, gltf};
+use super::Beginning;
 
 /// A name in a document is shorter. Data may stand there too, as text.
 const MAX_NAME_BYTES: usize = 1_000;
@@ -14,7 +14,7 @@ const MAX_NAME_BYTES: usize = 1_000;
 pub fn files(path: &Path) -> Vec<PathBuf> {
     fn texts(value: &Value, found: &mut Vec<String>) {
         match value {
-            Value::String(text) if text.len() < MAX_NAME_BYTES => found.push(gltf::unescaped(text)),
+            Value::String(text) if text.len() < MAX_NAME_BYTES => found.push(text.clone()),
             Value::Array(values) => values.iter().for_each(|value| texts(value, found)),
             Value::Object(fields) => fields.values().for_each(|value| texts(value, found)),
             _ => {}

@@ -34,77 +34,32 @@ impl QuantisationError {
     /// # Panics
     /// If they differ in number or degree, or do not fit together.
     pub fn between(written: &GaussianRows, read: &GaussianRows) -> Self {
-        let mut sums = QuantisationSums::default();
-        sums.add(written, read);
-        sums.error()
-    }
-}
-
-/// Sums of the differences of some rows, to which further rows can be added.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct QuantisationSums {
-    position: Sums,
-    scale: Sums,
-    rotation: Sums,
-    opacity: Sums,
-    colour: Sums,
-    harmonics: Sums,
-}
-
-impl QuantisationSums {
-    /// Adds the error of each row that was read against the written row of the same number.
-    ///
-    /// # Panics
-    /// If they differ in number or degree, or do not fit together.
-    pub fn add(&mut self, written: &GaussianRows, read: &GaussianRows) {
         assert_eq!((written.len(), written.sh_degree), (read.len(), read.sh_degree), "rows of different scenes");
         let difference = |(a, b): (&f32, &f32)| (f64::from(*a) - f64::from(*b)).abs();
-        let flat = |sums: &mut Sums, a: &[[f32; 3]], b: &[[f32; 3]], of: &dyn Fn(f64) -> f64| {
-            sums.add(a.as_flattened().iter().zip(b.as_flattened()).map(|pair| of(difference(pair))));
+        let flat = |a: &[[f32; 3]], b: &[[f32; 3]], of: &dyn Fn(f64) -> f64| {
+            Deviation::of(a.as_flattened().iter().zip(b.as_flattened()).map(|pair| of(difference(pair))))
         };
         let distance = |(a, b): (&[f32; 3], &[f32; 3])| a.iter().zip(b).map(|pair| difference(pair).powi(2)).sum();
-        self.position.add(written.means.iter().zip(&read.means).map(|pair| f64::sqrt(distance(pair))));
-        flat(&mut self.scale, &written.log_scales, &read.log_scales, &f64::exp_m1);
-        self.rotation.add(written.rotations.iter().zip(&read.rotations).map(|(a, b)| angle_degrees(a, b)));
+        let rotations = written.rotations.iter().zip(&read.rotations);
         let opacities = written.logit_opacities.iter().zip(&read.logit_opacities);
-        self.opacity.add(opacities.map(|(a, b)| (sigmoid(*a) - sigmoid(*b)).abs()));
-        flat(&mut self.colour, &written.sh_dc, &read.sh_dc, &|difference| super::DC * difference);
-        self.harmonics.add(written.sh_rest.iter().zip(&read.sh_rest).map(difference));
-    }
-
-    /// The error over all rows.
-    pub fn error(&self) -> QuantisationError {
-        QuantisationError {
-            position: self.position.deviation(),
-            scale: self.scale.deviation(),
-            rotation: self.rotation.deviation(),
-            opacity: self.opacity.deviation(),
-            colour: self.colour.deviation(),
-            harmonics: self.harmonics.deviation(),
+        Self {
+            position: Deviation::of(written.means.iter().zip(&read.means).map(|pair| f64::sqrt(distance(pair)))),
+            scale: flat(&written.log_scales, &read.log_scales, &f64::exp_m1),
+            rotation: Deviation::of(rotations.map(|(a, b)| angle_degrees(a, b))),
+            opacity: Deviation::of(opacities.map(|(a, b)| (sigmoid(*a) - sigmoid(*b)).abs())),
+            colour: flat(&written.sh_dc, &read.sh_dc, &|difference| super::DC * difference),
+            harmonics: Deviation::of(written.sh_rest.iter().zip(&read.sh_rest).map(difference)),
         }
     }
 }
 
-/// Sums of the differences of one quantity.
-#[derive(Clone, Copy, Debug, Default)]
-struct Sums {
-    largest: f64,
-    squares: f64,
-    count: u64,
-}
-
-impl Sums {
-    fn add(&mut self, differences: impl Iterator<Item = f64>) {
-        for difference in differences {
-            self.largest = self.largest.max(difference);
-            self.squares += difference * difference;
-            self.count += 1;
-        }
-    }
-
-    fn deviation(&self) -> Deviation {
-        let Self { largest, squares, count } = *self;
-        Deviation { largest, rms: if count == 0 { 0.0 } else { (squares / count as f64).sqrt() } }
+impl Deviation {
+    fn of(differences: impl Iterator<Item = f64>) -> Self {
+        let add = |(largest, squares, count): (f64, f64, u64), difference: f64| {
+            (largest.max(difference), squares + difference * difference, count + 1)
+        };
+        let (largest, squares, count) = differences.fold((0.0, 0.0, 0), add);
+        Self { largest, rms: if count == 0 { 0.0 } else { (squares / count as f64).sqrt() } }
     }
 }
 

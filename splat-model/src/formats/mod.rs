@@ -5,7 +5,7 @@
 //! | [`Ply`](Format::Ply) | `.ply` | everything, in f32: the layout of the original implementation, see [`crate::ply`] |
 //! | [`CompressedPly`](Format::CompressedPly) | `.compressed.ply` | 16 bytes per Gaussian and one per higher coefficient, to degree 3: SuperSplat's |
 //! | [`Spz`](Format::Spz) | `.spz` | 20 bytes per Gaussian and one per higher coefficient, then zstd: Niantic's |
-//! | [`Glb`](Format::Glb), [`Gltf`](Format::Gltf) | `.glb`, `.gltf` | 60 bytes per Gaussian and 12 per higher coefficient, in f32, to degree 3: glTF with `KHR_gaussian_splatting` |
+//! | [`Glb`](Format::Glb), [`Gltf`](Format::Gltf) | `.glb`, `.gltf` | 60 bytes per Gaussian and 12 per higher coefficient, in f32, to degree 3: glTF with `KHR_gaussian_splatting`; written, not read |
 //! | [`Sog`](Format::Sog) | `.sog` | 8-bit pictures in WebP and a palette of harmonics, to degree 3: PlayCanvas' |
 //!
 //! Reading identifies the format by a file's first bytes, not by its name. The private modules and `docs/FORMATS.md` document
@@ -43,7 +43,6 @@ mod opacity;
 mod quaternion;
 mod sog;
 mod spz;
-mod stream;
 #[cfg(test)]
 mod testing;
 #[cfg(test)]
@@ -59,14 +58,13 @@ use thiserror::Error;
 
 use beginning::{Beginning, json};
 pub use files::files;
-pub use loss::{Deviation, QuantisationError, QuantisationSums};
+pub use loss::{Deviation, QuantisationError};
 pub use sog::SogOptions;
 pub use spz::{SpzOptions, SpzVersion};
-pub use stream::{ConvertOptions, Converted, SceneReader, convert, is_streamed};
 
 use crate::density::morton_order;
 use crate::gaussians::GaussianRows;
-use crate::ply::{self, PlyError, WorldFrame};
+use crate::ply::{self, PlyError, PlyReader, WorldFrame};
 
 /// The spherical harmonic of degree 0, `1 / (2 √π)`.
 pub(crate) const DC: f64 = 0.282_094_791_773_878_14;
@@ -91,6 +89,9 @@ pub enum Format {
 impl Format {
     /// All formats.
     pub const ALL: [Self; 6] = [Self::Ply, Self::CompressedPly, Self::Spz, Self::Glb, Self::Gltf, Self::Sog];
+
+    /// The formats that are read; all are written.
+    pub const READ: [Self; 4] = [Self::Ply, Self::CompressedPly, Self::Spz, Self::Sog];
 
     /// The format that a file name indicates.
     pub fn of_name(path: &Path) -> Option<Self> {
@@ -210,7 +211,7 @@ pub enum FormatError {
     /// The file does not begin like a scene of any supported format.
     #[error(
         "{path}: not a scene: it begins with `{found}`, expected a PLY file (original layout or SuperSplat's compressed one), SPZ \
-         (version 1 to 4), glTF with KHR_gaussian_splatting or SOG; export it as one of these",
+         (version 1 to 4) or SOG; export it as one of these",
         path = path.display()
     )]
     Unknown {
@@ -266,27 +267,38 @@ impl FormatError {
 pub fn detect(path: &Path) -> Result<Format, FormatError> {
     Ok(match Beginning::of(path)? {
         Beginning::Spz => Format::Spz,
-        Beginning::Glb => Format::Glb,
         Beginning::Zip => Format::Sog,
-        Beginning::Json => json(path)?.0,
-        Beginning::Ply => match compressed::is_compressed(&ply::PlyReader::open(path)?.1) {
+        Beginning::Json => json(path).map(|_| Format::Sog)?,
+        Beginning::Ply => match compressed::is_compressed(&PlyReader::open(path)?.1) {
             true => Format::CompressedPly,
             false => Format::Ply,
         },
     })
 }
 
-/// Reads a scene of any format.
+/// Reads a scene of any format but glTF.
 ///
 /// The function does not check whether the values are finite.
 ///
 /// # Errors
 /// A [`FormatError`] for every file that is not a complete scene of one of the formats. Memory is bounded by a multiple of the
-/// file's size, whatever the header claims: a small multiple for PLY and glTF, and the limits of compression for SPZ and SOG.
+/// file's size, whatever the header claims: a small multiple for PLY, and the limits of compression for SPZ and SOG.
 pub fn read(path: &Path) -> Result<(SceneFile, Format), FormatError> {
-    let reader = SceneReader::open(path)?;
-    let format = reader.format();
-    Ok((reader.read()?, format))
+    Ok(match Beginning::of(path)? {
+        Beginning::Spz => (spz::read(path)?, Format::Spz),
+        Beginning::Zip => (sog::read_archive(path)?, Format::Sog),
+        Beginning::Json => (sog::read_folder(path, &json(path)?)?, Format::Sog),
+        Beginning::Ply => {
+            let (input, header) = PlyReader::open(path)?;
+            let is_compressed = compressed::is_compressed(&header);
+            let (rows, WorldFrame { origin, metres_per_unit }) = match is_compressed {
+                true => compressed::read(path, input, &header)?,
+                false => ply::read_rows(input, &header)?,
+            };
+            let format = if is_compressed { Format::CompressedPly } else { Format::Ply };
+            (SceneFile { rows, origin, metres_per_unit, antialiased: false }, format)
+        }
+    })
 }
 
 /// Writes the part of a scene that the format can hold ([`fit`]).
@@ -364,7 +376,7 @@ fn fitted(rows: &GaussianRows, format: Format) -> Written<'_> {
         rows_of.for_each(|row| fitted.push(rows, row));
     }
     if format == Format::Spz {
-        moved = spz::bring_within_reach(&mut fitted).len();
+        moved = spz::bring_within_reach(&mut fitted);
     }
     let (left_out, added) = (rows.len() - count, fitted.len() - count);
     Written { rows: Cow::Owned(fitted), left_out, added, moved }

@@ -33,8 +33,8 @@ pub use write::{write, write_parts, write_to};
 pub(crate) use frame::world_frame;
 pub(crate) use read::{PlyReader, brief, require, vertex};
 pub(crate) use row::{degree_of_rest, rest_names};
-pub(crate) use rows::PlyRows;
-pub(crate) use write::{check, check_left, element, file_header, write_header, write_rows};
+pub(crate) use rows::read_rows;
+pub(crate) use write::{check, check_left, element, file_header};
 
 /// The element that holds the Gaussians.
 pub(crate) const VERTEX: &str = "vertex";

@@ -2,7 +2,6 @@
 
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, ErrorKind, Read};
-use std::ops::Range;
 use std::path::Path;
 
 use ply_rs_bw::parser::{ParseError, Parser, Reader};
@@ -154,25 +153,12 @@ impl<'a> PlyReader<'a> {
         skipped.map(drop).map_err(|error| self.row_error(element, row, &error))
     }
 
-    /// Reads all rows of an element, see [`Self::rows`].
+    /// Reads all rows of an element without lists, and passes the number of each row and its values of `properties` to `take`.
     pub fn each_row(
         &mut self,
         element: &ElementDef,
         encoding: Encoding,
         properties: &[impl AsRef<str>],
-        take: impl FnMut(usize, &[f64]) -> Result<(), PlyError>,
-    ) -> Result<(), PlyError> {
-        self.rows(element, encoding, properties, 0..element.count, take)
-    }
-
-    /// Reads the next rows of an element without lists, of which `which` are the numbers, and passes the number of each row and its
-    /// values of `properties` to `take`.
-    pub fn rows(
-        &mut self,
-        element: &ElementDef,
-        encoding: Encoding,
-        properties: &[impl AsRef<str>],
-        which: Range<usize>,
         mut take: impl FnMut(usize, &[f64]) -> Result<(), PlyError>,
     ) -> Result<(), PlyError> {
         let parser = Parser::<RowValues>::new();
@@ -186,7 +172,7 @@ impl<'a> PlyReader<'a> {
         };
         // The usual layout, without the parser.
         let plain = encoding == Encoding::BinaryLittleEndian && element.properties.values().all(of_floats);
-        for i in which {
+        for i in 0..element.count {
             if plain {
                 self.fill(&mut bytes).map_err(|error| self.row_error(element, i, &error))?;
                 let floats = bytes.as_chunks::<4>().0;

@@ -1,4 +1,4 @@
-//! Reading of Gaussians, all of a file or some at a time.
+//! Reading of Gaussians.
 
 use std::path::Path;
 
@@ -22,45 +22,23 @@ use crate::gaussians::GaussianRows;
 /// by a small multiple of the file's true size, whatever its header claims.
 pub fn read(path: &Path) -> Result<(GaussianRows, DVec3), PlyError> {
     let (input, header) = PlyReader::open(path)?;
-    let mut input = PlyRows::new(input, header)?;
-    Ok((input.next_rows(usize::MAX)?, input.world.origin))
+    let (rows, world) = read_rows(input, &header)?;
+    Ok((rows, world.origin))
 }
 
-/// The Gaussians of a file, some at a time.
-pub(crate) struct PlyRows<'a> {
-    input: PlyReader<'a>,
-    header: Header,
-    properties: Vec<String>,
-    pub world: WorldFrame,
-    pub sh_degree: usize,
-    /// Number of Gaussians, which the file was checked to hold.
-    pub count: usize,
-    next: usize,
-}
-
-impl<'a> PlyRows<'a> {
-    /// Refuses a header that does not describe Gaussians, or more of them than the file can hold.
-    pub fn new(mut input: PlyReader<'a>, header: Header) -> Result<Self, PlyError> {
-        let world = world_frame(input.path, &header)?;
-        let vertex = vertex(input.path, &header)?;
-        let (sh_degree, properties) = check_properties(input.path, vertex)?;
-        let count = vertex.count;
-        input.begin(&header)?;
-        Ok(Self { input, header, properties, world, sh_degree, count, next: 0 })
-    }
-
-    /// The next Gaussians, at most so many; none at the end.
-    pub fn next_rows(&mut self, most: usize) -> Result<GaussianRows, PlyError> {
-        let which = self.next..self.count.min(self.next.saturating_add(most));
-        self.next = which.end;
-        let mut rows = empty_rows(which.len(), self.sh_degree);
-        let vertex = vertex(self.input.path, &self.header)?;
-        self.input.rows(vertex, self.header.encoding, &self.properties, which, |_, values| {
-            push_row(&mut rows, values);
-            Ok(())
-        })?;
-        Ok(rows)
-    }
+/// Reads the Gaussians of a file whose header has been read, and its frame. Refuses a header that does not describe Gaussians, or more of
+/// them than the file can hold.
+pub(crate) fn read_rows(mut input: PlyReader, header: &Header) -> Result<(GaussianRows, WorldFrame), PlyError> {
+    let world = world_frame(input.path, header)?;
+    let vertex = vertex(input.path, header)?;
+    let (sh_degree, properties) = check_properties(input.path, vertex)?;
+    input.begin(header)?;
+    let mut rows = empty_rows(vertex.count, sh_degree);
+    input.each_row(vertex, header.encoding, &properties, |_, values| {
+        push_row(&mut rows, values);
+        Ok(())
+    })?;
+    Ok((rows, world))
 }
 
 /// Checks that the properties describe a Gaussian, and returns the degree of its spherical harmonics and the names of all

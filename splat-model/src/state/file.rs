@@ -9,11 +9,12 @@ use std::fs::{self, File};
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
-use safetensors::{Dtype, SafeTensorError, SafeTensors, View};
+use safetensors::{Dtype, SafeTensors, View};
 use sha2::{Digest, Sha256};
 use thiserror::Error;
 
 use super::{Array, State, Values};
+use crate::replace;
 
 /// Metadata key of [`FORMAT`].
 const FORMAT_KEY: &str = "splat_state";
@@ -86,31 +87,19 @@ impl State {
     /// # Errors
     /// If the file cannot be written. An existing file then stays unchanged.
     pub fn write(&self, path: &Path) -> Result<(), FileError> {
-        // One temporary name for all states of a folder, so that the next process overwrites what a killed one left.
-        let temporary = path.with_file_name(".state.tmp");
-        let written = self.write_to(&temporary).and_then(|()| fs::rename(&temporary, path));
-        // Writes the folder's entry to the disk, so that the new name survives a power loss. Some systems do not support it.
-        if let (Ok(()), Some(Ok(folder))) = (&written, path.parent().map(File::open)) {
-            let _ = folder.sync_all();
-        }
-        written.map_err(|source| {
-            // Best effort: the first error is the one to report.
-            let _ = fs::remove_file(&temporary);
-            let action = "write it: check that its folder can be written to and has room left";
-            FileError::Io { path: path.to_owned(), action, source }
-        })
-    }
-
-    fn write_to(&self, path: &Path) -> io::Result<()> {
-        let facts = self.facts.iter().map(|(name, text)| (format!("{FACT}{name}"), text.clone()));
-        let ours = [(FORMAT_KEY.to_owned(), FORMAT.to_owned()), (CHECKSUM_KEY.to_owned(), self.checksum())];
-        let metadata: HashMap<String, String> = facts.chain(ours).collect();
-        safetensors::serialize_to_file(&self.arrays, Some(metadata), path).map_err(|error| match error {
-            SafeTensorError::IoError(source) => source,
-            other => io::Error::other(other),
-        })?;
-        // The file is opened for writing, because some systems require it.
-        File::options().append(true).open(path)?.sync_all()
+        let write = || -> io::Result<()> {
+            let temporary = replace::begin(path)?;
+            let facts = self.facts.iter().map(|(name, text)| (format!("{FACT}{name}"), text.clone()));
+            let ours = [(FORMAT_KEY.to_owned(), FORMAT.to_owned()), (CHECKSUM_KEY.to_owned(), self.checksum())];
+            let metadata: HashMap<String, String> = facts.chain(ours).collect();
+            safetensors::serialize_to_file(&self.arrays, Some(metadata), temporary.path()).map_err(io::Error::other)?;
+            replace::finish(temporary, path)?;
+            // Writes the folder's entry to the disk, so that the new name survives a power loss. Some systems do not support it.
+            let _ = path.parent().map(File::open).transpose()?.map(|folder| folder.sync_all());
+            Ok(())
+        };
+        let action = "write it: check that its folder can be written to and has room left";
+        write().map_err(|source| FileError::Io { path: path.to_owned(), action, source })
     }
 
     /// Whether [`Self::write`] of any version wrote a file, by its header. The rest may be damaged.
@@ -183,7 +172,7 @@ impl State {
             add(name.as_bytes());
             add(text.as_bytes());
         }
-        hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+        format!("{:x}", hash.finalize())
     }
 }
 
@@ -274,11 +263,10 @@ mod tests {
     fn what_cannot_be_written_leaves_the_old() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.safetensors");
-        state().write(&path).unwrap();
-        // A folder in place of the temporary file.
-        fs::create_dir(folder.path().join(".state.tmp")).unwrap();
+        // A folder in place of the file.
+        fs::create_dir(&path).unwrap();
         let error = State::default().write(&path).unwrap_err().to_string();
         assert!(error.contains("a.safetensors") && error.contains("room"), "{error}");
-        assert_eq!(State::read(&path).unwrap(), state());
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "a temporary file is left");
     }
 }

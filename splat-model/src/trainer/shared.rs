@@ -273,8 +273,8 @@ impl Trainer {
         let mut state = State::default();
         state.tell("random numbers", &self.rng.get_word_pos().to_string())?;
         state.put("means", self.scene.gaussians.means.val().inner());
-        state.save_part("density", |part| self.density.save(part))?;
-        state.save_part("effects", |part| self.effects.save(part))?;
+        state.in_part("density", |part| self.density.save(part))?;
+        state.in_part("effects", |part| self.effects.save(part))?;
         match ranks::first_difference(&*self.ranks, &checksums(&state))? {
             None => Ok(()),
             Some((rank, what, ..)) => Err(TrainError::Apart { step: self.step, rank, what }),

@@ -49,8 +49,8 @@ impl Trainer {
         state.tell("queue", &self.queue)?;
         state.tell("random", &RandomState::of(&self.rng))?;
         state.put_part("scene", self.scene.save());
-        state.save_part("density", |part| self.density.save(part))?;
-        state.save_part("effects", |part| self.effects.save(part))?;
+        state.in_part("density", |part| self.density.save(part))?;
+        state.in_part("effects", |part| self.effects.save(part))?;
         Ok(state)
     }
 

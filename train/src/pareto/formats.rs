@@ -37,7 +37,7 @@ type Way = (Format, usize, Option<u8>);
 
 /// Every format with all harmonics, then SPZ with other numbers of bits, then with lower degrees.
 fn ways(sh_degree: usize) -> Vec<Way> {
-    let all = Format::ALL.into_iter().map(|format| (format, sh_degree, None));
+    let all = Format::READ.into_iter().map(|format| (format, sh_degree, None));
     let bits = SPZ_BITS.into_iter().filter(|_| sh_degree > 0).map(|bits| (Format::Spz, sh_degree, Some(bits)));
     let degrees = (0..sh_degree).rev().map(|degree| (Format::Spz, degree, Some(SPZ_BITS[0]).filter(|_| degree > 0)));
     all.chain(bits).chain(degrees).collect()

@@ -53,19 +53,17 @@ fn converting_says_what_it_loses() {
     assert_eq!(files(folder.path()).len(), 4);
 }
 
-/// glTF stores floats: what comes back differs by the rounding of two functions.
+/// glTF stores floats, and is not read.
 #[test]
-fn gltf_loses_next_to_nothing() {
+fn gltf_is_written_and_not_read() {
     let folder = tempfile::tempdir().unwrap();
     for name in ["scene.glb", "scene.gltf"] {
-        let (path, back) = (folder.path().join(name), folder.path().join("back.ply"));
+        let path = folder.path().join(name);
         let said = succeed(&mut splat(&["convert", text(&trained()), text(&path)])).stdout;
-        assert!(said.contains("lost:") && said.contains("position            0          0"), "{said}");
-        succeed(&mut splat(&["convert", text(&path), text(&back)]));
-        let [before, after] = [&trained(), &back].map(|path| formats::read(path).unwrap().0.rows);
-        assert_eq!((&before.means, &before.sh_rest), (&after.means, &after.sh_rest));
-        let loss = formats::QuantisationError::between(&before, &after);
-        assert!(loss.scale.largest < 1e-6 && loss.opacity.largest < 1e-6 && loss.rotation.largest < 1e-4, "{loss:?}");
+        assert!(said.contains("glTF, ") && said.ends_with("nothing is lost\n"), "{said}");
+        let back = folder.path().join("back.ply");
+        refuse(&mut splat(&["convert", text(&path), text(&back)]), &[name, "written here and not read", "splat-transform"]);
+        assert!(!back.exists());
     }
 }
 
@@ -161,7 +159,7 @@ fn names_tell_formats_and_an_option_does() {
     let names = ["ply", "compressed-ply", "spz", "glb", "gltf", "sog"];
     for (name, format) in names.into_iter().zip(Format::ALL) {
         succeed(&mut splat(&["convert", text(&scene), text(&odd), "--format", name]));
-        assert_eq!(formats::detect(&odd).unwrap(), format);
+        assert_eq!(formats::detect(&odd).ok(), Some(format).filter(|format| Format::READ.contains(format)));
     }
     assert_eq!(end(&mut splat(&["convert", text(&scene), text(&odd), "--format", "splat"])).code, Some(2));
     assert_eq!(end(&mut splat(&["convert", text(&scene), "a.spz", "--sh-degree", "5"])).code, Some(2));

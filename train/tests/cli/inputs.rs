@@ -5,8 +5,6 @@ use std::fs;
 use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
 
-use base64::Engine;
-use base64::engine::general_purpose::STANDARD;
 use clap::CommandFactory;
 use glam::{DMat4, DVec3};
 use serde_json::{Value, json};
@@ -71,13 +69,12 @@ fn cases() -> Vec<Case> {
         case("eval colmap --scene given/metrics.json --out OUT --device cpu", "given/metrics.json", Some("given")),
         case("pareto colmap --scene given/pareto.csv --out OUT --device cpu", "given/pareto.csv", Some("given")),
         case(
-            "pareto colmap --scene given/scene.ply --background given/pareto.json --out OUT --device cpu",
-            "given/pareto.json",
+            "pareto colmap --scene given/scene.ply --background given/pareto.md --out OUT --device cpu",
+            "given/pareto.md",
             Some("given"),
         ),
         case("convert given/scene.ply OUT", "given/scene.ply", None),
         case("convert given/scene.ply OUT --format spz", "given/scene.ply", None),
-        case("convert given/scene.gltf OUT --format ply", "given/the data.bin", None),
         case("clean given/scene.ply OUT --box=-1,-1,-1,1,1,1", "given/scene.ply", None),
         case("clean given/scene.ply OUT --capture cap --device cpu", "cap/scene.ply", None),
         case("export given/scene.ply --html OUT", "given/scene.ply", None),
@@ -115,8 +112,7 @@ fn inputs() -> TempDir {
     for name in ["scene.ply", "metrics.json", "pareto.csv"] {
         fs::copy(TRAINED.join("scene.ply"), path("given").join(name)).unwrap();
     }
-    fs::write(path("given/pareto.json"), "{\"colour\": [0, 0, 0]}").unwrap();
-    with_data_beside(&path("given"));
+    fs::write(path("given/pareto.md"), "{\"colour\": [0, 0, 0]}").unwrap();
     let plan = "blocks plan cap --out blocks --blocks 2 --coarse-steps 0 -- --steps 4 --effects none";
     succeed(splat(&plan.split(' ').collect::<Vec<_>>()).current_dir(root.path()));
     for block in ["blocks/block-0/run", "blocks/block-1/run"] {
@@ -159,18 +155,6 @@ fn write_json(folder: &Path, demo: &Capture) {
     let names = names.map(|name| format!("property {name}\n")).concat();
     let header = format!("ply\nformat ascii 1.0\nelement vertex {}\n{names}end_header\n", points.len());
     fs::write(folder.join("scene.ply"), header + &points.concat()).unwrap();
-}
-
-/// Writes the scene as glTF with its data in another file.
-fn with_data_beside(folder: &Path) {
-    let file = folder.join("scene.gltf");
-    succeed(&mut splat(&["convert", text(&folder.join("scene.ply")), text(&file)]));
-    let mut document: Value = serde_json::from_slice(&fs::read(&file).unwrap()).unwrap();
-    let uri = document["buffers"][0]["uri"].take();
-    let data = uri.as_str().unwrap().split_once(',').unwrap().1;
-    fs::write(folder.join("the data.bin"), STANDARD.decode(data).unwrap()).unwrap();
-    document["buffers"][0]["uri"] = "the%20data.bin".into();
-    fs::write(&file, document.to_string()).unwrap();
 }
 
 /// A checkpoint of step 0: that run failed in the next step.

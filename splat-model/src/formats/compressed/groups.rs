@@ -19,7 +19,7 @@ const COLOUR_ROOM: f64 = 2.0;
 
 /// Logit of the opacity of a Gaussian that fills a chunk: level 0 of 255, which readers take for 0. The Gaussian is otherwise a copy of the
 /// one before, so that it widens no range.
-pub(super) const HIDDEN_LOGIT: f32 = -30.0;
+const HIDDEN_LOGIT: f32 = -30.0;
 
 /// Splits rows into groups, each without its outliers, which are in the groups after it.
 fn groups(means: &[[f32; 3]], colours: &[[f32; 3]], of: Vec<u32>) -> Vec<Vec<u32>> {

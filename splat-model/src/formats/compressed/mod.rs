@@ -25,8 +25,8 @@ mod write;
 use ply_rs_bw::ply::Header;
 
 pub(super) use groups::{arranged, fill_chunks};
-pub(super) use read::CompressedRows;
-pub(super) use write::{PackedFile, write};
+pub(super) use read::read;
+pub(super) use write::write;
 
 use crate::ply::VERTEX;
 

@@ -11,88 +11,49 @@ use crate::formats::{Format, FormatError};
 use crate::gaussians::GaussianRows;
 use crate::ply::{PlyReader, VERTEX, WorldFrame, brief, degree_of_rest, require, rest_names, vertex, world_frame};
 
-/// The Gaussians of a file, unpacked some at a time. Those of all are in memory as they are packed.
-pub(in crate::formats) struct CompressedRows {
-    chunks: Vec<Ranges>,
-    words: Vec<[u32; 4]>,
-    /// Levels of the higher coefficients, in the order of the file.
-    levels: Vec<u8>,
-    sh_degree: usize,
-    pub world: WorldFrame,
-    next: usize,
-}
+/// Reads a file whose header has been read, and its frame.
+pub fn read(path: &Path, mut input: PlyReader, header: &Header) -> Result<(GaussianRows, WorldFrame), FormatError> {
+    let world = world_frame(path, header)?;
+    let vertex = vertex(path, header)?;
+    let harmonics = header.elements.get(HARMONICS);
+    let (ranges, sh_degree) = check(path, header, vertex, harmonics)?;
+    let is_ours = |element: &&ElementDef| [CHUNKS, VERTEX, HARMONICS].contains(&element.name.as_str());
+    let last = header.elements.values().rfind(is_ours).map_or(VERTEX, |element| &element.name);
+    input.check_size(header, last)?;
 
-impl CompressedRows {
-    /// Reads a file whose header has been read.
-    pub fn read(path: &Path, mut input: PlyReader, header: &Header) -> Result<Self, FormatError> {
-        let world = world_frame(path, header)?;
-        let vertex = vertex(path, header)?;
-        let harmonics = header.elements.get(HARMONICS);
-        let (ranges, sh_degree) = check(path, header, vertex, harmonics)?;
-        let is_ours = |element: &&ElementDef| [CHUNKS, VERTEX, HARMONICS].contains(&element.name.as_str());
-        let last = header.elements.values().rfind(is_ours).map_or(VERTEX, |element| &element.name);
-        input.check_size(header, last)?;
-
-        let rest: Vec<String> = rest_names(rest_per_row(sh_degree)).collect();
-        // The file was checked to be as long as its header says.
-        let (mut chunks, mut words) = (Vec::new(), Vec::with_capacity(vertex.count));
-        let mut levels = Vec::with_capacity(rest.len() * vertex.count);
-        for element in header.elements.values() {
-            match element.name.as_str() {
-                CHUNKS => input.each_row(element, header.encoding, &RANGES[..ranges], |_, values| {
-                    // Colours without ranges range from 0 to 1.
-                    let mut chunk = std::array::from_fn(|i| if i < 15 { 0.0 } else { 1.0 });
-                    chunk.iter_mut().zip(values).for_each(|(range, &value)| *range = value as f32);
-                    chunks.push(Ranges(chunk));
-                    Ok(())
-                })?,
-                VERTEX => input.each_row(element, header.encoding, &PACKED, |_, values| {
-                    words.push([0, 1, 2, 3].map(|i| values[i] as u32));
-                    Ok(())
-                })?,
-                HARMONICS => input.each_row(element, header.encoding, &rest, |_, values| {
-                    levels.extend(values.iter().map(|level| *level as u8));
-                    Ok(())
-                })?,
-                _ => input.skip(element, header)?,
-            }
-            if element.name == last {
-                break;
-            }
+    let rest: Vec<String> = rest_names(rest_per_row(sh_degree)).collect();
+    // The file was checked to be as long as its header says.
+    let (mut chunks, mut words) = (Vec::new(), Vec::with_capacity(vertex.count));
+    let mut levels = Vec::with_capacity(rest.len() * vertex.count);
+    for element in header.elements.values() {
+        match element.name.as_str() {
+            CHUNKS => input.each_row(element, header.encoding, &RANGES[..ranges], |_, values| {
+                // Colours without ranges range from 0 to 1.
+                let mut chunk = std::array::from_fn(|i| if i < 15 { 0.0 } else { 1.0 });
+                chunk.iter_mut().zip(values).for_each(|(range, &value)| *range = value as f32);
+                chunks.push(Ranges(chunk));
+                Ok(())
+            })?,
+            VERTEX => input.each_row(element, header.encoding, &PACKED, |_, values| {
+                words.push([0, 1, 2, 3].map(|i| values[i] as u32));
+                Ok(())
+            })?,
+            HARMONICS => input.each_row(element, header.encoding, &rest, |_, values| {
+                levels.extend(values.iter().map(|level| *level as u8));
+                Ok(())
+            })?,
+            _ => input.skip(element, header)?,
         }
-        Ok(Self { chunks, words, levels, sh_degree, world, next: 0 })
-    }
-
-    /// Number of Gaussians and degree of their harmonics.
-    pub fn size(&self) -> (usize, usize) {
-        (self.words.len(), self.sh_degree)
-    }
-
-    /// Begins anew.
-    pub fn rewind(&mut self) {
-        self.next = 0;
-    }
-
-    /// The next Gaussians, at most so many; none at the end.
-    pub fn next_rows(&mut self, most: usize) -> GaussianRows {
-        let which = self.next..self.words.len().min(self.next.saturating_add(most));
-        self.next = which.end;
-        self.rows_at(which)
-    }
-
-    /// The Gaussians at these places.
-    ///
-    /// # Panics
-    /// If there is no such place.
-    pub fn rows_at(&self, places: impl IntoIterator<Item = usize>) -> GaussianRows {
-        let mut rows = GaussianRows { sh_degree: self.sh_degree, ..GaussianRows::default() };
-        let rest = rest_per_row(self.sh_degree);
-        for i in places {
-            self.chunks[i / CHUNK].unpack_to(&self.words[i], &mut rows);
-            rows.sh_rest.extend(unpack_rest(&self.levels[rest * i..rest * (i + 1)]));
+        if element.name == last {
+            break;
         }
-        rows
     }
+    let mut rows = GaussianRows { sh_degree, ..GaussianRows::default() };
+    for (i, word) in words.iter().enumerate() {
+        chunks[i / CHUNK].unpack_to(word, &mut rows);
+        rows.sh_rest.extend(unpack_rest(&levels[rest.len() * i..rest.len() * (i + 1)]));
+    }
+    Ok((rows, world))
 }
 
 /// Number of higher coefficients of a Gaussian over all channels.

@@ -7,40 +7,31 @@
 //! | attribute | written as | holds |
 //! |---|---|---|
 //! | `POSITION` | 3 floats | the centre |
-//! | `COLOR_0` | 4 normalised bytes | colour and opacity for programs that draw points; not read |
+//! | `COLOR_0` | 4 normalised bytes | colour and opacity for programs that draw points |
 //! | `KHR_gaussian_splatting:ROTATION` | 4 floats | a unit quaternion, `x y z w` |
 //! | `KHR_gaussian_splatting:SCALE` | 3 floats | standard deviations, not their logarithms |
 //! | `KHR_gaussian_splatting:OPACITY` | 1 float | the opacity, 0 to 1 |
 //! | `KHR_gaussian_splatting:SH_DEGREE_l_COEF_n` | 3 floats each | the harmonic of degree `l`, order `n − l`, of the three channels; `l` to 3 |
 //!
-//! Attributes are written as floats, so that conversion loses nothing but the rounding of `exp` and the logistic function. Quantised
-//! attributes and files of several primitives and nodes are read: the nodes' transforms are applied, and all Gaussians become one scene.
+//! Attributes are written as floats, so that conversion loses nothing but the rounding of `exp` and the logistic function. The format is
+//! written for other programs, and not read.
 //!
 //! **Frame.** glTF is left-up-front: half a turn about `z` from the frame of scenes here. `asset.extras` stores the origin, in the frame of
 //! scenes here, and the mark of antialiasing; the format itself has no place for them.
 //!
-//! **Crates.** `gltf` 1.4 refuses attributes whose names have a colon, as those of the extension do. The parts of a document that scenes use
-//! are declared in `document.rs` and parsed by `serde_json`.
+//! **Crates.** `gltf` 1.4 refuses attributes whose names have a colon, as those of the extension do.
 
-mod attribute;
-mod buffers;
-mod document;
-mod nodes;
-mod read;
 #[cfg(test)]
 mod tests;
 mod write;
 
-pub(super) use buffers::unescaped;
-pub(super) use document::is_document;
-pub(super) use read::GltfRows;
-pub(super) use write::{Outline, write};
+pub(super) use write::write;
 
 /// The highest degree of the spherical harmonics.
 pub(super) const DEGREE_MAX: usize = 3;
 
 /// First bytes of the binary container.
-pub(super) const MAGIC: [u8; 4] = *b"glTF";
+const MAGIC: [u8; 4] = *b"glTF";
 
 /// Version of the binary container.
 const VERSION: u32 = 2;
@@ -50,7 +41,7 @@ const CHUNKS: [[u8; 4]; 2] = [*b"JSON", *b"BIN\0"];
 
 const EXTENSION: &str = "KHR_gaussian_splatting";
 
-/// The kernel and the colour space of scenes here, the only ones that are read.
+/// The kernel and the colour space of scenes here.
 const KERNEL: &str = "ellipse";
 const COLOUR_SPACE: &str = "srgb_rec709_display";
 

@@ -1,6 +1,6 @@
 //! Writing of both containers.
 
-use std::io::{self, Seek, SeekFrom, Write};
+use std::io::{self, Write};
 use std::path::Path;
 
 use base64::Engine;
@@ -27,144 +27,85 @@ const PIECE: usize = 3 << 18;
 /// Writes rows that fit the format ([`crate::formats::fit`]), in the binary container or, for [`Format::Gltf`], as JSON that holds the data as base64.
 /// `scene` gives the origin and the mark of antialiasing.
 pub fn write(path: &Path, rows: &GaussianRows, scene: &SceneFile, format: Format) -> Result<(), FormatError> {
-    let mut outline = Outline::new(rows.sh_degree);
-    outline.add(rows);
+    let attributes = attributes(rows);
+    let document = document(rows, &attributes, scene);
     replace(path, |out| match format {
-        Format::Glb => outline.begin_binary(out, scene)?.put(out, rows),
-        _ => text(out, &outline.document(scene), &attributes(rows), outline.bytes()),
+        Format::Glb => binary(out, document, &attributes),
+        _ => text(out, &document, &attributes),
     })
     .map_err(FormatError::io(path, WRITE))
 }
 
-/// What a document says of the Gaussians, which may come some at a time.
-pub(in crate::formats) struct Outline {
-    sh_degree: usize,
-    pub count: usize,
-    /// The smallest and the largest centre by axis, in glTF's frame.
-    bounds: Option<[[f32; 3]; 2]>,
+fn bytes_of(attributes: &[Attribute]) -> usize {
+    attributes.iter().map(|attribute| attribute.bytes.len()).sum()
 }
 
-impl Outline {
-    /// An outline without Gaussians.
-    pub fn new(sh_degree: usize) -> Self {
-        Self { sh_degree, count: 0, bounds: None }
-    }
-
-    /// Adds Gaussians.
-    pub fn add(&mut self, rows: &GaussianRows) {
-        self.count += rows.len();
-        for mean in turned(rows) {
-            let [low, high] = self.bounds.get_or_insert([mean; 2]);
-            *low = [0, 1, 2].map(|axis| low[axis].min(mean[axis]));
-            *high = [0, 1, 2].map(|axis| high[axis].max(mean[axis]));
-        }
-    }
-
-    /// Attributes without bytes.
-    fn attributes(&self) -> Vec<Attribute> {
-        attributes(&GaussianRows { sh_degree: self.sh_degree, ..GaussianRows::default() })
-    }
-
-    fn bytes(&self) -> usize {
-        self.count * self.attributes().iter().map(|attribute| attribute.width).sum::<usize>()
-    }
-
-    /// Writes the beginning of a binary container.
-    pub fn begin_binary(&self, out: &mut (impl Write + Seek), scene: &SceneFile) -> io::Result<Pieces> {
-        let (bytes, mut document) = (self.bytes(), self.document(scene));
-        if bytes > 0 {
-            document.insert("buffers".into(), json!([{ "byteLength": bytes }]));
-        }
-        let mut json = serde_json::to_vec(&document)?;
-        // Chunks end at multiples of four bytes.
-        json.resize(json.len().next_multiple_of(4), b' ');
-        let word = |bytes: usize| {
-            let word = u32::try_from(bytes)
-                .map_err(|_| io::Error::other("more than 4 GiB, the most of a .glb: write another format"));
-            word.map(u32::to_le_bytes)
-        };
-        let length = 20 + json.len() + if bytes > 0 { 8 + bytes } else { 0 };
-        out.write_all(&[MAGIC, VERSION.to_le_bytes(), word(length)?, word(json.len())?, CHUNKS[0]].concat())?;
-        out.write_all(&json)?;
-        if bytes > 0 {
-            out.write_all(&[word(bytes)?, CHUNKS[1]].concat())?;
-        }
-        Ok(Pieces { data: out.stream_position()?, count: self.count, next: 0 })
-    }
-
-    /// The document without its buffer.
-    fn document(&self, scene: &SceneFile) -> Map<String, Value> {
-        let mut asset = object(json!({ "version": "2.0", "generator": concat!("splat ", env!("CARGO_PKG_VERSION")) }));
-        let mut extras = extras::of(scene.world());
-        if scene.antialiased {
-            extras.insert("antialiased".into(), json!(true));
-        }
-        if !extras.is_empty() {
-            asset.insert("extras".into(), extras.into());
-        }
-        // Accessors have at least one element, so an empty scene has no mesh.
-        let Some([low, high]) = self.bounds else {
-            return object(json!({ "asset": asset, "extensionsUsed": [EXTENSION], "scene": 0, "scenes": [{}] }));
-        };
-        let mut at = 0;
-        let (mut views, mut accessors, mut names) = (Vec::new(), Vec::new(), Map::new());
-        for (i, Attribute { name, mut accessor, width, .. }) in self.attributes().into_iter().enumerate() {
-            let bytes = width * self.count;
-            views.push(json!({ "buffer": 0, "byteOffset": at, "byteLength": bytes, "target": ARRAY_BUFFER }));
-            at += bytes;
-            accessor.insert("count".into(), json!(self.count));
-            accessor.insert("bufferView".into(), json!(i));
-            if name == POSITION {
-                accessor
-                    .extend([("min".into(), json!(low.map(f64::from))), ("max".into(), json!(high.map(f64::from)))]);
-            }
-            accessors.push(accessor);
-            names.insert(name, json!(i));
-        }
-        let splatting = json!({
-            "kernel": KERNEL, "colorSpace": COLOUR_SPACE, "projection": "perspective", "sortingMethod": "cameraDistance"
-        });
-        let primitive = json!({ "mode": 0, "attributes": names, "extensions": { EXTENSION: splatting } });
-        object(json!({
-            "asset": asset,
-            "extensionsUsed": [EXTENSION],
-            "scene": 0,
-            "scenes": [{ "nodes": [0] }],
-            "nodes": [{ "mesh": 0 }],
-            "meshes": [{ "primitives": [primitive] }],
-            "accessors": accessors,
-            "bufferViews": views,
-        }))
-    }
+fn binary(out: &mut impl Write, mut document: Map<String, Value>, attributes: &[Attribute]) -> io::Result<()> {
+    let bytes = bytes_of(attributes);
+    document.insert("buffers".into(), json!([{ "byteLength": bytes }]));
+    let mut json = serde_json::to_vec(&document)?;
+    // Chunks end at multiples of four bytes.
+    json.resize(json.len().next_multiple_of(4), b' ');
+    let word = |bytes: usize| {
+        let word = u32::try_from(bytes)
+            .map_err(|_| io::Error::other("more than 4 GiB, the most of a .glb: write another format"));
+        word.map(u32::to_le_bytes)
+    };
+    let length = 20 + json.len() + 8 + bytes;
+    out.write_all(&[MAGIC, VERSION.to_le_bytes(), word(length)?, word(json.len())?, CHUNKS[0]].concat())?;
+    out.write_all(&json)?;
+    out.write_all(&[word(bytes)?, CHUNKS[1]].concat())?;
+    attributes.iter().try_for_each(|attribute| out.write_all(&attribute.bytes))
 }
 
-/// The data of a binary container, of which Gaussians have a piece in each attribute.
-pub(in crate::formats) struct Pieces {
-    /// First byte of the data in the file.
-    data: u64,
-    count: usize,
-    next: usize,
-}
-
-impl Pieces {
-    /// Writes the next Gaussians.
-    pub fn put(&mut self, out: &mut (impl Write + Seek), rows: &GaussianRows) -> io::Result<()> {
-        let mut first = self.data;
-        for Attribute { width, bytes, .. } in attributes(rows) {
-            out.seek(SeekFrom::Start(first + (width * self.next) as u64))?;
-            out.write_all(&bytes)?;
-            first += (width * self.count) as u64;
+/// The document without its buffer.
+fn document(rows: &GaussianRows, attributes: &[Attribute], scene: &SceneFile) -> Map<String, Value> {
+    let mut asset = object(json!({ "version": "2.0", "generator": concat!("splat ", env!("CARGO_PKG_VERSION")) }));
+    let mut extras = extras::of(scene.world());
+    if scene.antialiased {
+        extras.insert("antialiased".into(), json!(true));
+    }
+    if !extras.is_empty() {
+        asset.insert("extras".into(), extras.into());
+    }
+    let (mut low, mut high) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
+    for mean in turned(rows) {
+        low = [0, 1, 2].map(|axis| low[axis].min(mean[axis]));
+        high = [0, 1, 2].map(|axis| high[axis].max(mean[axis]));
+    }
+    let mut at = 0;
+    let (mut views, mut accessors, mut names) = (Vec::new(), Vec::new(), Map::new());
+    for (i, attribute) in attributes.iter().enumerate() {
+        let (name, mut accessor, bytes) = (attribute.name.clone(), attribute.accessor.clone(), attribute.bytes.len());
+        views.push(json!({ "buffer": 0, "byteOffset": at, "byteLength": bytes, "target": ARRAY_BUFFER }));
+        at += bytes;
+        accessor.insert("count".into(), json!(rows.len()));
+        accessor.insert("bufferView".into(), json!(i));
+        if name == POSITION {
+            accessor
+                .extend([("min".into(), json!(low.map(f64::from))), ("max".into(), json!(high.map(f64::from)))]);
         }
-        self.next += rows.len();
-        Ok(())
+        accessors.push(accessor);
+        names.insert(name, json!(i));
     }
+    let splatting = json!({
+        "kernel": KERNEL, "colorSpace": COLOUR_SPACE, "projection": "perspective", "sortingMethod": "cameraDistance"
+    });
+    let primitive = json!({ "mode": 0, "attributes": names, "extensions": { EXTENSION: splatting } });
+    object(json!({
+        "asset": asset,
+        "extensionsUsed": [EXTENSION],
+        "scene": 0,
+        "scenes": [{ "nodes": [0] }],
+        "nodes": [{ "mesh": 0 }],
+        "meshes": [{ "primitives": [primitive] }],
+        "accessors": accessors,
+        "bufferViews": views,
+    }))
 }
 
-fn text(out: &mut impl Write, document: &Map<String, Value>, attributes: &[Attribute], bytes: usize) -> io::Result<()> {
-    let json = serde_json::to_string(document)?;
-    if bytes == 0 {
-        return out.write_all(json.as_bytes());
-    }
+fn text(out: &mut impl Write, document: &Map<String, Value>, attributes: &[Attribute]) -> io::Result<()> {
+    let (json, bytes) = (serde_json::to_string(document)?, bytes_of(attributes));
     // The data is too long for a string in memory: the document is left open, and closed behind it.
     write!(
         out,
@@ -182,12 +123,10 @@ fn text(out: &mut impl Write, document: &Map<String, Value>, attributes: &[Attri
     out.write_all(b"\"}]}")
 }
 
-/// An attribute of some Gaussians, and its accessor without the place of its bytes.
+/// An attribute, and its accessor without the place of its bytes.
 struct Attribute {
     name: String,
     accessor: Map<String, Value>,
-    /// Bytes of a Gaussian.
-    width: usize,
     bytes: Vec<u8>,
 }
 
@@ -196,7 +135,7 @@ fn floats<const N: usize>(name: impl Into<String>, values: impl ExactSizeIterato
     let accessor = object(json!({ "componentType": FLOAT, "type": shape }));
     let mut bytes = Vec::with_capacity(4 * N * values.len());
     values.for_each(|value| value.iter().for_each(|number| bytes.extend(number.to_le_bytes())));
-    Attribute { name: name.into(), accessor, width: 4 * N, bytes }
+    Attribute { name: name.into(), accessor, bytes }
 }
 
 fn object(value: Value) -> Map<String, Value> {
@@ -220,7 +159,6 @@ fn attributes(rows: &GaussianRows) -> Vec<Attribute> {
     let colours = Attribute {
         name: "COLOR_0".into(),
         accessor: object(json!({ "componentType": UNSIGNED_BYTE, "normalized": true, "type": "VEC4" })),
-        width: 4,
         bytes: (0..rows.len()).flat_map(colour).collect(),
     };
     let rotations = rows.rotations.iter().map(|rotation| {

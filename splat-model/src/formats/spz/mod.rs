@@ -42,10 +42,9 @@ mod read;
 mod tests;
 mod write;
 
-pub(super) use pack::farthest;
 pub(super) use reach::bring_within_reach;
-pub(super) use read::{SpzRows, is_spz};
-pub(super) use write::{PackedSections, write};
+pub(super) use read::{is_spz, read};
+pub(super) use write::write;
 pub use write::{SpzOptions, SpzVersion};
 
 /// First bytes of version 4, and of the decompressed stream of the other versions.

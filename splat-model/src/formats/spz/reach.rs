@@ -12,18 +12,17 @@ use crate::gaussians::GaussianRows;
 /// Room around the scene, in multiples of the width of its bulk. A step of the grid is then 2⁻¹³ to 2⁻¹⁴ of the width.
 const ROOM: f64 = 512.0;
 
-/// Moves the Gaussians that would make the grid too coarse. Returns their rows, in order. Rows without other quantities than centres and
-/// scales suffice.
-pub(in crate::formats) fn bring_within_reach(rows: &mut GaussianRows) -> Vec<usize> {
-    let Some(bulk) = Bulk::of(&rows.means).filter(|bulk| bulk.width > 0.0) else { return Vec::new() };
+/// Moves the Gaussians that would make the grid too coarse. Returns their number.
+pub(in crate::formats) fn bring_within_reach(rows: &mut GaussianRows) -> usize {
+    let Some(bulk) = Bulk::of(&rows.means).filter(|bulk| bulk.width > 0.0) else { return 0 };
     let ordinary = farthest(rows.means.iter().filter(|mean| bulk.holds(mean)));
     let bits = fraction(ordinary + ROOM * bulk.width);
     if fraction(farthest(&rows.means)) >= bits {
-        return Vec::new();
+        return 0;
     }
     let border = MOST / f64::from(1_u32 << bits);
-    let mut moved = Vec::new();
-    for (row, (mean, log_scales)) in rows.means.iter_mut().zip(&mut rows.log_scales).enumerate() {
+    let mut moved = 0;
+    for (mean, log_scales) in rows.means.iter_mut().zip(&mut rows.log_scales) {
         // The share of the way from the middle to the centre at which the border is met.
         let share = (0..3).fold(1.0_f64, |share, axis| {
             let way = f64::from(mean[axis]) - bulk.middle[axis];
@@ -35,7 +34,7 @@ pub(in crate::formats) fn bring_within_reach(rows: &mut GaussianRows) -> Vec<usi
                 (middle + share * (f64::from(mean[axis]) - middle)).clamp(-border, border) as f32
             });
             *log_scales = log_scales.map(|log| (f64::from(log) + share.ln()) as f32);
-            moved.push(row);
+            moved += 1;
         }
     }
     moved

@@ -11,8 +11,7 @@ use splat_op::sh::SH_DEGREE_MAX;
 
 use super::pack::{Layout, SECTIONS, unpack};
 use super::{ANTIALIASED, GZIP, HEADER, MAGIC};
-use crate::formats::{Format, FormatError};
-use crate::gaussians::GaussianRows;
+use crate::formats::{Format, FormatError, SceneFile};
 
 /// Maximum number of bytes that one byte of a file can expand to: the limit of deflate (zlib's documentation), and more than
 /// any scene needs with zstd.
@@ -32,43 +31,16 @@ pub fn is_spz(first: &[u8]) -> bool {
     first.starts_with(&GZIP) || first.starts_with(&MAGIC)
 }
 
-/// The Gaussians of a file, unpacked some at a time. The bytes of all are in memory.
-pub(in crate::formats) struct SpzRows {
-    layout: Layout,
-    sections: [Vec<u8>; SECTIONS],
-    pub antialiased: bool,
-    next: usize,
-}
-
-impl SpzRows {
-    /// Reads a file that [`is_spz`] accepts.
-    pub fn open(path: &Path) -> Result<Self, FormatError> {
-        let file = File::open(path).map_err(FormatError::io(path, "open the scene (is the path right?)"))?;
-        let bytes = file.metadata().map_err(FormatError::io(path, "read the size of the file"))?.len();
-        let mut file = BufReader::with_capacity(1 << 20, file);
-        let is_gzip = file.fill_buf().map_err(FormatError::io(path, "read the scene"))?.starts_with(&GZIP);
-        let of = Of { path, bytes };
-        let (layout, flags, sections) = if is_gzip { of.gzip(file)? } else { of.zstd(file)? };
-        Ok(Self { layout, sections, antialiased: flags & ANTIALIASED != 0, next: 0 })
-    }
-
-    /// Number of Gaussians and degree of their harmonics.
-    pub fn size(&self) -> (usize, usize) {
-        (self.layout.count, self.layout.sh_degree)
-    }
-
-    /// Begins anew.
-    pub fn rewind(&mut self) {
-        self.next = 0;
-    }
-
-    /// The next Gaussians, at most so many; none at the end.
-    pub fn next_rows(&mut self, most: usize) -> GaussianRows {
-        let which = self.next..self.layout.count.min(self.next.saturating_add(most));
-        self.next = which.end;
-        let each = self.layout.bytes();
-        unpack(&self.layout, std::array::from_fn(|i| &self.sections[i][each[i] * which.start..each[i] * which.end]))
-    }
+/// Reads a file that [`is_spz`] accepts.
+pub fn read(path: &Path) -> Result<SceneFile, FormatError> {
+    let file = File::open(path).map_err(FormatError::io(path, "open the scene (is the path right?)"))?;
+    let bytes = file.metadata().map_err(FormatError::io(path, "read the size of the file"))?.len();
+    let mut file = BufReader::with_capacity(1 << 20, file);
+    let is_gzip = file.fill_buf().map_err(FormatError::io(path, "read the scene"))?.starts_with(&GZIP);
+    let of = Of { path, bytes };
+    let (layout, flags, sections) = if is_gzip { of.gzip(file)? } else { of.zstd(file)? };
+    let rows = unpack(&layout, sections.each_ref().map(Vec::as_slice));
+    Ok(SceneFile { rows, antialiased: flags & ANTIALIASED != 0, ..SceneFile::default() })
 }
 
 /// The layout, flags and sections of a file.

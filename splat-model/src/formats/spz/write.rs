@@ -44,75 +44,45 @@ impl Default for SpzOptions {
 
 /// Writes rows that fit the format ([`crate::formats::fit`]).
 pub fn write(path: &Path, rows: &GaussianRows, antialiased: bool, options: SpzOptions) -> Result<(), FormatError> {
-    let mut sections = PackedSections::new(rows.sh_degree, farthest(&rows.means), options);
-    sections.add(rows);
-    sections.write(path, antialiased)
+    replace(path, |out| write_to(out, rows, antialiased, options)).map_err(FormatError::io(path, WRITE))
 }
 
-/// The bytes of some Gaussians, to which further ones can be added.
-pub(in crate::formats) struct PackedSections {
+fn write_to(
+    out: &mut impl Write,
+    rows: &GaussianRows,
+    antialiased: bool,
     options: SpzOptions,
-    sh_degree: usize,
-    fraction: u32,
-    count: usize,
-    sections: [Vec<u8>; SECTIONS],
-}
-
-impl PackedSections {
-    /// No Gaussians, on a grid for coordinates up to `farthest`.
-    pub fn new(sh_degree: usize, farthest: f64, options: SpzOptions) -> Self {
-        Self { options, sh_degree, fraction: fraction(farthest), count: 0, sections: Default::default() }
-    }
-
-    /// Adds Gaussians of the same degree.
-    pub fn add(&mut self, rows: &GaussianRows) {
-        self.count += rows.len();
-        let more = pack(rows, self.fraction, self.options.sh_bits.map(|bits| bits.clamp(1, 8)));
-        for (section, more) in self.sections.iter_mut().zip(more) {
-            if section.is_empty() {
-                *section = more;
-            } else {
-                section.extend_from_slice(&more);
+) -> io::Result<()> {
+    let fraction = fraction(farthest(&rows.means));
+    let sections = pack(rows, fraction, options.sh_bits.map(|bits| bits.clamp(1, 8)));
+    let count = u32::try_from(rows.len()).map_err(|_| io::Error::other("more Gaussians than the format can count"))?;
+    let flags = if antialiased { ANTIALIASED } else { 0 };
+    let header = |version: u32, streams: u8| {
+        let last = [rows.sh_degree as u8, fraction as u8, flags, streams];
+        [MAGIC, version.to_le_bytes(), count.to_le_bytes(), last].concat()
+    };
+    match options.version {
+        SpzVersion::Three => {
+            // The stream has no timestamp, so that the same scene gives the same file.
+            let mut stream = GzBuilder::new().write(out, Compression::default());
+            stream.write_all(&header(3, 0))?;
+            for section in sections {
+                stream.write_all(&section)?;
             }
+            stream.finish().map(drop)
         }
-    }
-
-    /// Writes the file.
-    pub fn write(self, path: &Path, antialiased: bool) -> Result<(), FormatError> {
-        replace(path, |out| self.write_to(out, antialiased)).map_err(FormatError::io(path, WRITE))
-    }
-
-    fn write_to(self, out: &mut impl Write, antialiased: bool) -> io::Result<()> {
-        let Self { options, sh_degree, fraction, count, sections } = self;
-        let count = u32::try_from(count).map_err(|_| io::Error::other("more Gaussians than the format can count"))?;
-        let flags = if antialiased { ANTIALIASED } else { 0 };
-        let header = |version: u32, streams: u8| {
-            let last = [sh_degree as u8, fraction as u8, flags, streams];
-            [MAGIC, version.to_le_bytes(), count.to_le_bytes(), last].concat()
-        };
-        match options.version {
-            SpzVersion::Three => {
-                // The stream has no timestamp, so that the same scene gives the same file.
-                let mut stream = GzBuilder::new().write(out, Compression::default());
-                stream.write_all(&header(3, 0))?;
-                for section in sections {
-                    stream.write_all(&section)?;
-                }
-                stream.finish().map(drop)
+        SpzVersion::Four => {
+            let sections: Vec<Vec<u8>> = sections.into_iter().filter(|section| !section.is_empty()).collect();
+            let streams: Vec<Vec<u8>> =
+                sections.par_iter().map(|section| compress(section)).collect::<io::Result<_>>()?;
+            let mut head = header(4, streams.len() as u8);
+            head.extend((HEADER as u32).to_le_bytes());
+            head.resize(HEADER, 0);
+            for (stream, section) in streams.iter().zip(&sections) {
+                head.extend([stream.len(), section.len()].map(|bytes| (bytes as u64).to_le_bytes()).concat());
             }
-            SpzVersion::Four => {
-                let sections: Vec<Vec<u8>> = sections.into_iter().filter(|section| !section.is_empty()).collect();
-                let streams: Vec<Vec<u8>> =
-                    sections.par_iter().map(|section| compress(section)).collect::<io::Result<_>>()?;
-                let mut head = header(4, streams.len() as u8);
-                head.extend((HEADER as u32).to_le_bytes());
-                head.resize(HEADER, 0);
-                for (stream, section) in streams.iter().zip(&sections) {
-                    head.extend([stream.len(), section.len()].map(|bytes| (bytes as u64).to_le_bytes()).concat());
-                }
-                out.write_all(&head)?;
-                streams.iter().try_for_each(|stream| out.write_all(stream))
-            }
+            out.write_all(&head)?;
+            streams.iter().try_for_each(|stream| out.write_all(stream))
         }
     }
 }

@@ -47,7 +47,7 @@ pub fn cases() -> Vec<HardCase> {
         )
         .hardness("coefficients of 1e5 and 1e30"),
     ];
-    for format in [Format::CompressedPly, Format::Spz, Format::Glb, Format::Sog] {
+    for format in [Format::CompressedPly, Format::Spz, Format::Sog] {
         cases.push(file("poisoned Gaussians", poison, format, poisoned));
         cases.push(file("extreme Gaussians", extremes, format, extreme));
     }
