@@ -78,7 +78,7 @@ pub fn run(args: &ExportArgs) -> Result<()> {
         background,
         antialias: args.antialias,
     };
-    let name = args.scene.file_name().unwrap_or(args.scene.as_os_str()).to_string_lossy();
+    let name = output::last_name(&args.scene);
     let page = viewer.page(args.title.as_deref().unwrap_or(&name))?;
     output::write(&args.html, |file| Ok(file.write_all(page.as_bytes())?))?;
     progress::say(&format!(

@@ -114,9 +114,14 @@ pub fn free_folder(parent: &Path, name: &OsStr, may_hold: &[&str]) -> PathBuf {
         // it.
         Err(_) => !path.exists(),
     };
+    numbered(parent, name, is_free)
+}
+
+/// Returns the first of `parent/NAME`, `parent/NAME-2`, `parent/NAME-3` and so on that is accepted.
+pub fn numbered(parent: &Path, name: &OsStr, accepts: impl Fn(&Path) -> bool) -> PathBuf {
     let mut path = parent.join(name);
     for number in 2.. {
-        if is_free(&path) {
+        if accepts(&path) {
             break;
         }
         let mut numbered = name.to_owned();
@@ -124,6 +129,11 @@ pub fn free_folder(parent: &Path, name: &OsStr, may_hold: &[&str]) -> PathBuf {
         path = parent.join(numbered);
     }
     path
+}
+
+/// Returns the last component of a path, for titles.
+pub fn last_name(path: &Path) -> String {
+    path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned()
 }
 
 /// Writes a file: `fill` writes it under a temporary name, and the complete file is renamed to its own. Missing parent

@@ -5,6 +5,7 @@ use std::path::Path;
 use anyhow::Result;
 
 use super::shared::SCENE;
+use crate::output::last_name;
 use crate::report::html::escape;
 use crate::report::page::{CURVES, CURVES_SCRIPT, PAGE_STYLE};
 use crate::view::page::{STYLE, SceneSource, Viewer};
@@ -33,7 +34,7 @@ impl LivePage<'_> {
     pub fn html(&self) -> Result<String> {
         let Self { out, scene, viewpoints, background, antialias } = *self;
         let viewer = Viewer { scene, source: SceneSource::Live(SCENE), viewpoints, background, antialias };
-        let name = escape(&out.file_name().unwrap_or(out.as_os_str()).to_string_lossy());
+        let name = escape(&last_name(out));
         Ok(format!(
             "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
              <meta name=\"viewport\" content=\"width=device-width\">\n<title>{name} – splat</title>\n\

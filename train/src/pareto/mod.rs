@@ -14,7 +14,7 @@ mod time;
 mod training;
 
 use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
@@ -39,7 +39,7 @@ use crate::background::ShownBackground;
 use crate::device::{self, DeviceName};
 use crate::inputs::Inputs;
 use crate::options::PhotoArgs;
-use crate::output::OutputFolder;
+use crate::output::{OutputFolder, last_name};
 use crate::{input, progress};
 
 /// The measurements, a line per setting.
@@ -123,8 +123,8 @@ pub fn run(args: &ParetoArgs) -> Result<()> {
     let trained = if args.train { train(args, &capture, &split, &photos, &device)? } else { Vec::new() };
 
     let subject = page::PageSubject {
-        capture: name(&args.capture),
-        scene: name(&args.scene),
+        capture: last_name(&args.capture),
+        scene: last_name(&args.scene),
         device: &device_name,
         splats: rows.len(),
         views: photos.iter().map(|photo| photo.name.clone()).collect(),
@@ -134,11 +134,6 @@ pub fn run(args: &ParetoArgs) -> Result<()> {
     write(&out, &subject, (&outcome, &stored), &trained)?;
     say(&out, &outcome, &trained);
     Ok(())
-}
-
-/// Returns the last component of a path.
-fn name(path: &Path) -> String {
-    path.file_name().map_or_else(|| path.display().to_string(), |name| name.to_string_lossy().into_owned())
 }
 
 /// Returns up to `count` of the views, spread evenly.

@@ -1,6 +1,7 @@
 //! The folder of a reconstruction: what it was made from, and which stages are finished.
 
 use std::collections::BTreeMap;
+use std::ffi::OsStr;
 use std::fs::{self, File, OpenOptions};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -289,9 +290,7 @@ pub fn own_folder(parent: &Path, name: &str, source: &Path) -> PathBuf {
         Ok(text) => serde_json::from_slice(&text).map_or(true, |stamp: Stamp| stamp.ingredients.source == source),
         Err(_) => fs::read_dir(folder).map_or(!folder.exists(), |mut entries| entries.next().is_none()),
     };
-    let names = (1..).map(|number| if number == 1 { name.to_owned() } else { format!("{name}-{number}") });
-    let mut folders = names.map(|name| parent.join(name));
-    folders.find(|folder| is_ours(folder)).unwrap_or_else(|| parent.join(name))
+    output::numbered(parent, OsStr::new(name), is_ours)
 }
 
 #[cfg(test)]

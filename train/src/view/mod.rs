@@ -12,7 +12,7 @@ use splat_model::formats;
 use self::page::{SceneSource, Viewer};
 use self::scene::ShownScene;
 use self::server::{ServedFile, Server};
-use crate::{input, progress};
+use crate::{input, output, progress};
 
 /// Options of `splat view`.
 #[derive(Clone, Debug, clap::Args)]
@@ -57,7 +57,7 @@ fn pages(args: &ViewArgs) -> Result<[ServedFile; 2]> {
         background: [0.0; 3],
         antialias: args.antialias,
     };
-    let name = args.scene.file_name().unwrap_or(args.scene.as_os_str()).to_string_lossy();
+    let name = output::last_name(&args.scene);
     let html = viewer.page(&name)?;
     Ok([
         ServedFile { path: "/", kind: "text/html; charset=utf-8", content: html.into_bytes() },

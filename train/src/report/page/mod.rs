@@ -13,7 +13,7 @@ use super::history::History;
 use super::html::{escape, in_script};
 use super::metrics::Metrics;
 use super::{REPORT, SCENE};
-use crate::output::OutputFolder;
+use crate::output::{OutputFolder, last_name};
 use crate::view::page::{POLICY, STYLE, SceneSource, Viewer};
 use crate::view::scene::{ShownScene, Viewpoint};
 
@@ -47,7 +47,7 @@ impl ReportPage<'_> {
 
     fn html(&self, comparisons: &Comparisons) -> Result<String> {
         let capture = self.metrics.options["capture"].as_str().unwrap_or_default();
-        let name = std::path::Path::new(capture).file_name().map_or(capture.into(), |name| name.to_string_lossy());
+        let name = last_name(capture.as_ref());
         let mut html = format!(
             "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
              <meta http-equiv=\"Content-Security-Policy\" content=\"{POLICY}\">\n\
