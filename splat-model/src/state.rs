@@ -52,34 +52,10 @@ pub enum StateError {
     },
 }
 
-/// An array, row-major.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Array {
-    pub(crate) shape: Vec<usize>,
-    pub(crate) values: Values,
-}
-
-/// The elements of an array.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) enum Values {
-    F32(Vec<f32>),
-    /// Words of 32 bits.
-    I32(Vec<i32>),
-}
-
-impl Values {
-    pub(crate) fn bytes(&self) -> &[u8] {
-        match self {
-            Self::F32(values) => bytemuck::cast_slice(values),
-            Self::I32(words) => bytemuck::cast_slice(words),
-        }
-    }
-}
-
-/// Arrays of f32 or of words, and facts, each with a unique name.
+/// Arrays of f32 or of words of 32 bits, and facts, each with a unique name.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct State {
-    pub(crate) arrays: BTreeMap<String, Array>,
+    pub(crate) arrays: BTreeMap<String, TensorData>,
     /// Facts by name, as JSON.
     pub(crate) facts: BTreeMap<String, String>,
     /// Path of the part that is saved or loaded: empty, or ends with a slash.
@@ -89,15 +65,13 @@ pub struct State {
 impl State {
     /// Saves a tensor of f32; reading it waits for the device.
     pub fn put<const D: usize>(&mut self, name: &str, tensor: Tensor<D>) {
-        let shape = tensor.dims().to_vec();
-        let values = Values::F32(elements(&tensor.cast(DType::F32)));
-        self.arrays.insert(self.full(name), Array { shape, values });
+        let data = TensorData::new(elements::<D, _, f32>(&tensor.clone().cast(DType::F32)), tensor.dims());
+        self.arrays.insert(self.full(name), data);
     }
 
     /// Saves a tensor of i32, bit for bit; reading it waits for the device.
     pub fn put_words(&mut self, name: &str, tensor: Tensor<2, Int>) {
-        let shape = tensor.dims().to_vec();
-        self.arrays.insert(self.full(name), Array { shape, values: Values::I32(elements(&tensor)) });
+        self.arrays.insert(self.full(name), TensorData::new(elements::<2, _, i32>(&tensor), tensor.dims()));
     }
 
     /// Removes and returns the tensor of that name, on `device`, not tracked.
@@ -105,12 +79,11 @@ impl State {
     /// # Errors
     /// If there is no such tensor, or it has another number of dimensions.
     pub fn take<const D: usize>(&mut self, name: &str, device: &Device) -> Result<Tensor<D>, StateError> {
-        let missing = || StateError::Missing { name: self.full(name) };
-        let Array { shape, values } = self.arrays.remove(&self.full(name)).ok_or_else(missing)?;
-        let Values::F32(values) = values else { return Err(missing()) };
-        let shape = <[usize; D]>::try_from(shape)
-            .map_err(|found| self.shape_error(name, found, &format!("{D} dimensions")))?;
-        Ok(Tensor::from_data(TensorData::new(values, shape), device))
+        let data = self.data(name, DType::F32)?;
+        match data.rank() {
+            rank if rank == D => Ok(Tensor::from_data(data, (device, DType::F32))),
+            _ => Err(self.shape_error(name, data.shape().to_vec(), &format!("{D} dimensions"))),
+        }
     }
 
     /// Removes and returns the tensor of that name and shape, on `device`, not tracked.
@@ -140,15 +113,16 @@ impl State {
         expected: [usize; 2],
         device: &Device,
     ) -> Result<Tensor<2, Int>, StateError> {
-        match self.arrays.remove(&self.full(name)) {
-            Some(Array { shape, values: Values::I32(words) }) if shape == expected => {
-                Ok(Tensor::from_data(TensorData::new(words, expected), (device, DType::I32)))
-            }
-            Some(Array { shape, values: Values::I32(_) }) => {
-                Err(self.shape_error(name, shape, &format!("{expected:?}")))
-            }
-            _ => Err(StateError::Missing { name: self.full(name) }),
+        let data = self.data(name, DType::I32)?;
+        match data.shape().to_vec() {
+            found if found == expected => Ok(Tensor::from_data(data, (device, DType::I32))),
+            found => Err(self.shape_error(name, found, &format!("{expected:?}"))),
         }
+    }
+
+    fn data(&mut self, name: &str, of: DType) -> Result<TensorData, StateError> {
+        let name = self.full(name);
+        self.arrays.remove(&name).filter(|data| data.dtype() == of).ok_or(StateError::Missing { name })
     }
 
     pub(crate) fn shape_error(&self, name: &str, found: Vec<usize>, expected: &str) -> StateError {
@@ -261,80 +235,4 @@ fn elements<const D: usize, K: Basic, E: Element>(tensor: &Tensor<D, K>) -> Vec<
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::gaussians::values_of;
-
-    #[test]
-    fn a_tensor_of_several_parts_is_put_whole() {
-        let count = 2 * AT_ONCE + 3;
-        let words = Tensor::<1, Int>::arange(0..count as i64, &Device::flex()).cast(DType::I32).reshape([count, 1]);
-        let mut state = State::default();
-        state.put("values", words.clone().float());
-        state.put_words("words", words);
-        // All of them are below 2²⁴, and so exact.
-        assert_eq!(state.arrays["values"].values, Values::F32((0..count).map(|i| i as f32).collect()));
-        assert_eq!(state.arrays["words"].values, Values::I32((0..count).map(|i| i as i32).collect()));
-    }
-
-    #[test]
-    fn what_is_put_is_taken_once() {
-        let device = Device::flex();
-        let mut state = State::default();
-        state.put("means", Tensor::<2>::from_floats([[1.0, -2.5], [f32::MIN_POSITIVE, f32::NAN]], &device));
-        state.tell("rate", &0.1_f64.next_up()).unwrap();
-        let means: Tensor<2> = state.take_shaped("means", [2, 2], &device).unwrap();
-        assert_eq!(values_of(means)[..3], [1.0, -2.5, f32::MIN_POSITIVE]);
-        assert_eq!(state.told::<f64>("rate").unwrap(), 0.1_f64.next_up());
-        assert!(matches!(state.take::<2>("means", &device), Err(StateError::Missing { name }) if name == "means"));
-        state.finish().unwrap();
-    }
-
-    #[test]
-    fn words_are_taken_bit_for_bit_and_as_nothing_else() {
-        let device = Device::flex();
-        // As a float, the first would be NaN.
-        let words = [0x7fa0_0001, i32::MIN, -1, 0];
-        let mut state = State::default();
-        state.put_words("words", Tensor::from_data(TensorData::new(words.to_vec(), [2, 2]), (&device, DType::I32)));
-        let found = state.clone().take_words("words", [2, 2], &device).unwrap();
-        assert_eq!(found.into_data().try_into_vec::<i32>().unwrap(), words);
-        assert!(matches!(state.clone().take_words("words", [4, 1], &device), Err(StateError::Shape { .. })));
-        assert!(matches!(state.take::<2>("words", &device), Err(StateError::Missing { .. })));
-    }
-
-    #[test]
-    fn parts_have_names_of_their_own() {
-        let device = Device::flex();
-        let one = |value: f32| Tensor::<1>::from_floats([value], &device);
-        let mut state = State::default();
-        for (name, value) in [("a", 1.0), ("ab", 2.0)] {
-            let mut part = State::default();
-            part.put("x", one(value));
-            part.tell("y/z", &value).unwrap();
-            state.put_part(name, part);
-        }
-        assert!(state.has("a") && state.has("a/y") && !state.has("b"));
-        let mut part = state.take_part("a");
-        assert_eq!(values_of(part.take::<1>("x", &device).unwrap()), [1.0]);
-        assert_eq!(part.in_part("y", |part| part.told::<f32>("z")).unwrap(), 1.0);
-        part.finish().unwrap();
-        assert!(!state.has("a"));
-        let lacking = state.in_part("ab", |part| part.told::<f32>("none")).unwrap_err();
-        assert!(lacking.to_string().contains("`ab/none`"), "{lacking}");
-        let left = state.load_part("ab", |part| part.told::<f32>("y/z")).unwrap_err();
-        assert!(matches!(left, StateError::Unknown { name } if name == "ab/x"));
-        assert!(matches!(state.finish(), Err(StateError::Unknown { name }) if name == "ab/x"));
-    }
-
-    #[test]
-    fn other_shapes_and_kinds_are_refused() {
-        let device = Device::flex();
-        let mut state = State::default();
-        state.put("means", Tensor::<2>::zeros([2, 3], &device));
-        state.tell("step", &"ten").unwrap();
-        assert!(matches!(state.take_shaped::<2>("means", [3, 2], &device), Err(StateError::Shape { .. })));
-        assert!(matches!(state.take::<1>("means", &device), Err(StateError::Shape { .. })));
-        assert!(matches!(state.told::<usize>("step"), Err(StateError::Fact { .. })));
-    }
-}
+mod tests;

@@ -98,7 +98,7 @@ impl CropBox {
 }
 
 /// A capture with what renders of it need.
-struct Judge<'a> {
+struct CleanupJudge<'a> {
     capture: &'a Capture,
     /// The scene, with positions relative to the origin of the capture.
     rows: GaussianRows,
@@ -110,7 +110,7 @@ struct Judge<'a> {
     max_side: Option<u32>,
 }
 
-impl<'a> Judge<'a> {
+impl<'a> CleanupJudge<'a> {
     fn new(args: &CleanArgs, capture: &'a Capture, scene: &SceneFile) -> Result<Self> {
         let (device, _) = args.device.resolve()?;
         let background = args.background.read()?;
@@ -147,7 +147,7 @@ impl<'a> Judge<'a> {
 /// Rows that are left, and the score that they have.
 struct Kept<'a> {
     rows: Vec<usize>,
-    judge: Option<&'a Judge<'a>>,
+    judge: Option<&'a CleanupJudge<'a>>,
     psnr: Option<f64>,
 }
 
@@ -192,7 +192,7 @@ pub fn run(args: &CleanArgs) -> Result<()> {
     let capture = args.capture.as_deref().map(input::capture).transpose()?;
     let inputs = Inputs::default().and_scene(&args.scene).and(args.background.file());
     prepare_file(&args.out, &capture.iter().fold(inputs, Inputs::and_capture))?;
-    let judge = capture.as_ref().map(|capture| Judge::new(args, capture, &scene)).transpose()?;
+    let judge = capture.as_ref().map(|capture| CleanupJudge::new(args, capture, &scene)).transpose()?;
     progress::say(&describe_file(&args.scene, found, scene.rows.len(), scene.rows.sh_degree)?);
 
     let all: Vec<usize> = (0..scene.rows.len()).collect();
@@ -218,7 +218,7 @@ pub fn run(args: &CleanArgs) -> Result<()> {
 }
 
 /// Removes what the views of the capture decide.
-fn by_views(args: &CleanArgs, judge: &Judge, kept: &mut Kept) -> Result<()> {
+fn by_views(args: &CleanArgs, judge: &CleanupJudge, kept: &mut Kept) -> Result<()> {
     if let Some(margin) = args.hull {
         let centres: Vec<DVec3> =
             judge.capture.views.iter().map(|view| view.cam_from_world.inverse().translation).collect();

@@ -159,7 +159,7 @@ fn replace(folder: &Path, earlier: &[PathBuf], options: &DemoOptions) -> Result<
     let temporary = tempfile::Builder::new().prefix(".demo.tmp-").tempdir_in(folder)?;
     let temporary = temporary.path();
     demo::write(temporary, options)?;
-    let mut mark = Mark { made_with: made_with(options), files: OwnFiles::default() };
+    let mut mark = DemoMark { made_with: made_with(options), files: OwnFiles::default() };
     for name in demo::PARTS {
         mark.files.add(temporary, name, name)?;
     }
@@ -180,7 +180,7 @@ fn replace(folder: &Path, earlier: &[PathBuf], options: &DemoOptions) -> Result<
 
 /// The mark of a demo capture.
 #[derive(Default, Serialize, Deserialize)]
-pub struct Mark {
+pub struct DemoMark {
     /// The options, and the version of the program under `splat demo`.
     #[serde(flatten)]
     made_with: Value,
@@ -197,8 +197,8 @@ fn made_with(options: &DemoOptions) -> Value {
 }
 
 /// Reads the mark of the demo capture in `folder`. `None` also for any other file of that name.
-pub fn read_mark(folder: &Path) -> Option<Mark> {
-    let mark: Mark = serde_json::from_slice(&fs::read(folder.join(MARK)).ok()?).ok()?;
+pub fn read_mark(folder: &Path) -> Option<DemoMark> {
+    let mark: DemoMark = serde_json::from_slice(&fs::read(folder.join(MARK)).ok()?).ok()?;
     mark.made_with.get("splat demo").is_some().then_some(mark)
 }
 

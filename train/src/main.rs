@@ -3,13 +3,13 @@
 use std::process::ExitCode;
 
 use clap::Parser;
-use splat_train::memory::{Counted, Fast};
+use splat_train::memory::{CountingAllocator, Fast};
 use splat_train::options::Cli;
 use splat_train::ranks;
 use splat_train::train::Interrupted;
 
 // The wrapper counts bytes while `splat pareto` measures the memory of a pass.
-splat_train::allocator!(Counted<Fast>, Counted(Fast));
+splat_train::allocator!(CountingAllocator<Fast>, CountingAllocator(Fast));
 
 /// Silences GPU drivers, which look for a Wayland display: its library prints an error where nobody is logged in to a
 /// desktop and this variable is unset or empty.

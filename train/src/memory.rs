@@ -15,7 +15,7 @@ pub use tikv_jemallocator::Jemalloc as Fast;
 #[cfg(target_os = "linux")]
 pub const OPTIONS: &[u8; 72] = b"narenas:1,oversize_threshold:67108864,calloc_madvise_threshold:67108864\0";
 
-/// Makes [`Fast`](crate::memory::Fast) the allocator of a program, alone or in a wrapper (`allocator!(Counted<Fast>, Counted(Fast))`). It keeps
+/// Makes [`Fast`](crate::memory::Fast) the allocator of a program, alone or in a wrapper (`allocator!(CountingAllocator<Fast>, CountingAllocator(Fast))`). It keeps
 /// freed blocks for a while. A step allocates and frees tensors of megabytes; the system's allocator returns such blocks to the kernel
 /// each time and has them cleared on the next use.
 #[macro_export]
@@ -41,7 +41,7 @@ static LIVE: AtomicI64 = AtomicI64::new(0);
 static PEAK: AtomicI64 = AtomicI64::new(0);
 
 /// An allocator that counts while [`peak_mib`] runs.
-pub struct Counted<A>(pub A);
+pub struct CountingAllocator<A>(pub A);
 
 fn changed(bytes: i64) {
     let live = LIVE.fetch_add(bytes, Relaxed) + bytes;
@@ -49,7 +49,7 @@ fn changed(bytes: i64) {
 }
 
 // SAFETY: every call is forwarded unchanged.
-unsafe impl<A: GlobalAlloc> GlobalAlloc for Counted<A> {
+unsafe impl<A: GlobalAlloc> GlobalAlloc for CountingAllocator<A> {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         if COUNTS.load(Relaxed) {
             changed(layout.size() as i64);
@@ -86,7 +86,7 @@ unsafe impl<A: GlobalAlloc> GlobalAlloc for Counted<A> {
 }
 
 /// Runs `work` and returns its result and the peak memory of the program, on all threads, beyond the memory held
-/// before, MiB. `None` in a program whose allocator is not [`Counted`]. Concurrent calls wait for each other. GPU
+/// before, MiB. `None` in a program whose allocator is not [`CountingAllocator`]. Concurrent calls wait for each other. GPU
 /// memory is not counted.
 pub fn peak_mib<T>(work: impl FnOnce() -> T) -> (T, Option<f64>) {
     static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
@@ -108,7 +108,7 @@ mod tests {
 
     #[test]
     fn the_most_that_is_held_at_a_time_counts() {
-        let counted = Counted(System);
+        let counted = CountingAllocator(System);
         let layout = |size| Layout::from_size_align(size, 8).unwrap();
         // SAFETY: blocks are freed with the layouts they were allocated with.
         let ((), peak) = peak_mib(|| unsafe {

@@ -12,7 +12,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 use splat_model::trainer::Trainer;
 
-use self::forecast::{Forecast, Observed};
+use self::forecast::{Forecast, RunProgress};
 use crate::report::history::History;
 
 /// Interval between plain lines, long enough that the log of an hour stays readable.
@@ -208,7 +208,7 @@ impl StepProgress {
         let splats = history.points.first().map_or(trainer.gaussians().len(), |point| point.splats);
         let mut forecast = Forecast::new(trainer.config().clone(), refinements, (splats, trainer.mean_pixels()));
         for point in &history.points {
-            forecast.observe(Observed { step: point.step, splats: point.splats, seconds: point.seconds });
+            forecast.observe(RunProgress { step: point.step, splats: point.splats, seconds: point.seconds });
         }
         Self { steps, bar, shown: Instant::now(), forecast, losses: (0.0, 0) }
     }
@@ -216,7 +216,7 @@ impl StepProgress {
     /// Counts a step; steps are numbered from 1. `seconds` is the training time so far. Returns whether it is time to
     /// [show](Self::show) progress.
     pub fn tick(&mut self, step: usize, splats: usize, seconds: f64) -> bool {
-        self.forecast.observe(Observed { step, splats, seconds });
+        self.forecast.observe(RunProgress { step, splats, seconds });
         let pause = if self.bar.is_some() { BETWEEN_FRAMES } else { BETWEEN_LINES };
         !is_quiet() && (self.shown.elapsed() >= pause || step >= self.steps)
     }

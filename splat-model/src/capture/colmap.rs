@@ -20,7 +20,7 @@ use std::path::{Path, PathBuf};
 use glam::{DAffine3, DVec3};
 use splat_op::Intrinsics;
 
-use self::files::{Files, find, of_model};
+use self::files::{ModelFiles, find, of_model};
 pub(super) use self::files::{SPARSE, is_complete, models_in};
 pub(super) use self::pictures::Pictures;
 use super::find::parent;
@@ -166,7 +166,7 @@ fn by_id(file: &Path, cameras: Vec<CameraRecord>) -> Result<HashMap<u32, Intrins
 
 /// Checks that each image has a camera, and an id and a name of its own.
 fn check_entries(
-    files: &Files,
+    files: &ModelFiles,
     cameras: &HashMap<u32, Intrinsics>,
     images: &[ImageRecord],
 ) -> Result<(), CaptureError> {

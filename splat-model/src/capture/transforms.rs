@@ -23,7 +23,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use self::camera::Lenses;
-use self::json::{Fields, Value};
+use self::json::Fields;
 use super::find::parent;
 use super::names::{Names, PICTURES, below};
 use super::read::{Place, PlaceInFile, quoted, read, regular_size, unreadable};
@@ -45,29 +45,9 @@ pub(super) const MAX_BYTES: u64 = 256 << 20;
 const MAX_PATH_BYTES: usize = 400;
 
 impl Place<'_> {
-    /// The value of an optional field; `null` counts as absent.
-    fn optional<'a, T>(
-        &self,
-        fields: &'a Fields,
-        field: &'static str,
-        typed: impl FnOnce(&'a Value) -> Result<T, String>,
-        expected: &str,
-    ) -> Result<Option<T>, CaptureError> {
-        match fields.get(field) {
-            Value::Null => Ok(None),
-            value => typed(value).map(Some).map_err(|found| self.refuse(field, found, expected)),
-        }
-    }
-
     /// The value of a required field.
-    fn required<'a, T>(
-        &self,
-        fields: &'a Fields,
-        field: &'static str,
-        typed: impl FnOnce(&'a Value) -> Result<T, String>,
-        expected: &str,
-    ) -> Result<T, CaptureError> {
-        self.optional(fields, field, typed, expected)?.ok_or_else(|| self.refuse(field, "missing", expected))
+    fn required<T>(&self, field: &'static str, value: Option<T>, expected: &str) -> Result<T, CaptureError> {
+        value.ok_or_else(|| self.refuse(field, "missing", expected))
     }
 
     /// A path relative to the file's folder, without `.`. It must stay below that folder.
@@ -106,9 +86,6 @@ pub(super) fn load(file: &Path) -> Result<Capture, CaptureError> {
     reading.finish(None)
 }
 
-/// The lists of file names that nerfstudio knows: for training, validation and testing.
-const LISTS: [&str; 3] = ["train_filenames", "val_filenames", "test_filenames"];
-
 /// The capture as read so far.
 #[derive(Default)]
 struct Reading {
@@ -138,7 +115,7 @@ impl Reading {
     /// Adds the frames of a file.
     fn add(&mut self, file: &Path, fields: &Fields) -> Result<(), CaptureError> {
         let whole = Place::new(file, PlaceInFile::Whole);
-        let frames = whole.required(fields, "frames", Value::list, "a list of frames")?;
+        let frames = whole.required("frames", fields.frames.as_deref(), "a list of frames")?;
         if frames.is_empty() {
             return Err(CaptureError::NoViews { file: file.to_owned() });
         }
@@ -149,7 +126,7 @@ impl Reading {
                 added => added?,
             }
         }
-        if let Some(points) = whole.optional(fields, "ply_file_path", Value::text, "the path of a PLY file")? {
+        if let Some(points) = &fields.ply_file_path {
             let points = whole.path("ply_file_path", points)?;
             self.points = Some(self.folder.join(self.names.find(&self.folder, &points, &[]).unwrap_or(points)));
         }
@@ -158,8 +135,8 @@ impl Reading {
     }
 
     /// The names of a file's pictures, and whether each is there.
-    fn pictures(&mut self, frames: &[Value]) -> Vec<(String, bool)> {
-        let stated = frames.iter().filter_map(|frame| below(frame.fields().ok()?.get("file_path").text().ok()?));
+    fn pictures(&mut self, frames: &[Fields]) -> Vec<(String, bool)> {
+        let stated = frames.iter().filter_map(|frame| below(frame.file_path.as_deref()?));
         let mut pictures: Vec<(String, bool)> = stated.map(|name| (name, false)).collect();
         pictures
             .iter_mut()
@@ -169,7 +146,7 @@ impl Reading {
 
     /// Whether any picture of the frames for testing is there: BlenderNeRF writes their poses alone.
     fn has_pictures(&mut self, file: &Path, fields: &Fields) -> Result<bool, CaptureError> {
-        let Ok(frames) = fields.get("frames").list() else { return Ok(true) };
+        let Some(frames) = &fields.frames else { return Ok(true) };
         let pictures = self.pictures(frames);
         let Some((first, _)) = pictures.first().filter(|_| pictures.iter().all(|(_, is_there)| !is_there)) else {
             return Ok(true);
@@ -184,20 +161,17 @@ impl Reading {
     }
 
     /// The error for a file of whose pictures some are missing.
-    fn missing(&mut self, file: &Path, frames: &[Value]) -> CaptureError {
+    fn missing(&mut self, file: &Path, frames: &[Fields]) -> CaptureError {
         let pictures = self.pictures(frames);
         let missing = pictures.iter().filter(|(_, is_there)| !is_there).map(|(name, _)| self.folder.join(name));
         CaptureError::photographs(&missing.collect::<Vec<_>>(), pictures.len(), file)
     }
 
-    fn add_frame(&mut self, file: &Path, index: usize, frame: &Value, of_file: &Fields) -> Result<(), CaptureError> {
-        const PICTURE: &str = "the path of a picture";
+    fn add_frame(&mut self, file: &Path, index: usize, frame: &Fields, of_file: &Fields) -> Result<(), CaptureError> {
         let place = Place::new(file, PlaceInFile::Frame(index));
-        let frame = frame.fields().map_err(|found| place.refuse("frames", found, "a frame, which is an object"))?;
-        let stated = place.required(frame, "file_path", Value::text, PICTURE)?;
+        let stated = place.required("file_path", frame.file_path.as_deref(), "the path of a picture")?;
         let place = place.of_path(stated);
-        let matrix = place.required(frame, "transform_matrix", Value::matrix, json::MATRIX)?;
-        let cam_from_world = camera::pose(&place, matrix)?;
+        let cam_from_world = camera::pose(&place, frame.matrix(&place)?)?;
         let stated = place.path("file_path", stated)?;
         let name = self.names.find(&self.folder, &stated, &PICTURES);
         let has_extension = Path::new(&stated).extension().and_then(|extension| extension.to_str());
@@ -209,8 +183,7 @@ impl Reading {
         })?;
         let image_path = self.folder.join(&name);
         let intrinsics = Lenses { place, frame, file: of_file }.intrinsics(&image_path)?;
-        let mask = place.optional(frame, "mask_path", Value::text, PICTURE)?;
-        let mask = mask.map(|path| place.path("mask_path", path)).transpose()?;
+        let mask = frame.mask_path.as_deref().map(|path| place.path("mask_path", path)).transpose()?;
         let mask = mask.map(|path| self.names.find(&self.folder, &path, &[]).unwrap_or(path));
         let view = self.views.len();
         if self.named.insert(name.clone(), view).is_some() {
@@ -227,17 +200,18 @@ impl Reading {
     /// in no list are for training if there is no training list, and held out if that is the only list.
     fn split(&self, file: &Path, fields: &Fields) -> Result<Option<Split>, CaptureError> {
         let place = Place::new(file, PlaceInFile::Whole);
-        let listed = |field| -> Result<Option<BTreeSet<usize>>, CaptureError> {
-            let Some(list) = place.optional(fields, field, Value::texts, "a list of paths")? else { return Ok(None) };
-            let view = |path: &str| {
+        let listed = |field, list: &Option<Vec<String>>| -> Result<Option<BTreeSet<usize>>, CaptureError> {
+            let view = |path: &String| {
                 let unknown = || place.refuse(field, quoted(path), "the `file_path` of a frame");
                 let path = place.path(field, path)?;
                 let found = self.named.get(&path).or_else(|| self.named.get(&path.replace('\\', "/")));
                 found.copied().ok_or_else(unknown)
             };
-            list.into_iter().map(view).collect::<Result<_, _>>().map(Some)
+            list.as_ref().map(|list| list.iter().map(view).collect()).transpose()
         };
-        let [train, val, test] = [listed(LISTS[0])?, listed(LISTS[1])?, listed(LISTS[2])?];
+        let train = listed("train_filenames", &fields.train_filenames)?;
+        let val = listed("val_filenames", &fields.val_filenames)?;
+        let test = listed("test_filenames", &fields.test_filenames)?;
         if [&train, &val, &test].into_iter().all(Option::is_none) {
             return Ok(None);
         }
@@ -253,7 +227,7 @@ impl Reading {
         let train = train.unwrap_or_else(|| unlisted([&val, &test]));
         if let Some(&both) = train.intersection(&held_out).next() {
             let found = format!("{}, which is held out too", quoted(&self.views[both].0.name));
-            return Err(place.refuse(LISTS[0], found, "names that are in no other list"));
+            return Err(place.refuse("train_filenames", found, "names that are in no other list"));
         }
         Ok(Some(Split { train: train.into_iter().collect(), test: held_out.into_iter().collect() }))
     }

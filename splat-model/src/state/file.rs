@@ -3,17 +3,18 @@
 //! The checksum is the SHA-256 of all names, shapes, values and facts. A file is written under a temporary name and renamed
 //! when it is complete and on the disk.
 
-use std::borrow::Cow;
 use std::collections::HashMap;
 use std::fs::{self, File};
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
-use safetensors::{Dtype, SafeTensors, View};
+use burn::tensor::{DType, TensorData};
+use safetensors::tensor::TensorView;
+use safetensors::{Dtype, SafeTensorError, SafeTensors};
 use sha2::{Digest, Sha256};
 use thiserror::Error;
 
-use super::{Array, State, Values};
+use super::State;
 use crate::replace;
 
 /// Metadata key of [`FORMAT`].
@@ -60,27 +61,6 @@ pub enum FileError {
     },
 }
 
-impl View for &Array {
-    fn dtype(&self) -> Dtype {
-        match self.values {
-            Values::F32(_) => Dtype::F32,
-            Values::I32(_) => Dtype::I32,
-        }
-    }
-
-    fn shape(&self) -> &[usize] {
-        &self.shape
-    }
-
-    fn data(&self) -> Cow<'_, [u8]> {
-        Cow::Borrowed(self.values.bytes())
-    }
-
-    fn data_len(&self) -> usize {
-        self.values.bytes().len()
-    }
-}
-
 impl State {
     /// Writes the state to a file. An existing file is replaced once the new one is complete and on the disk.
     ///
@@ -92,14 +72,24 @@ impl State {
             let facts = self.facts.iter().map(|(name, text)| (format!("{FACT}{name}"), text.clone()));
             let ours = [(FORMAT_KEY.to_owned(), FORMAT.to_owned()), (CHECKSUM_KEY.to_owned(), self.checksum())];
             let metadata: HashMap<String, String> = facts.chain(ours).collect();
-            safetensors::serialize_to_file(&self.arrays, Some(metadata), temporary.path()).map_err(io::Error::other)?;
+            let views = self.views().collect::<Result<Vec<_>, _>>().map_err(io::Error::other)?;
+            safetensors::serialize_to_file(views, Some(metadata), temporary.path()).map_err(io::Error::other)?;
             replace::finish(temporary, path)?;
             // Writes the folder's entry to the disk, so that the new name survives a power loss. Some systems do not support it.
-            let _ = path.parent().map(File::open).transpose()?.map(|folder| folder.sync_all());
+            if let Some(Ok(folder)) = path.parent().map(File::open) {
+                let _ = folder.sync_all();
+            }
             Ok(())
         };
         let action = "write it: check that its folder can be written to and has room left";
         write().map_err(|source| FileError::Io { path: path.to_owned(), action, source })
+    }
+
+    fn views(&self) -> impl Iterator<Item = Result<(&str, TensorView<'_>), SafeTensorError>> {
+        self.arrays.iter().map(|(name, data)| {
+            let of = if data.dtype() == DType::I32 { Dtype::I32 } else { Dtype::F32 };
+            Ok((name.as_str(), TensorView::new(of, data.shape().to_vec(), data.as_bytes())?))
+        })
     }
 
     /// Whether [`Self::write`] of any version wrote a file, by its header. The rest may be damaged.
@@ -139,13 +129,13 @@ impl State {
         let tensors = SafeTensors::deserialize(&bytes).map_err(|error| damaged(error.to_string()))?;
         let mut state = Self::default();
         for (name, view) in tensors.iter() {
-            let words = view.data().as_chunks::<4>().0.iter();
-            let values = match view.dtype() {
-                Dtype::F32 => Values::F32(words.map(|bytes| f32::from_le_bytes(*bytes)).collect()),
-                Dtype::I32 => Values::I32(words.map(|bytes| i32::from_le_bytes(*bytes)).collect()),
+            let (bytes, shape) = (view.data(), view.shape().to_vec());
+            let data = match view.dtype() {
+                Dtype::F32 => TensorData::new(bytemuck::pod_collect_to_vec::<u8, f32>(bytes), shape),
+                Dtype::I32 => TensorData::new(bytemuck::pod_collect_to_vec::<u8, i32>(bytes), shape),
                 other => return Err(damaged(format!("`{name}` is of the type {other}, expected F32 or I32"))),
             };
-            state.arrays.insert(name.to_owned(), Array { shape: view.shape().to_vec(), values });
+            state.arrays.insert(name.to_owned(), data);
         }
         let fact = |(name, text): (String, String)| name.strip_prefix(FACT).map(|name| (name.to_owned(), text));
         state.facts = metadata.into_iter().filter_map(fact).collect();
@@ -163,10 +153,10 @@ impl State {
             hash.update((bytes.len() as u64).to_le_bytes());
             hash.update(bytes);
         };
-        for (name, Array { shape, values }) in &self.arrays {
+        for (name, data) in &self.arrays {
             add(name.as_bytes());
-            add(&shape.iter().flat_map(|side| (*side as u64).to_le_bytes()).collect::<Vec<_>>());
-            add(values.bytes());
+            add(&data.shape().iter().flat_map(|side| (*side as u64).to_le_bytes()).collect::<Vec<_>>());
+            add(data.as_bytes());
         }
         for (name, text) in &self.facts {
             add(name.as_bytes());
@@ -177,96 +167,4 @@ impl State {
 }
 
 #[cfg(test)]
-mod tests {
-    use burn::tensor::{DType, Device, Tensor};
-
-    use super::*;
-
-    fn state() -> State {
-        let mut state = State::default();
-        state.put("scene/means", Tensor::<2>::from_floats([[1.0, -2.5], [f32::MIN_POSITIVE, 1e30]], &Device::flex()));
-        state.put("none", Tensor::<1>::zeros([0], &Device::flex()));
-        state.put_words("scene/words", Tensor::from_data([[7, -1]], (&Device::flex(), DType::I32)));
-        state.tell("step", &17).unwrap();
-        state.tell("rate", &0.1_f64.next_up()).unwrap();
-        state
-    }
-
-    #[test]
-    fn what_is_written_is_read() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("a.safetensors");
-        state().write(&path).unwrap();
-        state().write(&path).unwrap();
-        assert_eq!(State::read(&path).unwrap(), state());
-        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "a temporary file is left");
-    }
-
-    #[test]
-    fn a_flipped_bit_or_a_missing_end_is_noticed() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("a.safetensors");
-        state().write(&path).unwrap();
-        let bytes = fs::read(&path).unwrap();
-        for at in 0..bytes.len() {
-            for bit in [0, 3, 7] {
-                let mut changed = bytes.clone();
-                changed[at] ^= 1 << bit;
-                fs::write(&path, changed).unwrap();
-                // Blanks between header and data have no meaning.
-                let found = State::read(&path);
-                let harmless = found.as_ref().is_ok_and(|found| *found == state());
-                assert!(found.is_err() || harmless && bytes[at] == b' ', "byte {at}, bit {bit}: {found:?}");
-            }
-        }
-        for length in 0..bytes.len() {
-            fs::write(&path, &bytes[..length]).unwrap();
-            let error = State::read(&path).unwrap_err().to_string();
-            assert!(error.contains("a.safetensors"), "{error}");
-        }
-    }
-
-    #[test]
-    fn other_files_are_told_apart() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("a.safetensors");
-        let read = || State::read(&path).unwrap_err();
-        assert!(matches!(read(), FileError::Io { .. }));
-        let arrays = state().arrays;
-        safetensors::serialize_to_file(&arrays, None, &path).unwrap();
-        assert!(read().to_string().contains("tensors alone"), "{}", read());
-        let newer = HashMap::from([(FORMAT_KEY.to_owned(), "2".to_owned())]);
-        safetensors::serialize_to_file(&arrays, Some(newer), &path).unwrap();
-        assert!(read().to_string().contains("\"2\""), "{}", read());
-        fs::write(&path, b"").unwrap();
-        assert!(matches!(read(), FileError::Damaged { .. }));
-    }
-
-    #[test]
-    fn a_state_is_known_by_its_header() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("a.safetensors");
-        state().write(&path).unwrap();
-        let whole = fs::read(&path).unwrap();
-        fs::write(&path, &whole[..whole.len() - 1]).unwrap();
-        assert!(State::is_in(&path), "its values are damaged");
-        for other in [&whole[..40], b"", b"state of another program"] {
-            fs::write(&path, other).unwrap();
-            assert!(!State::is_in(&path), "{other:?}");
-        }
-        safetensors::serialize_to_file(&state().arrays, None, &path).unwrap();
-        assert!(!State::is_in(&path), "tensors alone");
-        assert!(!State::is_in(folder.path()) && !State::is_in(&folder.path().join("none")));
-    }
-
-    #[test]
-    fn what_cannot_be_written_leaves_the_old() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("a.safetensors");
-        // A folder in place of the file.
-        fs::create_dir(&path).unwrap();
-        let error = State::default().write(&path).unwrap_err().to_string();
-        assert!(error.contains("a.safetensors") && error.contains("room"), "{error}");
-        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "a temporary file is left");
-    }
-}
+mod tests;

@@ -11,7 +11,7 @@ use crate::gaussians::values_of;
 
 /// The stages of a render, in the order in which they are computed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Stage {
+pub(super) enum RenderStage {
     /// Gaussians to ellipses.
     Project,
     /// Spherical harmonics to colours.
@@ -22,7 +22,7 @@ pub(super) enum Stage {
     Rasterize,
 }
 
-impl fmt::Display for Stage {
+impl fmt::Display for RenderStage {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         out.write_str(&format!("{self:?}").to_lowercase())
     }
@@ -31,7 +31,7 @@ impl fmt::Display for Stage {
 /// An output that is not valid: the stage, and the field, its position, the found and the expected value.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Wrong {
-    pub stage: Stage,
+    pub stage: RenderStage,
     pub detail: String,
 }
 
@@ -70,7 +70,7 @@ pub(super) fn first_wrong(input: &RenderInput) -> Option<Wrong> {
 fn check_projected(projected: &Projected) -> Result<Vec<f32>, Wrong> {
     let ellipses = projected.ellipses();
     let look = |field, values: &[f32], columns, expected, good: fn(f32) -> bool| {
-        look(Stage::Project, field, (values, columns, "Gaussian"), expected, good)
+        look(RenderStage::Project, field, (values, columns, "Gaussian"), expected, good)
     };
     let positive = |value: f32| value > 0.0 && value.is_finite();
     look("mean2d", &host(ellipses.mean2d), 2, "a finite number", f32::is_finite)?;
@@ -92,7 +92,7 @@ fn check_colours(colours: &Tensor<2>, opacities: &[f32]) -> Result<(), Wrong> {
             row.fill(0.0);
         }
     }
-    look(Stage::Sh, "colour", (&values, columns, "Gaussian"), "a finite number", f32::is_finite)
+    look(RenderStage::Sh, "colour", (&values, columns, "Gaussian"), "a finite number", f32::is_finite)
 }
 
 /// Checks that no tile lists more Gaussians than exist.
@@ -101,19 +101,19 @@ fn check_intersections(intersections: &Intersections, splats: usize) -> Result<(
     let wrong = counts.iter().position(|count| !(*count >= 0.0 && *count <= splats as f32));
     let Some(at) = wrong else { return Ok(()) };
     let detail = format!("tile {at} lists {} Gaussians, expected 0 to {splats}", counts[at]);
-    Err(Wrong { stage: Stage::Intersect, detail })
+    Err(Wrong { stage: RenderStage::Intersect, detail })
 }
 
 fn check_picture(picture: &Rendered<3>) -> Result<(), Wrong> {
     let channels = picture.colour.dims()[2];
     let (colour, alpha) = (host(picture.colour.clone()), host(picture.alpha.clone()));
-    look(Stage::Rasterize, "colour", (&colour, channels, "pixel"), "a finite number", f32::is_finite)?;
-    look(Stage::Rasterize, "alpha", (&alpha, 1, "pixel"), "0 to 1", |value| (0.0..=1.0).contains(&value))
+    look(RenderStage::Rasterize, "colour", (&colour, channels, "pixel"), "a finite number", f32::is_finite)?;
+    look(RenderStage::Rasterize, "alpha", (&alpha, 1, "pixel"), "0 to 1", |value| (0.0..=1.0).contains(&value))
 }
 
 /// Returns an error for the first value for which `good` is false.
 fn look(
-    stage: Stage,
+    stage: RenderStage,
     field: &str,
     (values, columns, row): (&[f32], usize, &str),
     expected: &str,

@@ -285,9 +285,8 @@ impl Trainer {
 /// The entries of a state as facts.
 fn checksums(state: &State) -> Vec<Fact> {
     let facts = state.facts.iter().map(|(name, text)| (format!("`{name}`"), checksum([text.as_bytes()])));
-    let arrays = state.arrays.iter().map(|(name, array)| {
-        let sum = checksum([array.values.bytes()]);
-        (format!("`{name}`"), format!("{:?} {sum}", array.shape))
+    let arrays = state.arrays.iter().map(|(name, data)| {
+        (format!("`{name}`"), format!("{:?} {}", data.shape().to_vec(), checksum([data.as_bytes()])))
     });
     facts.chain(arrays).collect()
 }

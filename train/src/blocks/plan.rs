@@ -11,7 +11,7 @@ use splat_model::effects::EffectKind;
 
 use super::coarse;
 use super::job;
-use super::planned::{JOBS, PLAN, Plan, PlanFolder};
+use super::planned::{JOBS, PLAN, BlockPlan, PlanFolder};
 use crate::input;
 use crate::progress::{self, VoiceArgs};
 use crate::train::TrainArgs;
@@ -96,7 +96,7 @@ pub fn plan(args: &PlanArgs) -> Result<()> {
         fs::create_dir_all(&path).with_context(|| format!("cannot make {}", path.display()))?;
         BlockFile::of(&capture, path_from(&path, &args.capture)?, block).write(&path)?;
     }
-    let plan = Plan { version: env!("CARGO_PKG_VERSION").into(), blocks: names.clone(), options: common };
+    let plan = BlockPlan { version: env!("CARGO_PKG_VERSION").into(), blocks: names.clone(), options: common };
     let planned_folder = PlanFolder { path: folder.clone(), plan };
     for (name, block) in names.iter().zip(&planned) {
         let (path, run) = (folder.join(name), planned_folder.run(name));

@@ -24,7 +24,7 @@ const RUN: &str = "run";
 /// A plan, as its file holds it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Plan {
+pub struct BlockPlan {
     /// Version of the program that wrote it.
     pub version: String,
     /// Folders of the blocks, beside the plan.
@@ -38,7 +38,7 @@ pub struct PlanFolder {
     /// The folder.
     pub path: PathBuf,
     /// The plan.
-    pub plan: Plan,
+    pub plan: BlockPlan,
 }
 
 impl PlanFolder {
@@ -51,7 +51,7 @@ impl PlanFolder {
         let shown = file.display();
         let cannot = || format!("cannot read {shown}: give the `--out` of `splat blocks plan`");
         let text = fs::read(&file).with_context(cannot)?;
-        let plan: Plan = serde_json::from_slice(&text).with_context(cannot)?;
+        let plan: BlockPlan = serde_json::from_slice(&text).with_context(cannot)?;
         Ok(Self { path: path.to_owned(), plan })
     }
 

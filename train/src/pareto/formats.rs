@@ -11,7 +11,7 @@ use splat_op::{Splats, render_view};
 
 use super::errors::PictureError;
 use super::measure::Bench;
-use super::plot::{Chart, Dot, Mark};
+use super::plot::{Chart, Dot, DotMark};
 use super::quartiles::{Quartiles, decibels, frontier};
 use super::subject::host;
 use crate::{input, progress};
@@ -33,10 +33,10 @@ pub struct StoredScene {
 }
 
 /// One way to store a scene: a format, a degree and, for SPZ, bits.
-type Way = (Format, usize, Option<u8>);
+type StoredWay = (Format, usize, Option<u8>);
 
 /// Every format with all harmonics, then SPZ with other numbers of bits, then with lower degrees.
-fn ways(sh_degree: usize) -> Vec<Way> {
+fn ways(sh_degree: usize) -> Vec<StoredWay> {
     let all = Format::READ.into_iter().map(|format| (format, sh_degree, None));
     let bits = SPZ_BITS.into_iter().filter(|_| sh_degree > 0).map(|bits| (Format::Spz, sh_degree, Some(bits)));
     let degrees = (0..sh_degree).rev().map(|degree| (Format::Spz, degree, Some(SPZ_BITS[0]).filter(|_| degree > 0)));
@@ -120,7 +120,7 @@ pub fn chart(stored: &[StoredScene], title: String) -> Chart {
     let members = members(stored);
     let dot = |(i, scene): (usize, &StoredScene)| Dot {
         name: format!("{}, degree {}", scene.name, scene.sh_degree),
-        mark: if i < Format::ALL.len() { Mark::Preset } else { Mark::Dial },
+        mark: if i < Format::READ.len() { DotMark::Preset } else { DotMark::Dial },
         x: [scene.bytes_each; 3],
         y: scene.error_db,
         member: members.contains(&i),

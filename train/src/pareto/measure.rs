@@ -39,7 +39,7 @@ pub struct Bench<'a> {
 
 /// Error of a value of a numerical dial in isolation.
 #[derive(Clone, Debug)]
-pub struct Alone {
+pub struct Isolated {
     pub dial: &'static str,
     pub value: &'static str,
     /// Measured with every other numerical dial at its most accurate, so that no other error hides it.
@@ -50,7 +50,7 @@ pub struct Alone {
 pub struct BenchOutcome {
     pub rows: Vec<SettingMeasurements>,
     /// Every measured value of every numerical dial.
-    pub alone: Vec<Alone>,
+    pub alone: Vec<Isolated>,
     /// Largest difference between the reference renderer and the exact renderer in the pixels that both rendered.
     pub reference: f64,
     pub rounds: usize,
@@ -112,7 +112,7 @@ impl Bench<'_> {
     }
 
     /// Measures the error of every value of every numerical dial, with the other dials at their most accurate.
-    fn alone(&self, truths: &mut Vec<(RenderOptions, ReferenceRender)>) -> Result<Vec<Alone>> {
+    fn alone(&self, truths: &mut Vec<(RenderOptions, ReferenceRender)>) -> Result<Vec<Isolated>> {
         let gpu = splat_op::is_gpu(&self.place.device);
         let numerical = || DIALS.iter().filter(|dial| dial.judge == Judge::Exact && (gpu || !dial.gpu_only));
         let accurate = numerical().filter_map(|dial| dial.values.first());
@@ -122,7 +122,7 @@ impl Bench<'_> {
         let mut found = Vec::new();
         for (dial, value) in all {
             let (accuracy, _) = self.compare(&(value.set)(accurate), self.truth(truths, &self.base)?)?;
-            found.push(Alone { dial: dial.name, value: value.name, accuracy });
+            found.push(Isolated { dial: dial.name, value: value.name, accuracy });
             counter.inc(1);
         }
         counter.finish_and_clear();

@@ -29,7 +29,7 @@ use self::dials::{Role, candidates};
 use self::errors::MeasuredError;
 use self::formats::StoredScene;
 use self::measure::{Bench, BenchOutcome, SettingMeasurements};
-use self::plot::{Chart, Dot, Mark};
+use self::plot::{Chart, Dot, DotMark};
 use self::quartiles::{Quartiles, decibels, frontier};
 use self::subject::{DeviceScene, MeasuredView, off_the_clamp};
 use self::time::FrameTimes;
@@ -223,9 +223,9 @@ fn chart(subject: &page::PageSubject, outcome: &BenchOutcome, members: &[usize])
         Some(Dot {
             name: row.candidate.name.clone(),
             mark: match row.candidate.role {
-                Role::Preset => Mark::Preset,
-                Role::Dial(_) => Mark::Dial,
-                Role::Combination => Mark::Combination,
+                Role::Preset => DotMark::Preset,
+                Role::Dial(_) => DotMark::Dial,
+                Role::Combination => DotMark::Combination,
             },
             x: [time.lower, time.median, time.upper],
             y: row.error_db()?,
@@ -244,7 +244,7 @@ fn train_chart(trained: &[TrainingResult]) -> Option<Chart> {
     let members = frontier(&trained.iter().map(|run| (run.psnr.median, run.seconds)).collect::<Vec<_>>());
     let dot = |(i, run): (usize, &TrainingResult)| Dot {
         name: run.name.into(),
-        mark: if i == 0 { Mark::Preset } else { Mark::Dial },
+        mark: if i == 0 { DotMark::Preset } else { DotMark::Dial },
         x: [run.seconds.lower, run.seconds.median, run.seconds.upper],
         y: run.psnr.median,
         member: members.contains(&i),

@@ -6,7 +6,7 @@ use splat_model::accuracy::{DIALS, Dial, Judge, Preset};
 use splat_op::RenderOptions;
 
 use super::dials::Role;
-use super::measure::{Alone, BenchOutcome, SettingMeasurements};
+use super::measure::{Isolated, BenchOutcome, SettingMeasurements};
 use super::quartiles::{Quartiles, decibels};
 use super::training::TrainingResult;
 
@@ -109,7 +109,7 @@ fn alone(dial: &Dial, outcome: &BenchOutcome) -> String {
         "\nAlone, with every other numerical dial at its most accurate:\n\n\
          | setting | error, dB | max | gradient error | cosine |\n|---|---|---|---|---|\n",
     );
-    for Alone { value, accuracy: a, .. } in outcome.alone.iter().filter(|alone| alone.dial == dial.name) {
+    for Isolated { value, accuracy: a, .. } in outcome.alone.iter().filter(|alone| alone.dial == dial.name) {
         let (db, max, error, worst) = (decibels(a.rms), a.max, a.gradient_error, a.worst);
         _ = writeln!(text, "| {value} | {db:.1} | {max:.1e} | {error:.1e} ({worst}) | {:.6} |", a.gradient_cosine);
     }

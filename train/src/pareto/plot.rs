@@ -14,7 +14,7 @@ const SIZE: (u32, u32) = (1000, 640);
 
 /// Kind of a point, which decides on its mark.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Mark {
+pub enum DotMark {
     /// A preset: a large ring with its name.
     Preset,
     /// A single dial: a dot.
@@ -27,7 +27,7 @@ pub enum Mark {
 #[derive(Clone, Debug)]
 pub struct Dot {
     pub name: String,
-    pub mark: Mark,
+    pub mark: DotMark,
     /// Time: lower quartile, median, upper quartile.
     pub x: [f64; 3],
     /// Quality, dB; higher is better.
@@ -134,15 +134,15 @@ fn drawn<B: DrawingBackend>(
         let at = (dot.x[1], dot.y);
         let colour = if dot.member { ORANGE } else { BLUE_DOT };
         match dot.mark {
-            Mark::Preset => {
+            DotMark::Preset => {
                 axes.draw_series([Circle::new(at, 4, colour.filled())])?;
                 axes.draw_series([Circle::new(at, 9, BLACK.stroke_width(2))])?;
             }
-            Mark::Dial => _ = axes.draw_series([Circle::new(at, 4, colour.filled())])?,
-            Mark::Combination => _ = axes.draw_series([TriangleMarker::new(at, 6, colour.filled())])?,
+            DotMark::Dial => _ = axes.draw_series([Circle::new(at, 4, colour.filled())])?,
+            DotMark::Combination => _ = axes.draw_series([TriangleMarker::new(at, 6, colour.filled())])?,
         }
     }
-    let named: Vec<&Dot> = chart.dots.iter().filter(|dot| dot.member || dot.mark == Mark::Preset).collect();
+    let named: Vec<&Dot> = chart.dots.iter().filter(|dot| dot.member || dot.mark == DotMark::Preset).collect();
     let places: Vec<(i32, i32)> = named.iter().map(|dot| axes.backend_coord(&(dot.x[1], dot.y))).collect();
     for (dot, corner) in named.iter().zip(beside(&places, &named)) {
         area.draw(&Text::new(dot.name.clone(), corner, font.into_font().color(&BLACK)))?;
@@ -210,10 +210,10 @@ mod tests {
             member,
         };
         let dots = vec![
-            dot("standard", Mark::Preset, 10.0, 55.0, true),
-            dot("alpha_min 8/255", Mark::Dial, 6.0, 35.0, true),
-            dot("hidden", Mark::Dial, 11.0, 40.0, false),
-            dot("both", Mark::Combination, 5.0, 30.0, true),
+            dot("standard", DotMark::Preset, 10.0, 55.0, true),
+            dot("alpha_min 8/255", DotMark::Dial, 6.0, 35.0, true),
+            dot("hidden", DotMark::Dial, 11.0, 40.0, false),
+            dot("both", DotMark::Combination, 5.0, 30.0, true),
         ];
         Chart { title: "time and error".into(), x: "ms a frame", y: "dB", dots }
     }

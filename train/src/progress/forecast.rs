@@ -23,7 +23,7 @@ const MEMORY: f64 = 0.7;
 
 /// A state of a run.
 #[derive(Clone, Copy, Debug)]
-pub struct Observed {
+pub struct RunProgress {
     /// Number of steps done.
     pub step: usize,
     /// Number of Gaussians.
@@ -39,7 +39,7 @@ pub struct Forecast {
     refinements: Vec<usize>,
     /// Mean number of pixels of the photographs at full size.
     pixels: f64,
-    last: Observed,
+    last: RunProgress,
     /// Number of steps in the means.
     counted: f64,
     /// Running means over the steps: time, s, and time relative to the work, s.
@@ -54,7 +54,7 @@ impl Forecast {
     /// Gaussians may change at the steps `refinements`.
     pub fn new(config: TrainConfig, refinements: Vec<usize>, (splats, pixels): (usize, f64)) -> Self {
         let growth = GROWTH * splats as f64 / refinements.len().max(1) as f64;
-        let last = Observed { step: 0, splats, seconds: 0.0 };
+        let last = RunProgress { step: 0, splats, seconds: 0.0 };
         Self { config, refinements, pixels, last, counted: 0.0, step_s: 0.0, unit_s: 0.0, growth }
     }
 
@@ -64,7 +64,7 @@ impl Forecast {
     }
 
     /// Observes the run after one step or several.
-    pub fn observe(&mut self, now: Observed) {
+    pub fn observe(&mut self, now: RunProgress) {
         let last = std::mem::replace(&mut self.last, now);
         let steps = now.step.saturating_sub(last.step) as f64;
         // The first step compiles kernels and fills caches.
@@ -139,7 +139,7 @@ mod tests {
             let took = 1e-6 * rare * (30_000.0 / (divisor * divisor) + 3.5 * splats as f64);
             seconds.push(seconds[step - 1] + took);
             splats += if refinements.contains(&step) { added } else { 0 };
-            forecast.observe(Observed { step, splats, seconds: seconds[step] });
+            forecast.observe(RunProgress { step, splats, seconds: seconds[step] });
             forecasts.push((step, forecast.left_s()));
         }
         for (step, found) in forecasts.into_iter().filter(|(step, _)| (from..900).contains(step)) {
@@ -168,11 +168,11 @@ mod tests {
     fn nothing_is_left_after_the_last_step_and_nothing_is_known_before_the_second() {
         let config = TrainConfig { steps: 3, ..TrainConfig::default() };
         let mut forecast = Forecast::new(config, vec![], (10, 100.0));
-        forecast.observe(Observed { step: 1, splats: 10, seconds: 9.0 });
+        forecast.observe(RunProgress { step: 1, splats: 10, seconds: 9.0 });
         assert_eq!((forecast.left_s(), forecast.mean_s()), (0.0, 0.0));
-        forecast.observe(Observed { step: 2, splats: 10, seconds: 9.5 });
+        forecast.observe(RunProgress { step: 2, splats: 10, seconds: 9.5 });
         assert!((forecast.left_s() - 0.5).abs() < 1e-9 && (forecast.mean_s() - 0.5).abs() < 1e-9);
-        forecast.observe(Observed { step: 3, splats: 10, seconds: 10.0 });
+        forecast.observe(RunProgress { step: 3, splats: 10, seconds: 10.0 });
         assert_eq!(forecast.left_s(), 0.0);
     }
 }

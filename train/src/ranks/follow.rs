@@ -7,7 +7,7 @@ use anyhow::{Context, Result, anyhow};
 use splat_model::trainer::ranks::Ranks;
 use splat_model::trainer::{TrainError, Trainer};
 
-use super::{Order, Setup, tell};
+use super::{Order, RunSetup, tell};
 use crate::effects::Chosen;
 use crate::input;
 use crate::progress::VoiceArgs;
@@ -32,7 +32,7 @@ pub(crate) fn follow(ranks: &Rc<dyn Ranks>) -> Result<()> {
 }
 
 fn steps(ranks: &Rc<dyn Ranks>) -> Result<()> {
-    let Some(setup) = tell::<Option<Setup>>(&**ranks, None)?.flatten() else { return Ok(()) };
+    let Some(setup) = tell::<Option<RunSetup>>(&**ranks, None)?.flatten() else { return Ok(()) };
     let mut trainer = prepare(ranks, setup)?;
     // Rank 0 decides when to stop: `mpirun` and `srun` signal all ranks.
     let _stop = Stop::listen().context("cannot listen for Ctrl-C")?;
@@ -50,8 +50,8 @@ fn steps(ranks: &Rc<dyn Ranks>) -> Result<()> {
     }
 }
 
-fn prepare(ranks: &Rc<dyn Ranks>, setup: Setup) -> Result<Trainer> {
-    let Setup { args, config, effects, checkpoint } = setup;
+fn prepare(ranks: &Rc<dyn Ranks>, setup: RunSetup) -> Result<Trainer> {
+    let RunSetup { args, config, effects, checkpoint } = setup;
     let (device, _) = args.device.resolve()?;
     let folder = args.capture.as_ref().ok_or_else(|| anyhow!("rank 0 named no capture"))?;
     let mut capture = input::capture(folder)?;

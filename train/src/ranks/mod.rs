@@ -25,7 +25,7 @@ use crate::train::TrainArgs;
 
 /// What the other ranks need of rank 0 before the first step.
 #[derive(Serialize, Deserialize)]
-pub(crate) struct Setup {
+pub(crate) struct RunSetup {
     /// Options of the run, with absolute paths.
     pub args: TrainArgs,
     /// Configuration after all decisions.

@@ -29,7 +29,7 @@ use crate::live::Live;
 use crate::lpips::LpipsArgs;
 use crate::options::PhotoArgs;
 use crate::progress;
-use crate::ranks::{self, Setup};
+use crate::ranks::{self, RunSetup};
 use crate::report::log::LogLine;
 use crate::report::metrics::{Metrics, Seconds, peak_rss_mib, seconds_since};
 use crate::report::page::{self, ReportPage};
@@ -82,7 +82,7 @@ pub fn run_or_resume(args: &TrainArgs) -> Result<()> {
         match checkpoints::state_of(out) {
             RunState::Finished => {
                 progress::note(&format!("the run in {} is finished", out.display()));
-                ranks::tell::<Option<Setup>>(&*ranks, Some(None))?;
+                ranks::tell::<Option<RunSetup>>(&*ranks, Some(None))?;
                 return Ok(());
             }
             RunState::Stopped { .. } => {
@@ -170,7 +170,7 @@ fn to_the_end(
             args.capture = Some(std::path::absolute(&capture.folder)?);
         }
         let effects = effects.on.iter().map(|effect| effect.name().to_owned()).collect();
-        let setup = Setup { args, config: config.clone(), effects, checkpoint };
+        let setup = RunSetup { args, config: config.clone(), effects, checkpoint };
         ranks::tell(&*ranks, Some(Some(setup)))?;
         ranks::agree_on_files(&*ranks, &capture, seen)?;
     }

@@ -53,7 +53,7 @@ pub struct Viewer<'a> {
 
 /// Setup that `viewer.js` reads. Lengths are in scene units.
 #[derive(Serialize)]
-struct Setup<'a> {
+struct ViewerSetup<'a> {
     url: Option<&'static str>,
     /// The library's name of the data's format.
     kind: &'static str,
@@ -113,7 +113,7 @@ impl Viewer<'_> {
         let outside = [Viewpoint::outside(&self.scene.extent)];
         let viewpoints = if self.viewpoints.is_empty() { &outside } else { self.viewpoints };
         let up: DVec3 = viewpoints.iter().map(|viewpoint| viewpoint.up).sum();
-        let setup = Setup {
+        let setup = ViewerSetup {
             url: match self.source {
                 SceneSource::Page | SceneSource::Whole(_) => None,
                 SceneSource::Url(url) | SceneSource::Live(url) => Some(url),

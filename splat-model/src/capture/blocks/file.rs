@@ -62,7 +62,7 @@ impl BlockFile {
     /// If it cannot be written.
     pub fn write(&self, folder: &Path) -> Result<(), CaptureError> {
         let file = folder.join(BLOCK);
-        let write = |out: &mut dyn Write| Ok::<_, io::Error>(serde_json::to_writer(out, self)?);
+        let write = |out: &mut dyn Write| Ok::<_, std::io::Error>(serde_json::to_writer(out, self)?);
         replace(&file, |out| write(out)).map_err(|reason| CaptureError::Write { file, reason })
     }
 

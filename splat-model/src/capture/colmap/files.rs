@@ -10,14 +10,14 @@ pub(in crate::capture) const SPARSE: &str = "sparse";
 
 /// The paths of a model's files, each binary or text by its extension.
 #[derive(Clone)]
-pub(super) struct Files {
+pub(super) struct ModelFiles {
     pub cameras: PathBuf,
     pub images: PathBuf,
     /// The file of points, which need not exist.
     pub points: PathBuf,
 }
 
-impl Files {
+impl ModelFiles {
     /// The files of one encoding, "bin" or "txt".
     pub(super) fn encoded(model: &Path, extension: &str) -> Self {
         let [cameras, images, points] =
@@ -40,8 +40,8 @@ pub(in crate::capture) fn is_complete(model: &Path) -> bool {
 ///
 /// # Errors
 /// If there is none, or the photographs of one of several cannot be counted.
-pub(super) fn find(models: &[PathBuf]) -> Result<(Files, Option<String>), CaptureError> {
-    let complete: Vec<(&PathBuf, Files)> =
+pub(super) fn find(models: &[PathBuf]) -> Result<(ModelFiles, Option<String>), CaptureError> {
+    let complete: Vec<(&PathBuf, ModelFiles)> =
         models.iter().filter_map(|model| Some((model, of_model(model).ok()?))).collect();
     let [_, _, ..] = complete.as_slice() else {
         let only = complete.into_iter().next().map(|(_, files)| Ok(files));
@@ -85,12 +85,12 @@ pub(in crate::capture) fn models_in(folder: &Path) -> Vec<PathBuf> {
 
 /// The model's files, binary before text. Cameras and images must be of one encoding, because a stale file of the other
 /// may lie beside them; points refer to nothing and are taken as they come.
-pub(super) fn of_model(model: &Path) -> Result<Files, CaptureError> {
-    let [binary, text] = ["bin", "txt"].map(|extension| Files::encoded(model, extension));
+pub(super) fn of_model(model: &Path) -> Result<ModelFiles, CaptureError> {
+    let [binary, text] = ["bin", "txt"].map(|extension| ModelFiles::encoded(model, extension));
     for (files, other) in [(&binary, &text), (&text, &binary)] {
         if files.are_complete() {
             let points = if files.points.exists() { &files.points } else { &other.points };
-            return Ok(Files { points: points.clone(), ..files.clone() });
+            return Ok(ModelFiles { points: points.clone(), ..files.clone() });
         }
     }
     let no_cameras = !binary.cameras.exists() && !text.cameras.exists();

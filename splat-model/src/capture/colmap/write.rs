@@ -8,7 +8,7 @@ use glam::{DAffine3, DMat3, DQuat};
 use splat_op::Intrinsics;
 
 use super::model::ColmapCameraModel;
-use super::{Files, binary, by_id, check_entries};
+use super::{ModelFiles, binary, by_id, check_entries};
 use crate::capture::read::{Place, PlaceInFile};
 use crate::capture::{CaptureError, PointCloud, Tracks, View};
 use crate::replace::replace;
@@ -48,7 +48,7 @@ pub fn write_binary_with_tracks(
         return Err(CaptureError::Cloud { positions, colours });
     }
     let model = folder.join("sparse").join("0");
-    let files = Files::encoded(&model, "bin");
+    let files = ModelFiles::encoded(&model, "bin");
     let cameras = distinct(views);
     let camera_bytes = camera_bytes(&files.cameras, &cameras)?;
     let (keypoints, elements) = keypoints(views.len(), points, tracks);

@@ -7,7 +7,7 @@ mod bits;
 #[cfg(test)]
 mod tests;
 
-use self::bits::{Bits, Codes, DAMAGED, END, Fault};
+use self::bits::{Bits, HuffmanCodes, DAMAGED, END, JpegFault};
 
 /// Bytes between the last block and a marker that some cameras write, and every decoder skips.
 const MOST_LEFT: usize = 16;
@@ -27,7 +27,7 @@ struct Component {
 
 /// The picture as far as it is known.
 #[derive(Default)]
-struct Picture {
+struct JpegPicture {
     /// Expected width and height, px.
     size: [usize; 2],
     is_progressive: bool,
@@ -37,7 +37,7 @@ struct Picture {
     /// Units between restart markers; 0 without.
     restart: usize,
     /// For the first coefficient of a block, and for the others.
-    codes: [[Option<Codes>; 4]; 2],
+    codes: [[Option<HuffmanCodes>; 4]; 2],
 }
 
 /// The coefficients and bits of a scan.
@@ -54,7 +54,7 @@ struct Band {
 /// # Errors
 /// If they are cut short or damaged, with the reason.
 pub(super) fn check(bytes: &[u8], size: [usize; 2]) -> Result<(), String> {
-    let mut picture = Picture { size, ..Picture::default() };
+    let mut picture = JpegPicture { size, ..JpegPicture::default() };
     let mut at = 2;
     let has_end = loop {
         at += bytes.get(at..).unwrap_or_default().iter().take_while(|&&byte| byte != 255).count();
@@ -92,7 +92,7 @@ pub(super) fn check(bytes: &[u8], size: [usize; 2]) -> Result<(), String> {
     }
 }
 
-impl Picture {
+impl JpegPicture {
     /// Takes a frame header (T.81, B.2.2).
     fn frame(&mut self, is_progressive: bool, segment: &[u8]) -> Option<()> {
         let &[_, h0, h1, w0, w1, count] = segment.first_chunk()?;
@@ -124,7 +124,7 @@ impl Picture {
         while let Some((&[class, ref counts @ ..], rest)) = segment.split_first_chunk::<17>() {
             let symbols = rest.get(..counts.iter().map(|&count| usize::from(count)).sum())?;
             let place = self.codes.get_mut(usize::from(class >> 4))?.get_mut(usize::from(class & 15))?;
-            *place = Some(Codes::new(counts, symbols)?);
+            *place = Some(HuffmanCodes::new(counts, symbols)?);
             segment = &rest[symbols.len()..];
         }
         Some(())
@@ -158,7 +158,7 @@ impl Picture {
         }
         let units = if count > 1 { self.units } else { self.components[places[0].0].blocks };
         let (mut at, mut done) = (0, 0);
-        let failed = |fault: Fault, done: usize| {
+        let failed = |fault: JpegFault, done: usize| {
             Some(Err(format!(
                 "it is cut short or damaged: its data {fault} after {}% of the picture",
                 done * 100 / units
@@ -199,7 +199,7 @@ impl Picture {
         unit: usize,
         bits: &mut Bits,
         band: &mut Band,
-    ) -> Result<(), Fault> {
+    ) -> Result<(), JpegFault> {
         for &(place, codes) in places {
             let component = &mut self.components[place];
             let blocks = if places.len() > 1 { component.blocks_of_unit } else { 1 };
@@ -238,10 +238,10 @@ fn entropy_coded(data: &[u8]) -> usize {
 #[inline]
 fn block<const PROGRESSIVE: bool>(
     kept: &mut Bits,
-    codes: &Codes,
+    codes: &HuffmanCodes,
     band: &mut Band,
     nonzero: &mut u64,
-) -> Result<(), Fault> {
+) -> Result<(), JpegFault> {
     // A copy stays in registers.
     let mut bits = *kept;
     let (mut k, to) = if PROGRESSIVE { (band.from.max(1), band.to) } else { (1, 63) };

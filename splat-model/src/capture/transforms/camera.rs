@@ -7,7 +7,7 @@ use glam::{DAffine3, DMat3, DVec3};
 use splat_op::camera::{MAX_COEFFICIENT, MAX_SIDE_PX};
 use splat_op::{CameraModel, Intrinsics};
 
-use super::json::{self, Fields, Value};
+use super::json::{self, Fields};
 use crate::capture::read::{MAX_MAGNITUDE, Place, quoted};
 use crate::capture::{CaptureError, image};
 
@@ -60,6 +60,9 @@ fn nearest_rotation(matrix: DMat3) -> DMat3 {
     (0..4).fold(matrix, |matrix, _| (matrix + matrix.inverse().transpose()) * 0.5)
 }
 
+/// Reads a field of a file or a frame.
+type Field = fn(&Fields) -> Option<f64>;
+
 /// The lens fields of a frame: the frame's own, then the file's.
 pub(super) struct Lenses<'a> {
     pub place: Place<'a>,
@@ -70,46 +73,41 @@ pub(super) struct Lenses<'a> {
 impl<'a> Lenses<'a> {
     /// Size and projection. A missing size comes from the picture's header.
     pub fn intrinsics(&self, picture: &Path) -> Result<Intrinsics, CaptureError> {
-        let (width, height) = match (self.side("w")?, self.side("h")?) {
+        let (width, height) = match (self.side("w", |of| of.w)?, self.side("h", |of| of.h)?) {
             (Some(width), Some(height)) => (width, height),
             (width, height) => {
                 let [of_width, of_height] = image::size(picture)?;
                 (width.unwrap_or(of_width), height.unwrap_or(of_height))
             }
         };
-        let [fx, fy] =
-            match (self.focal("fl_x", "camera_angle_x", width)?, self.focal("fl_y", "camera_angle_y", height)?) {
-                (Some(fx), Some(fy)) => [fx, fy],
-                (Some(f), None) | (None, Some(f)) => [f, f],
-                (None, None) => {
-                    let expected = "a focal length in px, or an angle `camera_angle_x`";
-                    return Err(self.place.refuse("fl_x", "missing", expected));
-                }
-            };
-        let centre = |field, side: usize| match self.number(field)? {
+        let focal_x = self.focal(("fl_x", |of| of.fl_x), ("camera_angle_x", |of| of.camera_angle_x), width)?;
+        let focal_y = self.focal(("fl_y", |of| of.fl_y), ("camera_angle_y", |of| of.camera_angle_y), height)?;
+        let [fx, fy] = match (focal_x, focal_y) {
+            (Some(fx), Some(fy)) => [fx, fy],
+            (Some(f), None) | (None, Some(f)) => [f, f],
+            (None, None) => {
+                let expected = "a focal length in px, or an angle `camera_angle_x`";
+                return Err(self.place.refuse("fl_x", "missing", expected));
+            }
+        };
+        let centre = |field, value: Option<f64>, side: usize| match value {
             Some(px) if px.abs() <= MAX_MAGNITUDE => Ok(px),
             Some(px) => Err(self.place.refuse(field, px, "a principal point in px")),
             None => Ok(side as f64 / 2.0),
         };
-        let (cx, cy) = (centre("cx", width)?, centre("cy", height)?);
+        let cx = centre("cx", self.number(|of| of.cx), width)?;
+        let cy = centre("cy", self.number(|of| of.cy), height)?;
         let (model, distortion) = self.lens()?;
         Ok(Intrinsics { model, width, height, fx, fy, cx, cy, distortion })
     }
 
     /// The field's value from the frame, or else from the file.
-    fn number(&self, field: &'static str) -> Result<Option<f64>, CaptureError> {
-        match self.number_in(self.frame, field)? {
-            None => self.number_in(self.file, field),
-            number => Ok(number),
-        }
+    fn number(&self, of: Field) -> Option<f64> {
+        of(self.frame).or_else(|| of(self.file))
     }
 
-    fn number_in(&self, fields: &Fields, field: &'static str) -> Result<Option<f64>, CaptureError> {
-        self.place.optional(fields, field, Value::number, "a number")
-    }
-
-    fn side(&self, field: &'static str) -> Result<Option<usize>, CaptureError> {
-        let Some(px) = self.number(field)? else { return Ok(None) };
+    fn side(&self, field: &'static str, of: Field) -> Result<Option<usize>, CaptureError> {
+        let Some(px) = self.number(of) else { return Ok(None) };
         let whole = px >= 1.0 && px <= MAX_SIDE_PX as f64 && px.fract() == 0.0;
         let refuse = || self.place.refuse(field, px, format!("a whole number of px, 1 to {MAX_SIDE_PX}"));
         whole.then_some(Some(px as usize)).ok_or_else(refuse)
@@ -117,14 +115,19 @@ impl<'a> Lenses<'a> {
 
     /// A focal length in px, or from the field of view over `side` px, `f = side / (2 tan(angle/2))`. The length takes precedence over
     /// the angle, and the frame over the file.
-    fn focal(&self, length: &'static str, angle: &'static str, side: usize) -> Result<Option<f64>, CaptureError> {
+    fn focal(
+        &self,
+        (length, length_of): (&'static str, Field),
+        (angle, angle_of): (&'static str, Field),
+        side: usize,
+    ) -> Result<Option<f64>, CaptureError> {
         for fields in [self.frame, self.file] {
-            if let Some(focal) = self.number_in(fields, length)? {
+            if let Some(focal) = length_of(fields) {
                 let right = focal > 0.0 && focal <= MAX_MAGNITUDE;
                 let refuse = || self.place.refuse(length, focal, "a positive focal length in px");
                 return right.then_some(Some(focal)).ok_or_else(refuse);
             }
-            if let Some(radians) = self.number_in(fields, angle)? {
+            if let Some(radians) = angle_of(fields) {
                 let focal = side as f64 / (2.0 * (0.5 * radians).tan());
                 let right = radians > 0.0 && radians < PI && focal > 0.0 && focal <= MAX_MAGNITUDE;
                 let refuse = || self.place.refuse(angle, radians, "an angle in radians, above 0 and below pi");
@@ -138,16 +141,16 @@ impl<'a> Lenses<'a> {
     /// coefficients, and OpenCV's for angles. `FULL_OPENCV` adds the denominator.
     fn lens(&self) -> Result<(CameraModel, [f64; 8]), CaptureError> {
         let place = &self.place;
-        let number = |field| -> Result<f64, CaptureError> {
-            match self.number(field)? {
+        let number = |field, of: Field| -> Result<f64, CaptureError> {
+            match self.number(of) {
                 Some(value) if value.abs() <= MAX_COEFFICIENT => Ok(value),
                 Some(value) => Err(place.refuse(field, value, "a coefficient of the lens from -1e9 to 1e9")),
                 None => Ok(0.0),
             }
         };
-        let (p1, p2) = (number("p1")?, number("p2")?);
-        let [k1, k2, k3, k4, k5, k6] =
-            [number("k1")?, number("k2")?, number("k3")?, number("k4")?, number("k5")?, number("k6")?];
+        let (p1, p2) = (number("p1", |of| of.p1)?, number("p2", |of| of.p2)?);
+        let [k1, k2, k3] = [number("k1", |of| of.k1)?, number("k2", |of| of.k2)?, number("k3", |of| of.k3)?];
+        let [k4, k5, k6] = [number("k4", |of| of.k4)?, number("k5", |of| of.k5)?, number("k6", |of| of.k6)?];
         let fix = "Fix it at 0 where the lens is calibrated (K4 of Metashape is of another model) and export again, or export photographs \
                    that are undistorted";
         let none = |field, value: f64, expected| match value == 0.0 {
@@ -178,9 +181,7 @@ impl<'a> Lenses<'a> {
     /// The name of a supported model.
     fn model(&self) -> Result<&'a str, CaptureError> {
         for fields in [self.frame, self.file] {
-            if let Some(name) =
-                self.place.optional(fields, "camera_model", Value::text, "the name of a camera model")?
-            {
+            if let Some(name) = fields.camera_model.as_deref() {
                 let known = PERSPECTIVE.contains(&name) || ["OPENCV_FISHEYE", "FULL_OPENCV"].contains(&name);
                 let refuse = || {
                     self.place.refuse_with(
@@ -193,7 +194,7 @@ impl<'a> Lenses<'a> {
                 return known.then_some(name).ok_or_else(refuse);
             }
             // instant-ngp's flag for a fisheye.
-            if let Some(fisheye) = self.place.optional(fields, "is_fisheye", Value::truth, "true or false")? {
+            if let Some(fisheye) = fields.is_fisheye {
                 return Ok(if fisheye { "OPENCV_FISHEYE" } else { "OPENCV" });
             }
         }

@@ -34,7 +34,7 @@ pub fn quantise(values: &[f32]) -> Quantised {
 
 /// Some of the sorted values.
 #[derive(Clone, Copy)]
-struct Cell {
+struct ValueCell {
     begin: usize,
     end: usize,
     mean: f64,
@@ -42,7 +42,7 @@ struct Cell {
     error: f64,
 }
 
-impl Cell {
+impl ValueCell {
     fn of(sorted: &[f32], begin: usize, end: usize) -> Self {
         let values = &sorted[begin..end];
         // Sums of pieces, in order: the number of threads does not change them.
@@ -64,18 +64,18 @@ fn split(sorted: &[f32]) -> Vec<f64> {
     if sorted.is_empty() {
         return Vec::new();
     }
-    let mut cells = vec![Cell::of(sorted, 0, sorted.len())];
+    let mut cells = vec![ValueCell::of(sorted, 0, sorted.len())];
     while cells.len() < LEVELS {
         let largest = (0..cells.len()).max_by(|&a, &b| cells[a].error.total_cmp(&cells[b].error)).unwrap_or(0);
-        let Cell { begin, end, mean, error } = cells[largest];
+        let ValueCell { begin, end, mean, error } = cells[largest];
         if !(error > 0.0) {
             break;
         }
         let middle = begin + sorted[begin..end].partition_point(|&value| f64::from(value) <= mean);
         // A mean that rounds to the largest value leaves nothing above it.
         let middle = middle.min(end - 1);
-        cells[largest] = Cell::of(sorted, begin, middle);
-        cells.push(Cell::of(sorted, middle, end));
+        cells[largest] = ValueCell::of(sorted, begin, middle);
+        cells.push(ValueCell::of(sorted, middle, end));
     }
     cells.sort_unstable_by_key(|cell| cell.begin);
     cells.iter().map(|cell| cell.mean).collect()

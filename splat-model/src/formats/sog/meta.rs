@@ -14,9 +14,9 @@ pub struct Meta {
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub antialias: bool,
     pub means: Means,
-    pub scales: Codes,
-    pub quats: Files,
-    pub sh0: Codes,
+    pub scales: ValueCodes,
+    pub quats: PictureFiles,
+    pub sh0: ValueCodes,
     #[serde(rename = "shN", skip_serializing_if = "Option::is_none")]
     pub sh_n: Option<Harmonics>,
     #[serde(default, skip_serializing_if = "Map::is_empty", deserialize_with = "any")]
@@ -39,13 +39,13 @@ pub struct Means {
 
 /// Values, and the picture of their indices.
 #[derive(Deserialize, Serialize)]
-pub struct Codes {
+pub struct ValueCodes {
     pub codebook: Vec<f32>,
     pub files: [String; 1],
 }
 
 #[derive(Deserialize, Serialize)]
-pub struct Files {
+pub struct PictureFiles {
     pub files: [String; 1],
 }
 

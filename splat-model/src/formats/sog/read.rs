@@ -136,7 +136,7 @@ fn scene(json: &[u8], bytes: u64, load: &mut dyn FnMut(&str) -> Result<Vec<u8>, 
 fn higher(
     harmonics: &Harmonics,
     rows: &mut GaussianRows,
-    picture: &mut impl FnMut(&str, usize) -> Result<Picture, String>,
+    picture: &mut impl FnMut(&str, usize) -> Result<DecodedPicture, String>,
 ) -> Result<(), String> {
     let Harmonics { count, bands, codebook: levels, files: [centroids, labels] } = harmonics;
     if !(1..=DEGREE_MAX).contains(bands) {
@@ -185,13 +185,13 @@ fn rotation(&[r, g, b, a]: &[u8; 4]) -> [f32; 4] {
 }
 
 /// A picture of four channels, row by row.
-struct Picture {
+struct DecodedPicture {
     width: usize,
     pixels: Vec<[u8; 4]>,
 }
 
 /// Decodes a picture of at least `needed` pixels, and not many more.
-fn picture(name: &str, file: &[u8], needed: usize) -> Result<Picture, String> {
+fn picture(name: &str, file: &[u8], needed: usize) -> Result<DecodedPicture, String> {
     let told = |error: &dyn std::fmt::Display| format!("`{}`: {}", brief(name), brief(&error.to_string()));
     // The format allows every lossless format, and its writers write WebP.
     let kind = image::guess_format(file).map_err(|error| told(&error))?;
@@ -210,5 +210,5 @@ fn picture(name: &str, file: &[u8], needed: usize) -> Result<Picture, String> {
     let mut reader = reader();
     reader.limits(limits);
     let rgba = reader.decode().map_err(|error| told(&error))?.into_rgba8();
-    Ok(Picture { width: width as usize, pixels: rgba.into_raw().as_chunks().0.to_vec() })
+    Ok(DecodedPicture { width: width as usize, pixels: rgba.into_raw().as_chunks().0.to_vec() })
 }

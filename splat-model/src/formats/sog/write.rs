@@ -10,7 +10,7 @@ use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, DateTime, ZipWriter};
 
 use super::codebook::{Quantised, quantise};
-use super::meta::{Asset, Codes, Files, Harmonics, Means, Meta};
+use super::meta::{Asset, ValueCodes, PictureFiles, Harmonics, Means, Meta};
 use super::palette::palette;
 use super::{LARGEST, META, PER_ROW, PLACES, compressed};
 use crate::formats::{FormatError, SceneFile, extras, opacity, quaternion};
@@ -43,13 +43,13 @@ pub fn write(path: &Path, rows: &GaussianRows, scene: &SceneFile, options: SogOp
 }
 
 /// A picture of four channels, row by row.
-struct Picture {
+struct WebpPicture {
     name: &'static str,
     width: usize,
     pixels: Vec<[u8; 4]>,
 }
 
-impl Picture {
+impl WebpPicture {
     /// A picture of about equal sides with a pixel per Gaussian, and opaque black behind the last.
     fn of(name: &'static str, count: usize, pixel: impl Fn(usize) -> [u8; 4] + Sync + Send) -> Self {
         let width = (count.max(1) as f64).sqrt().ceil() as usize;
@@ -76,11 +76,11 @@ fn pack(rows: &GaussianRows, scene: &SceneFile, options: SogOptions) -> Result<V
     );
     let three = |found: &Quantised, i: usize| [0, 1, 2].map(|axis| found.indices[3 * i + axis]);
     let mut pictures = vec![
-        Picture::of("means_l.webp", count, |i| rgb(means.place(rows.means[i]).map(|place| place as u8))),
-        Picture::of("means_u.webp", count, |i| rgb(means.place(rows.means[i]).map(|place| (place >> 8) as u8))),
-        Picture::of("scales.webp", count, |i| rgb(three(&scales, i))),
-        Picture::of("quats.webp", count, |i| rotation(rows.rotations[i])),
-        Picture::of("sh0.webp", count, |i| {
+        WebpPicture::of("means_l.webp", count, |i| rgb(means.place(rows.means[i]).map(|place| place as u8))),
+        WebpPicture::of("means_u.webp", count, |i| rgb(means.place(rows.means[i]).map(|place| (place >> 8) as u8))),
+        WebpPicture::of("scales.webp", count, |i| rgb(three(&scales, i))),
+        WebpPicture::of("quats.webp", count, |i| rotation(rows.rotations[i])),
+        WebpPicture::of("sh0.webp", count, |i| {
             let [r, g, b] = three(&colours, i);
             [r, g, b, opacity::level(rows.logit_opacities[i])]
         }),
@@ -96,9 +96,9 @@ fn pack(rows: &GaussianRows, scene: &SceneFile, options: SogOptions) -> Result<V
         count,
         antialias: scene.antialiased,
         means: Means { mins: means.mins, maxs: means.maxs, files: ["means_l.webp", "means_u.webp"].map(name) },
-        scales: Codes { codebook: scales.codebook, files: [name("scales.webp")] },
-        quats: Files { files: [name("quats.webp")] },
-        sh0: Codes { codebook: colours.codebook, files: [name("sh0.webp")] },
+        scales: ValueCodes { codebook: scales.codebook, files: [name("scales.webp")] },
+        quats: PictureFiles { files: [name("quats.webp")] },
+        sh0: ValueCodes { codebook: colours.codebook, files: [name("sh0.webp")] },
         sh_n,
         extras: extras::of(scene.world()),
     };
@@ -160,7 +160,7 @@ impl Places {
 }
 
 /// The palette of higher harmonics and its pictures; `None` at degree 0.
-fn higher(rows: &GaussianRows, options: SogOptions) -> Option<(Harmonics, [Picture; 2])> {
+fn higher(rows: &GaussianRows, options: SogOptions) -> Option<(Harmonics, [WebpPicture; 2])> {
     let per_row = rows.rest_per_row();
     if per_row == 0 || rows.is_empty() {
         return None;
@@ -174,8 +174,8 @@ fn higher(rows: &GaussianRows, options: SogOptions) -> Option<(Harmonics, [Pictu
     let mut pixels: Vec<[u8; 4]> = quantised.indices.as_chunks::<3>().0.iter().map(|&indices| rgb(indices)).collect();
     let width = PER_ROW * coefficients;
     pixels.resize(pixels.len().next_multiple_of(width), [0, 0, 0, 255]);
-    let centroids = Picture { name: "shN_centroids.webp", width, pixels };
-    let labels = Picture::of("shN_labels.webp", rows.len(), |i| {
+    let centroids = WebpPicture { name: "shN_centroids.webp", width, pixels };
+    let labels = WebpPicture::of("shN_labels.webp", rows.len(), |i| {
         let [low, high, ..] = found.labels[i].to_le_bytes();
         rgb([low, high, 0])
     });

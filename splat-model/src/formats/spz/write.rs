@@ -6,7 +6,7 @@ use std::path::Path;
 use flate2::{Compression, GzBuilder};
 use rayon::prelude::*;
 
-use super::pack::{SECTIONS, farthest, fraction, pack};
+use super::pack::{farthest, fraction, pack};
 use super::{ANTIALIASED, HEADER, MAGIC};
 use crate::formats::FormatError;
 use crate::gaussians::GaussianRows;

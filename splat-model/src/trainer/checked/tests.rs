@@ -30,7 +30,7 @@ fn projected(ellipses: Ellipses) -> Projected {
 }
 
 #[track_caller]
-fn assert_wrong<T: std::fmt::Debug>(found: Result<T, Wrong>, stage: Stage, parts: &[&str]) {
+fn assert_wrong<T: std::fmt::Debug>(found: Result<T, Wrong>, stage: RenderStage, parts: &[&str]) {
     let wrong = found.expect_err("wrong");
     assert_eq!(wrong.stage, stage, "{}", wrong.detail);
     parts.iter().for_each(|part| assert!(wrong.detail.contains(part), "{part:?} is not in: {}", wrong.detail));
@@ -53,7 +53,7 @@ fn ellipses_are_looked_at_column_by_column() {
         let mut wrong = ellipses();
         spoil(&mut wrong);
         let row = if field == "mean2d" { "Gaussian 0" } else { "Gaussian 2" };
-        assert_wrong(check_projected(&projected(wrong)), Stage::Project, &[&format!("`{field}`"), row]);
+        assert_wrong(check_projected(&projected(wrong)), RenderStage::Project, &[&format!("`{field}`"), row]);
     }
 }
 
@@ -62,7 +62,7 @@ fn colours_matter_only_where_something_is_drawn() {
     let colours = |bad| Tensor::from_floats([[0.1, 0.2, 0.3], [0.0, bad, 0.0], [0.0, 5.0, 1.0]], &device());
     assert_eq!(check_colours(&colours(f32::NAN), &[1.0, 0.0, 0.5]), Ok(()));
     let found = check_colours(&colours(f32::NAN), &[1.0, 0.1, 0.5]);
-    assert_wrong(found, Stage::Sh, &["Gaussian 1", "NaN", "1 of 9"]);
+    assert_wrong(found, RenderStage::Sh, &["Gaussian 1", "NaN", "1 of 9"]);
 }
 
 #[test]
@@ -73,9 +73,9 @@ fn a_picture_is_finite_and_hides_no_more_than_all() {
         depth: None,
     };
     assert_eq!(check_picture(&picture(-2.0, 1.0)), Ok(()));
-    assert_wrong(check_picture(&picture(f32::INFINITY, 1.0)), Stage::Rasterize, &["`colour` of pixel 0", "inf"]);
-    assert_wrong(check_picture(&picture(0.0, 1.1)), Stage::Rasterize, &["`alpha` of pixel 1", "1.1", "0 to 1"]);
-    assert_wrong(check_picture(&picture(0.0, f32::NAN)), Stage::Rasterize, &["`alpha`"]);
+    assert_wrong(check_picture(&picture(f32::INFINITY, 1.0)), RenderStage::Rasterize, &["`colour` of pixel 0", "inf"]);
+    assert_wrong(check_picture(&picture(0.0, 1.1)), RenderStage::Rasterize, &["`alpha` of pixel 1", "1.1", "0 to 1"]);
+    assert_wrong(check_picture(&picture(0.0, f32::NAN)), RenderStage::Rasterize, &["`alpha`"]);
 }
 
 #[test]
@@ -87,6 +87,6 @@ fn no_tile_lists_more_gaussians_than_there_are() {
         let data = TensorData::new(vec![3_i32, count], [1, 2]);
         let mut wrong = intersections.clone();
         wrong.counts = Tensor::<2, Int>::from_data(data, &device());
-        assert_wrong(check_intersections(&wrong, 3), Stage::Intersect, &["tile 1", &count.to_string(), "0 to 3"]);
+        assert_wrong(check_intersections(&wrong, 3), RenderStage::Intersect, &["tile 1", &count.to_string(), "0 to 3"]);
     }
 }

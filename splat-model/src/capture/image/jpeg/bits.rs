@@ -4,7 +4,7 @@
 const QUICK: u32 = 10;
 
 /// A table of Huffman codes (T.81, annex C).
-pub struct Codes {
+pub struct HuffmanCodes {
     /// Symbol and length by the next [`QUICK`] bits; length 0 for longer codes.
     quick: Box<[(u8, u8); 1 << QUICK]>,
     /// For each length the first code beyond those of that length, aligned to 16 bits, and the symbols' offset.
@@ -12,7 +12,7 @@ pub struct Codes {
     symbols: Vec<u8>,
 }
 
-impl Codes {
+impl HuffmanCodes {
     pub fn new(counts: &[u8; 16], symbols: &[u8]) -> Option<Self> {
         let mut codes = Self { quick: Box::new([(0, 0); 1 << QUICK]), longer: [(0, 0); 17], symbols: symbols.to_vec() };
         let (mut code, mut next) = (0_u32, 0_usize);
@@ -42,13 +42,13 @@ impl Codes {
 }
 
 /// What is wrong with the data.
-pub type Fault = &'static str;
+pub type JpegFault = &'static str;
 
 /// They end before the last block.
-pub const END: Fault = "end";
+pub const END: JpegFault = "end";
 
 /// They hold what no encoder writes, or more than the blocks.
-pub const DAMAGED: Fault = "are wrong";
+pub const DAMAGED: JpegFault = "are wrong";
 
 /// The bits between two markers.
 #[derive(Clone, Copy)]
@@ -88,7 +88,7 @@ impl<'a> Bits<'a> {
     }
 
     #[inline]
-    pub fn take(&mut self, bits: u32) -> Result<u32, Fault> {
+    pub fn take(&mut self, bits: u32) -> Result<u32, JpegFault> {
         if self.count < bits {
             self.fill();
         }
@@ -103,7 +103,7 @@ impl<'a> Bits<'a> {
 
     /// Takes a symbol, and the bits that follow it: as many as its lower half says.
     #[inline]
-    pub fn symbol(&mut self, codes: &Codes) -> Result<u8, Fault> {
+    pub fn symbol(&mut self, codes: &HuffmanCodes) -> Result<u8, JpegFault> {
         if self.count < 32 {
             self.fill();
         }
