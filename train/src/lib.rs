@@ -68,7 +68,6 @@ pub mod own;
 pub mod progress;
 pub mod ranks;
 pub mod report;
-pub mod snapshots;
 pub mod strategy;
 
 use anyhow::Result;

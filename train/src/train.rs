@@ -73,7 +73,7 @@ pub struct TrainArgs {
     /// Train for this time instead of a number of steps: 60s, 10min, '1h 30m'. The first steps are measured, and the number of
     /// steps is chosen and corrected so that training ends in time; reading the capture and scoring come on top. Two such
     /// runs differ, because machines are never equally fast twice
-    #[arg(long = "for", value_name = "TIME", conflicts_with_all = ["steps", "snapshots"])]
+    #[arg(long = "for", value_name = "TIME", conflicts_with = "steps")]
     #[serde(default)]
     pub time: Option<TrainingTime>,
     /// Cameras.
@@ -160,12 +160,9 @@ pub struct TrainArgs {
     /// report.html and for --json [default: off]
     #[arg(long, value_name = "N", value_parser = RangedU64ValueParser::<usize>::new().range(1..))]
     pub eval_during: Option<usize>,
-    /// With `--eval-during`: save the scene and the renders of each evaluation in the folder snapshots of the output
-    /// folder, at most 100,000 splats and four renders each. `train/rerun/` shows them in the Rerun viewer (see
-    /// docs/RERUN.md)
-    #[arg(long, requires = "eval_during")]
-    #[serde(default)]
-    pub snapshots: bool,
+    /// Also write the scene every N steps, as scene-000500.ply
+    #[arg(long, value_name = "N", value_parser = RangedU64ValueParser::<usize>::new().range(1..))]
+    pub export_every: Option<usize>,
     /// LPIPS.
     #[command(flatten)]
     #[serde(default)]

@@ -14,7 +14,6 @@ use splat_model::trainer::{StepReport, Trainer};
 use super::history::{History, HistoryPoint, HistoryScore, Recorder};
 use super::metrics::Metrics;
 use crate::progress::{self, StepProgress};
-use crate::snapshots::Snapshots;
 
 /// Largest number of views scored during a run, spread evenly over the held-out views.
 const FEW: usize = 4;
@@ -81,7 +80,6 @@ impl RunLog {
         trainer: &Trainer,
         (test, device): (&[Photograph], &Device),
         lpips: Option<&Lpips>,
-        snapshots: Option<&Snapshots>,
     ) -> Result<()> {
         let start = Instant::now();
         // The rows include the effect of smoothing, the parameters do not.
@@ -90,13 +88,7 @@ impl RunLog {
         let (background, options) = (trainer.background(), trainer.render_options());
         let every = test.len().div_ceil(FEW).max(1);
         let photos = test.iter().step_by(every).map(|photo| Ok::<_, anyhow::Error>(photo.pixels()?));
-        let taken = snapshots.map(|snapshots| snapshots.after(trainer.steps_done()));
-        let scores = evaluate_each(&splats, photos, &background, &options, lpips, |comparison, _| {
-            if let Some(taken) = &taken {
-                taken.look(comparison);
-            }
-        })?;
-        let kept = taken.map(|taken| taken.keep(&rows, &scores));
+        let scores = evaluate_each(&splats, photos, &background, &options, lpips, |_, _| {})?;
         let score = self.recorder.keep_score(trainer.steps_done(), &scores, start.elapsed());
         let perceived = score.lpips.map(|lpips| format!(", {lpips:.4} LPIPS")).unwrap_or_default();
         progress::note(&format!(
@@ -104,14 +96,6 @@ impl RunLog {
             score.step, score.psnr, score.ssim, score.views
         ));
         progress::line(&LogLine::Evaluation(score));
-        // A failed snapshot does not end the run: a disk that is full now may have room later.
-        let kept = kept.unwrap_or(Ok(())).and_then(|()| match snapshots {
-            Some(snapshots) => snapshots.keep_history(&self.recorder.history),
-            None => Ok(()),
-        });
-        if let Err(error) = kept {
-            progress::note(&format!("the snapshot after step {} was not saved: {error:#}", score.step));
-        }
         Ok(())
     }
 

@@ -13,7 +13,7 @@ use crate::inputs::Inputs;
 use crate::options::PhotoArgs;
 use crate::output::{self, OutputFolder};
 use crate::report::{self, BACKGROUND, METRICS, POSES, REPORT, SCENE, VIEWS};
-use crate::{demo, input, progress, reconstruct, snapshots};
+use crate::{demo, input, progress, reconstruct};
 
 /// Folder of the demo capture, below the output folder.
 const DEMO_CAPTURE: &str = "demo-capture";
@@ -66,7 +66,7 @@ pub fn prepare(
     let test = if photos.eval_every == Some(0) { &[][..] } else { &split.test };
     let views = report::view_files(test.iter().map(|&view| capture.views[view].name.as_str()));
     let files = [SCENE, METRICS, REPORT, BACKGROUND, POSES].map(PathBuf::from).into_iter().chain(views);
-    OutputFolder::prepare(out, inputs, files, &[VIEWS, checkpoints::FOLDER, snapshots::FOLDER])
+    OutputFolder::prepare(out, inputs, files, &[VIEWS, checkpoints::FOLDER])
 }
 
 /// Returns the default output folder: an empty one with the name of the capture, so that no run replaces the results of

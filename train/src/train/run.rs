@@ -37,7 +37,6 @@ use crate::report::log::LogLine;
 use crate::report::metrics::{Metrics, Seconds, peak_rss_mib, seconds_since};
 use crate::report::page::{self, ReportPage};
 use crate::report::{self, SCENE};
-use crate::snapshots::{Described, Snapshots};
 use crate::view::scene::{ShownScene, Viewpoint};
 use crate::{input, reconstruct};
 
@@ -186,7 +185,6 @@ fn to_the_end(
         "`--lpips` is measured on test views, and `--eval-every 0` holds out none: leave out one of them"
     );
     let train_views = views_of(&capture, &train);
-    let described = args.snapshots.then(|| Described::new(config.steps, &capture, &train, &test));
     let shots: Vec<MeasuredView> =
         train.iter().map(|photo| MeasuredView::unseen(&photo.intrinsics, &photo.cam_from_world)).collect();
     let base = config.render_options(input::extent(&capture));
@@ -216,7 +214,6 @@ fn to_the_end(
     // All errors in the capture have been found by now: a run that does not begin leaves no files.
     let checkpoints = Checkpoints::open(out.path())?;
     out.sweep();
-    let snapshots = described.map(|described| Snapshots::open(&out, &described, kept.is_none())).transpose()?;
     let so_far = match kept {
         None => {
             checkpoints.begin()?;
@@ -246,7 +243,6 @@ fn to_the_end(
         test: &test,
         device: (&device, &device_name),
         lpips: lpips.as_ref(),
-        snapshots: snapshots.as_ref(),
         checkpoints,
         live,
         ranks,

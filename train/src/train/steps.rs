@@ -13,7 +13,7 @@ use splat_model::trainer::{TrainConfig, Trainer};
 
 use super::TrainArgs;
 use super::checkpoints::{Checkpoints, SoFar};
-use super::results::keep_scene;
+use super::results::{export, keep_scene};
 use super::stop::{Interrupted, Stop};
 use super::time_limit::{TimeLimit, set_steps};
 use crate::accuracy::RequestedAccuracy;
@@ -24,7 +24,6 @@ use crate::progress;
 use crate::ranks::{self, Order};
 use crate::report::history::History;
 use crate::report::log::RunLog;
-use crate::snapshots::Snapshots;
 
 /// With an accuracy target, settings are measured after one part in this many of the steps.
 const MEASURED_AFTER: usize = 10;
@@ -41,8 +40,6 @@ pub struct Steps<'a> {
     pub device: (&'a Device, &'a str),
     /// LPIPS for scores during the run, if asked for.
     pub lpips: Option<&'a Lpips>,
-    /// Snapshots of the evaluations, if asked for.
-    pub snapshots: Option<&'a Snapshots<'a>>,
     pub checkpoints: Checkpoints,
     /// View in the browser, if asked for.
     pub live: Option<Live<'a>>,
@@ -99,7 +96,7 @@ impl<'a> Steps<'a> {
             let mut evaluated = Ok(());
             let step = trainer.step_and_look(|trainer| {
                 if self.args.eval_during.is_some_and(|every| trainer.steps_done().is_multiple_of(every)) {
-                    evaluated = log.evaluate(trainer, (self.test, self.device.0), self.lpips, self.snapshots);
+                    evaluated = log.evaluate(trainer, (self.test, self.device.0), self.lpips);
                 }
             });
             match step {
@@ -124,6 +121,9 @@ impl<'a> Steps<'a> {
             if let Some(limit) = &mut time_limit {
                 limit.adjust(trainer, self.args, &mut log)?;
             }
+            if self.args.export_every.is_some_and(|every| trainer.steps_done().is_multiple_of(every)) {
+                export(trainer, self.capture, self.out);
+            }
             // At least one step is done, and no such number is a multiple of 0.
             if trainer.steps_done().is_multiple_of(self.args.checkpoint_every) {
                 let (seconds, history) = (log.recorder.seconds(), log.recorder.history.clone());
@@ -133,9 +133,6 @@ impl<'a> Steps<'a> {
         }
         self.order(Order::End)?;
         let (seconds, history) = (log.recorder.seconds(), log.finish());
-        if let Some(Err(error)) = self.snapshots.map(|snapshots| snapshots.keep_history(&history)) {
-            progress::note(&format!("the last curves of the snapshots were not saved: {error:#}"));
-        }
         Ok(Done { seconds, history, checkpoints: self.checkpoints, live: self.live, stopped_at })
     }
 
