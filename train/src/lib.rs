@@ -41,7 +41,6 @@ pub mod clean;
 pub mod convert;
 pub mod demo;
 pub mod devices;
-pub mod effects_bench;
 pub mod eval;
 pub mod export;
 pub mod hard_cases;
@@ -102,7 +101,6 @@ pub fn run(command: &Command) -> Result<()> {
         Command::Clean(args) => clean::run(args),
         Command::Info(args) => info::run(args),
         Command::Inspect(args) => inspect::run(args),
-        Command::Effects(args) => effects_bench::run(args),
         Command::HardCases(args) => hard_cases::run(args),
         Command::Pareto(args) => pareto::run(args),
         Command::Devices => devices::run(),

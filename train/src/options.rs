@@ -9,7 +9,6 @@ use crate::blocks::BlocksArgs;
 use crate::clean::CleanArgs;
 use crate::convert::ConvertArgs;
 use crate::demo::DemoArgs;
-use crate::effects_bench::EffectsBenchArgs;
 use crate::eval::EvalArgs;
 use crate::export::ExportArgs;
 use crate::hard_cases::HardCasesArgs;
@@ -70,8 +69,6 @@ pub enum Command {
     Blocks(BlocksArgs),
     /// Write the demo capture: a small ray-traced scene as a COLMAP folder
     Demo(DemoArgs),
-    /// Measure the gain and the cost of each effect on demo captures, and write the page
-    Effects(EffectsBenchArgs),
     /// Run the battery of hard cases and write the table of results
     HardCases(HardCasesArgs),
     /// Measure the time and the error of every accuracy dial on a scene, and plot the Pareto frontier
