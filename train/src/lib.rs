@@ -44,7 +44,6 @@ pub mod devices;
 pub mod eval;
 pub mod export;
 pub mod hard_cases;
-pub mod info;
 pub mod inspect;
 pub mod manual;
 pub mod pareto;
@@ -99,7 +98,6 @@ pub fn run(command: &Command) -> Result<()> {
         Command::Convert(args) => convert::run(args),
         Command::Export(args) => export::run(args),
         Command::Clean(args) => clean::run(args),
-        Command::Info(args) => info::run(args),
         Command::Inspect(args) => inspect::run(args),
         Command::HardCases(args) => hard_cases::run(args),
         Command::Pareto(args) => pareto::run(args),

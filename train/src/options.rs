@@ -12,7 +12,6 @@ use crate::demo::DemoArgs;
 use crate::eval::EvalArgs;
 use crate::export::ExportArgs;
 use crate::hard_cases::HardCasesArgs;
-use crate::info::InfoArgs;
 use crate::inspect::InspectArgs;
 use crate::manual::{CompletionsArgs, ManArgs};
 use crate::pareto::ParetoArgs;
@@ -61,9 +60,8 @@ pub enum Command {
     Export(ExportArgs),
     /// Remove splats that float, that no view shows, or that lie outside a region, and report the cost
     Clean(CleanArgs),
-    /// Describe a scene or a capture: counts, bounds, memory, and what is odd about it
-    Info(InfoArgs),
-    /// Report what a capture shows, which effects it calls for, and what they would cost
+    /// Describe a scene or a capture: counts, bounds, what is odd about it, and which effects a capture calls for
+    #[command(alias = "info")]
     Inspect(InspectArgs),
     /// Train a capture in blocks, on any number of machines: plan, status, merge
     Blocks(BlocksArgs),

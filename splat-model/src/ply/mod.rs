@@ -88,7 +88,7 @@ pub enum PlyError {
     /// A scene to be written has no Gaussian that can be rendered: none at all, or each has a parameter without meaning.
     #[error(
         "{path}: not written: no splat is left, {of} of {of} cannot be rendered; a file of that name stays as it was. Write a scene that \
-         has splats (`splat info` describes one)",
+         has splats (`splat inspect` describes one)",
         path = path.display()
     )]
     Empty {

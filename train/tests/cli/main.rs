@@ -9,7 +9,7 @@ mod effects;
 mod errors;
 mod export;
 mod hard_cases;
-mod info;
+mod inspect;
 #[cfg(unix)]
 mod inputs;
 mod live;
