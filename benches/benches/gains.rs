@@ -168,8 +168,8 @@ const CASES: &[EffectCase] = &[
         demo: |options| DemoOptions { depth: true, points: 150, ..options },
         demo_flags: "--depth --views 16 --points 150",
         // Half of the photographs are held out.
-        both: &["--sh-degree", "0", "--eval-every", "2"],
-        eval: &["--eval-every", "2"],
+        both: &["--sh-degree", "0", "--test-every", "2"],
+        eval: &["--test-every", "2"],
         expected: &[EffectKind::DepthSupervision],
         views: Some(16),
         harmonics: None,

@@ -71,7 +71,7 @@ fn say_dropped(capture: &Capture, asked: usize, left: usize) -> Result<()> {
     ensure!(
         dropped == 0 || left > 0,
         "the masks of {} exclude every pixel of {dropped} photographs, and no other is left: `--effects=-masks` does \
-         without masks, and `--eval-every` chooses the held-out photographs",
+         without masks, and `--test-every` chooses the held-out photographs",
         capture.folder.display()
     );
     if dropped > 0 {

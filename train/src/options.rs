@@ -87,18 +87,26 @@ pub struct PhotoArgs {
         "Hold out every Kth photograph in name order for testing, beginning with the first; 0 holds out none [default: the \
          capture's own split if its files have one, otherwise {}]", Split::USUAL
     ))]
+    pub test_every: Option<usize>,
+    /// The name of `--test-every` until version 0.1, which elsewhere is an interval between evaluations
+    #[arg(long, hide = true, value_name = "K", value_parser = renamed)]
+    #[serde(skip)]
     pub eval_every: Option<usize>,
     /// Downsize photographs whose longer side exceeds this, px
     #[arg(long, value_name = "PX", value_parser = value_parser!(u32).range(1..))]
     pub max_side: Option<u32>,
 }
 
+fn renamed(_: &str) -> Result<usize, String> {
+    Err("the split is `--test-every K` now; `--eval-during N` scores the scene every N steps".into())
+}
+
 impl PhotoArgs {
     /// Returns the split of a capture, and these options as reported: with the number that was used, or none if the
     /// capture's own split applies.
     pub fn split(&self, capture: &Capture) -> (Split, Self) {
-        let counted = self.eval_every.or_else(|| capture.split.is_none().then_some(Split::USUAL));
-        (Split::of(capture, counted), Self { eval_every: counted, ..self.clone() })
+        let counted = self.test_every.or_else(|| capture.split.is_none().then_some(Split::USUAL));
+        (Split::of(capture, counted), Self { test_every: counted, ..self.clone() })
     }
 }
 

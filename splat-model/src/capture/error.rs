@@ -142,7 +142,7 @@ pub enum CaptureError {
     },
     /// A split that leaves nothing to test on.
     #[error(
-        "all {views} views are for training and none is held out for testing, expected at least one. Set `--eval-every` to \
+        "all {views} views are for training and none is held out for testing, expected at least one. Set `--test-every` to \
          8, say, to hold out every eighth"
     )]
     NoTestViews {
@@ -151,7 +151,7 @@ pub enum CaptureError {
     },
     /// A split that leaves nothing to train on.
     #[error(
-        "all {views} views are held out for testing and none is for training, expected at least one. Set `--eval-every` to \
+        "all {views} views are held out for testing and none is for training, expected at least one. Set `--test-every` to \
          8, say, or to 0 to train on all, or add photographs"
     )]
     NoTrainingViews {

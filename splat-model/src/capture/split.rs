@@ -95,7 +95,7 @@ mod tests {
         let split = Split::every(&views(&["a", "b"]), 0);
         assert_eq!(split.require_train().unwrap(), [0, 1]);
         let message = split.require_test().unwrap_err().to_string();
-        assert!(message.contains("--eval-every") && message.contains("2 views"), "{message}");
+        assert!(message.contains("--test-every") && message.contains("2 views"), "{message}");
     }
 
     #[test]
@@ -103,7 +103,7 @@ mod tests {
         let split = Split::every(&views(&["a", "b"]), 1);
         assert_eq!(split.require_test().unwrap(), [0, 1]);
         let message = split.require_train().unwrap_err().to_string();
-        assert!(message.contains("--eval-every") && message.contains("2 views"), "{message}");
+        assert!(message.contains("--test-every") && message.contains("2 views"), "{message}");
     }
 
     #[test]

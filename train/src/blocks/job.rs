@@ -11,7 +11,7 @@ use crate::strategy::StrategyName;
 use crate::train::TrainArgs;
 
 /// Options of `splat train` that a plan replaces by its own.
-pub const REPLACED: [&str; 4] = ["--effects", "--sh-degree", "--max-splats", "--eval-every"];
+pub const REPLACED: [&str; 4] = ["--effects", "--sh-degree", "--max-splats", "--test-every"];
 
 /// Reads options of `splat train`, as they follow `--`.
 ///

@@ -101,7 +101,7 @@ pub fn plan(args: &PlanArgs) -> Result<()> {
     for (name, block) in names.iter().zip(&planned) {
         let (path, run) = (folder.join(name), planned_folder.run(name));
         let own = [job::utf8(&program)?, "train", job::utf8(&path)?, "--out", job::utf8(&run)?, "--resume"];
-        let held_out = if block.test.is_empty() { &["--eval-every", "0"][..] } else { &[] };
+        let held_out = if block.test.is_empty() { &["--test-every", "0"][..] } else { &[] };
         let start = start.as_deref().map(job::utf8).transpose()?;
         let common = planned_folder.plan.options.iter().map(String::as_str);
         let words = own.into_iter().chain(start.iter().flat_map(|start| ["--start", start]));

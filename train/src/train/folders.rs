@@ -63,7 +63,7 @@ pub fn prepare(
     inputs: Inputs,
     (capture, split, photos): (&Capture, &Split, &PhotoArgs),
 ) -> Result<OutputFolder> {
-    let test = if photos.eval_every == Some(0) { &[][..] } else { &split.test };
+    let test = if photos.test_every == Some(0) { &[][..] } else { &split.test };
     let views = report::view_files(test.iter().map(|&view| capture.views[view].name.as_str()));
     let files = [SCENE, METRICS, REPORT, BACKGROUND, POSES].map(PathBuf::from).into_iter().chain(views);
     OutputFolder::prepare(out, inputs, files, &[VIEWS, checkpoints::FOLDER])

@@ -173,16 +173,16 @@ fn to_the_end(
         ranks::tell(&*ranks, Some(Some(setup)))?;
         ranks::agree_on_files(&*ranks, &capture, seen)?;
     }
-    // `--eval-every 0` asks for no test; any other number that holds out no photograph is a mistake.
-    let test = if photo_args.eval_every == Some(0) { &[] } else { split.require_test()? };
+    // `--test-every 0` asks for no test; any other number that holds out no photograph is a mistake.
+    let test = if photo_args.test_every == Some(0) { &[] } else { split.require_test()? };
     let (train, test) = photographs(&capture, (seen, test), &photo_args, (&effects, cache), &*ranks)?;
     ensure!(
         args.eval_during.is_none() || !test.is_empty(),
-        "`--eval-during` scores test views, and `--eval-every 0` holds out none: leave out one of them"
+        "`--eval-during` scores test views, and `--test-every 0` holds out none: leave out one of them"
     );
     ensure!(
         lpips.is_none() || !test.is_empty(),
-        "`--lpips` is measured on test views, and `--eval-every 0` holds out none: leave out one of them"
+        "`--lpips` is measured on test views, and `--test-every 0` holds out none: leave out one of them"
     );
     let train_views = views_of(&capture, &train);
     let shots: Vec<MeasuredView> =

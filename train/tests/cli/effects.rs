@@ -76,7 +76,7 @@ fn effects_are_adjusted_recorded_and_measured() {
     let evaluated = folder.path().join("evaluated");
     let arguments = ["eval", text(&capture), "--scene", text(&scene), "--out", text(&evaluated)];
     let psnr = |arguments: &[&str]| {
-        succeed(splat(arguments).args(["--eval-every", "8"]));
+        succeed(splat(arguments).args(["--test-every", "8"]));
         json(&evaluated.join("metrics.json"))["test"]["psnr"].as_f64().unwrap()
     };
     let trained = metrics["test"]["psnr"].as_f64().unwrap();

@@ -42,7 +42,7 @@ const fn case(line: &'static str, input: &'static str, folder: Option<&'static s
     Case { line, input, folder }
 }
 
-const TRAIN: &str = "train cap --out OUT --steps 2 --eval-every 8 --effects none --device cpu";
+const TRAIN: &str = "train cap --out OUT --steps 2 --test-every 8 --effects none --device cpu";
 
 /// Every subcommand that reads and writes.
 fn cases() -> Vec<Case> {
@@ -175,7 +175,7 @@ fn with_data_beside(folder: &Path) {
 
 /// A checkpoint of step 0: that run failed in the next step.
 fn checkpoint(root: &Path) -> PathBuf {
-    let line = "train cap --out failed --steps 16 --opacity-weight 1e300 --eval-every 8 --effects none";
+    let line = "train cap --out failed --steps 16 --opacity-weight 1e300 --test-every 8 --effects none";
     let ended = end(splat(&line.split(' ').collect::<Vec<_>>()).current_dir(root));
     assert!(ended.code == Some(1) && ended.stderr.contains("not finite"), "{}", ended.stderr);
     root.join("failed/checkpoints")

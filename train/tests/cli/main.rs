@@ -84,7 +84,7 @@ fn training_writes_the_scene_its_scores_and_its_pictures() {
     assert_eq!((&metrics["steps"], &metrics["seed"]), (&16.into(), &7.into()));
     assert_eq!(metrics["device"], "flex");
     assert_eq!(metrics["version"], env!("CARGO_PKG_VERSION"));
-    assert_eq!(metrics["options"]["eval_every"], 8);
+    assert_eq!(metrics["options"]["test_every"], 8);
     assert_eq!(metrics["options"]["max_side"], 64);
     assert_eq!(metrics["options"]["density"]["max_splats"], 1_000_000);
     assert_eq!(metrics["options"]["capture"], text(&DEMO));
@@ -147,7 +147,7 @@ fn auto_says_what_it_takes() {
 fn a_second_run_replaces_the_first() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path();
-    succeed(splat(&TRAIN).args(["--eval-every", "2", "--out", text(out)]).arg(DEMO.as_path()));
+    succeed(splat(&TRAIN).args(["--test-every", "2", "--out", text(out)]).arg(DEMO.as_path()));
     let views = ["0000", "0002", "0004", "0006"].map(|name| format!("views/{name}.png"));
     let others = ["metrics.json", "report.html", "scene.ply"].map(String::from);
     assert_eq!(files(out), views.into_iter().chain(others).collect());
@@ -168,7 +168,7 @@ fn without_a_folder_no_run_replaces_another() {
     let folder = tempfile::tempdir().unwrap();
     let train = |arguments: &[&str], said: &str| {
         let ended = succeed(
-            splat(&[&["train", "--steps", "1", "--eval-every", "0"], arguments].concat()).current_dir(folder.path()),
+            splat(&[&["train", "--steps", "1", "--test-every", "0"], arguments].concat()).current_dir(folder.path()),
         );
         assert!(ended.stderr.contains(said), "{said:?} is not in: {}", ended.stderr);
     };
@@ -184,7 +184,7 @@ fn without_a_folder_no_run_replaces_another() {
     assert!(folder.path().join("out/demo-4/demo-capture").is_dir());
     assert!(scene("demo") == first && scene("demo-3") != scene("demo-4"), "a run has replaced another");
     assert_eq!(files(&folder.path().join("out/demo-2")), [].into());
-    let mut inside = splat(&["train", ".", "--steps", "1", "--eval-every", "0"]);
+    let mut inside = splat(&["train", ".", "--steps", "1", "--test-every", "0"]);
     fs::create_dir_all(folder.path().join("mine")).unwrap();
     succeed(
         splat(&["demo", "--views", "4", "--width", "40", "--height", "40", "--out"])
@@ -197,7 +197,7 @@ fn without_a_folder_no_run_replaces_another() {
 #[test]
 fn zero_holds_out_no_view_and_measures_none() {
     let folder = tempfile::tempdir().unwrap();
-    succeed(splat(&TRAIN).args(["--eval-every", "0", "--out", text(folder.path())]).arg(DEMO.as_path()));
+    succeed(splat(&TRAIN).args(["--test-every", "0", "--out", text(folder.path())]).arg(DEMO.as_path()));
     assert_eq!(json(&folder.path().join("metrics.json"))["test"], Value::Null);
     assert_eq!(files(folder.path()), ["metrics.json", "report.html", "scene.ply"].map(String::from).into());
 }

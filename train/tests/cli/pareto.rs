@@ -196,7 +196,7 @@ fn a_target_is_held_to_on_a_scene_that_was_not_measured() {
     succeed(splat(&["demo", "--out"]).arg(&capture).args(size));
     let out = folder.path().join("pareto");
     let pareto = ["pareto", text(&capture), "--scene", text(&scene), "--budget", "0", "--background", "white"];
-    succeed(splat(&pareto).args(["--eval-every", "1", "--views", "12", "--out", text(&out)]));
+    succeed(splat(&pareto).args(["--test-every", "1", "--views", "12", "--out", text(&out)]));
     let truth = rows(&out);
     for target in [35.0, 60.0, 80.0] {
         let render = ["render", "--capture", text(&capture), "--scene", text(&scene), "--view", "all"];
@@ -283,7 +283,7 @@ fn what_cannot_be_measured_is_refused() {
     };
     let missing = folder.path().join("none.ply");
     refuse(&mut pareto(&missing, &[]), &[text(&missing), "--scene"]);
-    refuse(&mut pareto(&scene, &["--eval-every", "0"]), &["8 views", "--eval-every"]);
+    refuse(&mut pareto(&scene, &["--test-every", "0"]), &["8 views", "--test-every"]);
     assert!(!out.exists(), "no folder is made for a run that cannot start");
     let unknown = end(&mut splat(&["pareto", "capture", "--scene", "a", "--out", "b", "--device", "abacus"]));
     assert!(unknown.code == Some(2) && unknown.stderr.contains("abacus"), "{unknown:?}");

@@ -28,8 +28,8 @@ fn scores_during_a_run_change_nothing_about_it() {
 #[test]
 fn scores_during_a_run_need_test_views() {
     let folder = tempfile::tempdir().unwrap();
-    let run = ["--eval-during", "5", "--eval-every", "0", "--out", text(folder.path())];
-    refuse(splat(&TRAIN).arg(DEMO.as_path()).args(run), &["--eval-during", "--eval-every"]);
+    let run = ["--eval-during", "5", "--test-every", "0", "--out", text(folder.path())];
+    refuse(splat(&TRAIN).arg(DEMO.as_path()).args(run), &["--eval-during", "--test-every"]);
     assert_eq!(end(splat(&TRAIN).arg(DEMO.as_path()).args(["--eval-during", "0", "--out", "out"])).code, Some(2));
 }
 
