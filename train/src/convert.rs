@@ -10,6 +10,7 @@ use splat_model::formats::{
     SogOptions, SpzOptions, SpzVersion,
 };
 use splat_model::gaussians::{GaussianRows, ROWS_AT_ONCE};
+use splat_model::ply::TrainedAs;
 
 use crate::inputs::Inputs;
 use crate::output::prepare_file;
@@ -224,8 +225,8 @@ fn dropped(scene: &SceneFile, format: Format, written: &Converted, of_degree: us
     if let Some(metres) = scene.metres_per_unit.filter(|_| !format.holds_scale()) {
         lost.push(format!("the size of a unit, {metres} m"));
     }
-    if scene.antialiased && !format.holds_antialiasing() {
-        lost.push("the mark that it was trained with antialiasing: show it with `--antialias`".into());
+    if scene.trained != (TrainedAs { antialias: scene.trained.antialias, ..TrainedAs::default() }) && format == Format::Spz {
+        lost.push("the background and the projection that it was trained with".into());
     }
     lost
 }

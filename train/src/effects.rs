@@ -114,11 +114,6 @@ impl EffectsArg {
                 "colours do not depend on the view: training with `--sh-degree 0`, unless that option is given",
             );
         }
-        if !antialias && on.contains(&EffectKind::Antialias) {
-            progress::note(
-                "pass `--antialias` to `splat eval` and `splat render` to show this scene as it was trained",
-            );
-        }
         Ok(Chosen { asked: self.text.clone(), on, plan, survey, measured: BTreeMap::new() })
     }
 }

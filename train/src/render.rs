@@ -58,9 +58,10 @@ pub struct RenderArgs {
     /// Accuracy of the renders.
     #[command(flatten)]
     pub accuracy: AccuracyArgs,
-    /// Background behind the scene: black, white, R,G,B from 0 to 1, or the background.json of a training run
-    #[arg(long, value_name = "WHAT", default_value_t)]
-    pub background: ShownBackground,
+    /// Background behind the scene: black, white, R,G,B from 0 to 1, or the background.json of a training run [default: that of the
+    /// scene's training]
+    #[arg(long, value_name = "WHAT")]
+    pub background: Option<ShownBackground>,
 }
 
 /// File format of a picture. Values are display-referred in all formats, as in photographs, and composited over
@@ -92,18 +93,18 @@ impl PictureFormat {
 /// If the capture or the scene cannot be read, the view does not exist, or a picture is one of the files that are read or cannot be written.
 pub fn run(args: &RenderArgs) -> Result<Vec<PathBuf>> {
     let (device, device_name) = args.device.resolve()?;
-    let background = args.background.read()?;
     let accuracy = args.accuracy.resolve(&device_name)?;
     let capture = input::capture(&args.capture)?;
     let views = chosen(&capture, &args.view)?;
-    let rows = input::rows(&args.scene, &capture)?;
-    let base = args.model.config().render_options(input::extent(&capture));
+    let (rows, trained) = input::rows("--scene", &args.scene, &capture)?;
+    let background = ShownBackground::read(args.background.as_ref(), &args.scene, &trained)?;
+    let base = args.model.or(&trained).config().render_options(input::extent(&capture));
     let shots: Vec<MeasuredView> =
         views.iter().map(|view| MeasuredView::unseen(&view.intrinsics, &view.cam_from_world)).collect();
     let accuracy = accuracy.on((&capture, Some(&rows), MeasuredView::pixels(&shots)), &base, Workload::Render)?;
     let names = pictures::names(views.iter().map(|view| view.name.as_str()), args.format.extension());
     let inputs = Inputs::default().and_scene(&args.scene).and_capture(&capture);
-    let inputs = inputs.and(args.background.file()).and(&args.accuracy.frontier);
+    let inputs = inputs.and(args.background.as_ref().and_then(ShownBackground::file)).and(&args.accuracy.frontier);
     let out = OutputFolder::prepare(&args.out, inputs, &names, &[])?;
     let scene = UnmeasuredScene {
         rows: &rows,

@@ -9,6 +9,7 @@ use splat_model::capture::{Capture, Split};
 use splat_model::cleanup::Bulk;
 use splat_model::effects::masks;
 use splat_model::formats;
+use splat_model::ply::TrainedAs;
 use splat_op::RenderOptions;
 
 use crate::input;
@@ -34,7 +35,7 @@ pub struct SceneInfo {
     sh_degree: usize,
     /// Origin that positions are relative to.
     origin: [f64; 3],
-    antialiased: bool,
+    trained: TrainedAs,
     /// Bounds of all centres, and of 90% of them along each axis; null without splats that can be rendered.
     bounds: Option<Bounds>,
     bulk: Option<Bounds>,
@@ -120,9 +121,6 @@ pub fn of_scene(path: &Path) -> Result<SceneInfo> {
     if rows.sh_degree > 3 {
         warnings.push("many readers support harmonics to degree 3 only: `splat convert --sh-degree 3`".into());
     }
-    if scene.antialiased {
-        warnings.push("trained with antialiasing, according to the file: show it with `--antialias`".into());
-    }
     let parameters_mib = (4 * rows.len() * (14 + rows.rest_per_row())) as f64 / f64::from(1 << 20);
     Ok(SceneInfo {
         kind: "scene",
@@ -131,7 +129,7 @@ pub fn of_scene(path: &Path) -> Result<SceneInfo> {
         splats: rows.len(),
         sh_degree: rows.sh_degree,
         origin: scene.origin.to_array(),
-        antialiased: scene.antialiased,
+        trained: TrainedAs { antialias: scene.antialiased, ..scene.trained },
         bounds: bounds(means.iter().map(|mean| mean.map(f64::from))),
         bulk: bulk.map(|bulk| Bounds { low: bulk.low, high: bulk.high }),
         sigma: of(&|row| f64::from(longest(row)).exp()),
@@ -212,6 +210,9 @@ pub fn scene_text(info: &SceneInfo) -> String {
     lines.extend(info.bounds.map(|bounds| line("centres", &bounds.to_string())));
     lines.extend(info.bulk.map(|bounds| line("90% of centres", &bounds.to_string())));
     lines.push(line("origin", &position(&info.origin)));
+    if info.trained != TrainedAs::default() {
+        lines.extend(serde_json::to_string(&info.trained).ok().map(|trained| line("trained as", &trained)));
+    }
     lines.push(line("", "5%, 50% and 95% of the splats are below"));
     lines.push(line("sigma", &format!("{} scene units, the longest", info.sigma)));
     lines.push(line("longest / shortest", &info.needle.to_string()));

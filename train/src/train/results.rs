@@ -9,8 +9,9 @@ use anyhow::{Result, anyhow};
 use glam::DAffine3;
 use splat_model::capture::Capture;
 use splat_model::effects::background::{Backdrop, Background};
-use splat_model::ply::{self, PlyError};
+use splat_model::ply::{self, PlyError, TrainedAs, WorldFrame};
 use splat_model::trainer::{TrainConfig, TrainError, Trainer};
+use splat_op::Projection;
 
 use crate::output::OutputFolder;
 use crate::progress;
@@ -21,7 +22,14 @@ pub fn write_scene(trainer: &Trainer, capture: &Capture, path: &Path) -> Result<
     let scene = (trainer.gaussians().len(), trainer.gaussians().sh_degree());
     let mut unusable = 0;
     let parts = trainer.parts_of_rows().inspect(|part| unusable += part.unusable());
-    ply::write_parts(path, scene, parts, capture.world_frame())?;
+    let config = trainer.config();
+    let trained = TrainedAs {
+        antialias: config.antialias,
+        ray_max: trainer.render_options().projection == Projection::RayMax,
+        background: trainer.background().colour(),
+        environment: matches!(config.backdrop, Backdrop::Environment { .. }),
+    };
+    ply::write_parts(path, scene, parts, WorldFrame { trained, ..capture.world_frame() })?;
     Ok(unusable)
 }
 

@@ -12,7 +12,7 @@ use splat_model::formats;
 use self::page::{SceneSource, Viewer};
 use self::scene::ShownScene;
 use self::server::{ServedFile, Server};
-use crate::{input, progress};
+use crate::progress;
 
 /// Options of `splat view`.
 #[derive(Clone, Debug, clap::Args)]
@@ -22,9 +22,6 @@ pub struct ViewArgs {
     /// Port of 127.0.0.1 to serve on; 0 chooses a free one
     #[arg(long, value_name = "P", default_value_t = 0)]
     pub port: u16,
-    /// Show the scene as trained with --antialias
-    #[arg(long)]
-    pub antialias: bool,
 }
 
 /// Reads the scene, prints its address, and serves it until the process is ended (Ctrl-C).
@@ -44,7 +41,7 @@ pub fn run(args: &ViewArgs) -> Result<()> {
 fn pages(args: &ViewArgs) -> Result<[ServedFile; 2]> {
     const SCENE: &str = "/scene.ply";
     let (scene, _) = formats::read(&args.scene).context("cannot read the scene")?;
-    input::note_antialiased(&args.scene, scene.antialiased && !args.antialias);
+    let (antialias, background) = (scene.antialiased, scene.trained.background);
     let rows = scene.rows;
     progress::note_unusable(&args.scene, rows.unusable(), rows.len());
     let scene = ShownScene::new(&rows, usize::MAX)
@@ -54,8 +51,8 @@ fn pages(args: &ViewArgs) -> Result<[ServedFile; 2]> {
         scene: &scene,
         source: SceneSource::Url(SCENE),
         viewpoints: &[],
-        background: [0.0; 3],
-        antialias: args.antialias,
+        background,
+        antialias,
     };
     let name = args.scene.file_name().unwrap_or(args.scene.as_os_str()).to_string_lossy();
     let html = viewer.page(&name)?;

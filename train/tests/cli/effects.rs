@@ -146,7 +146,7 @@ fn what_is_learnt_beside_the_scene_lies_beside_it() {
     let scores = out.join("scores");
     let scene = out.join("scene.ply");
     let eval = ["eval", text(&DEMO), "--scene", text(&scene), "--out", text(&scores)];
-    succeed(splat(&eval).args(["--background", text(&background)]));
+    succeed(&mut splat(&eval));
     let psnr = |metrics: &Value| metrics["test"]["psnr"].as_f64().unwrap();
     let (found, expected) = (psnr(&json(&scores.join("metrics.json"))), psnr(&metrics));
     assert!((found - expected).abs() < 1e-3, "{found} instead of {expected} dB");

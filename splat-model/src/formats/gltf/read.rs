@@ -136,9 +136,9 @@ impl<'a> GltfRows<'a> {
             }
         }
         let extras = &document.asset.extras;
-        let WorldFrame { origin, metres_per_unit } = extras::world(extras);
+        let WorldFrame { origin, metres_per_unit, trained } = extras::world(extras);
         let antialiased = extras["antialiased"] == true;
-        let about = SceneFile { origin, metres_per_unit, antialiased, ..SceneFile::default() };
+        let about = SceneFile { origin, metres_per_unit, antialiased, trained, ..SceneFile::default() };
         Ok(Self { path, about, primitives: found, buffers, count, sh_degree, next: 0 })
     }
 
