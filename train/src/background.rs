@@ -4,7 +4,6 @@ use std::path::Path;
 use std::str::FromStr;
 
 use anyhow::Result;
-use serde::{Deserialize, Serialize};
 use splat_model::effects::background::{Backdrop, Background};
 use splat_model::ply::TrainedAs;
 use splat_model::trainer::TrainConfig;
@@ -25,7 +24,7 @@ fn colour(text: &str) -> Option<[f32; 3]> {
 }
 
 /// The value of `splat train --background`.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum TrainBackground {
     /// A constant colour.
     Colour([f32; 3]),
@@ -63,6 +62,17 @@ impl FromStr for TrainBackground {
                  learned, environment, or environment:D with a degree from 0 to 4"
             )
         })
+    }
+}
+
+impl std::fmt::Display for TrainBackground {
+    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Colour([r, g, b]) => write!(out, "{r},{g},{b}"),
+            Self::Random => out.write_str("random"),
+            Self::Learned => out.write_str("learned"),
+            Self::Environment { degree } => write!(out, "environment:{degree}"),
+        }
     }
 }
 
@@ -148,6 +158,9 @@ mod tests {
         let mut config = TrainConfig::default();
         of("white").configure(&mut config);
         assert_eq!((config.background, config.backdrop), ([1.0; 3], Backdrop::Fixed));
+        for text in ["0.25,0,1", "random", "learned", "environment:2"] {
+            assert_eq!(of(text).to_string(), text);
+        }
         for text in ["", "grey", "1,2,3", "0.1,0.2", "environment:5", "0.1,nan,0.2"] {
             let message = text.parse::<TrainBackground>().unwrap_err();
             assert!(message.contains("expected black, white"), "{message}");

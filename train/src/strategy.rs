@@ -7,6 +7,7 @@ use splat_model::optim::LearningRates;
 
 /// Density strategies by name. All but `gradual` have their published settings.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum StrategyName {
     /// From early on, split a tenth of the splats at a time, those with the largest gradients, in two halves across their
     /// longest axis (after Improved-GS, Deng et al. 2025), and remove faint ones
@@ -44,6 +45,7 @@ impl StrategyName {
 
 /// Learning rates by name.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum RatesName {
     /// Rates for a run of this length: the published ones in a run of 30,000 steps, higher at the start of a shorter one
     #[default]

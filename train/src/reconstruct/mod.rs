@@ -66,28 +66,12 @@ pub struct CameraArgs {
     /// Size of the scene: `gps` (positions in EXIF), or two marked points and the metres between them, as in left,right=0.75. The scene's
     /// file states the metres of a unit
     #[arg(long, value_name = "WHAT")]
-    #[serde(with = "optional_text")]
+    #[serde(with = "crate::as_text::optional", default)]
     pub scale_from: Option<ScaleFrom>,
     /// File of marks for --scale-from, a line for each mark: NAME PHOTOGRAPH X Y, px from the upper left corner of the picture as
     /// viewers show it; each point in at least two photographs [default: marks.txt beside the photographs]
     #[arg(long, value_name = "FILE", requires = "scale_from")]
     pub marks: Option<PathBuf>,
-}
-
-/// An optional value as its text.
-mod optional_text {
-    use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error};
-
-    use super::ScaleFrom;
-
-    pub fn serialize<S: Serializer>(value: &Option<ScaleFrom>, serializer: S) -> Result<S::Ok, S::Error> {
-        value.as_ref().map(ToString::to_string).serialize(serializer)
-    }
-
-    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<ScaleFrom>, D::Error> {
-        let text = Option::<String>::deserialize(deserializer)?;
-        text.map(|text| text.parse().map_err(D::Error::custom)).transpose()
-    }
 }
 
 impl CameraArgs {
