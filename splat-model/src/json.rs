@@ -6,6 +6,8 @@ use std::path::Path;
 
 use serde::de::DeserializeOwned;
 
+use crate::encoding::utf8;
+
 /// Reads the value in a file of at most `largest` bytes. `unread` makes the error of a file that cannot be read, and `content`
 /// that of a file that holds something else.
 pub(crate) fn read<T: DeserializeOwned, E>(
@@ -20,7 +22,7 @@ pub(crate) fn read<T: DeserializeOwned, E>(
     if text.len() as u64 > largest {
         return Err(content(format!("more than {largest} bytes")));
     }
-    serde_json::from_slice(&text).map_err(|error| content(error.to_string()))
+    serde_json::from_slice(&utf8(text)).map_err(|error| content(error.to_string()))
 }
 
 #[cfg(test)]

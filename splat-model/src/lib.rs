@@ -69,6 +69,7 @@ pub mod capture;
 pub mod cleanup;
 pub mod density;
 pub mod effects;
+mod encoding;
 pub mod evaluate;
 pub mod formats;
 pub mod gaussians;
@@ -80,6 +81,7 @@ pub mod optim;
 pub mod ply;
 mod quantile;
 pub mod replace;
+pub mod sniff;
 pub mod state;
 pub mod trainer;
 

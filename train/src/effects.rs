@@ -14,7 +14,6 @@ use splat_model::effects::grid::GridConfig;
 use splat_model::effects::optics::OpticsConfig;
 use splat_model::effects::plan::slowness;
 use splat_model::effects::pose::{PoseConfig, anchors};
-use splat_model::effects::survey::depth_folder;
 use splat_model::effects::{EffectKind, Plan, Survey};
 use splat_model::trainer::{MeasuredCost, TrainConfig, TrainError, Trainer};
 
@@ -188,10 +187,7 @@ impl Chosen {
         if !self.has(EffectKind::DepthSupervision) {
             return Ok(trainer);
         }
-        let samples = match depth_folder(&capture.folder) {
-            Some(folder) => depth::from_maps(capture, folder, views)?,
-            None => depth::from_tracks(capture, views),
-        };
+        let samples = depth::from_maps(capture, views)?.unwrap_or_else(|| depth::from_tracks(capture, views));
         Ok(trainer.with_depths(samples))
     }
 

@@ -5,14 +5,15 @@ use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::AtomicUsize;
 
-use anyhow::{Context, Result, ensure};
-use splat_model::capture::image::{load, load_all};
+use anyhow::{Context, Result, bail, ensure};
+use splat_model::capture::image::{load_again, load_all};
 use splat_model::capture::{Capture, CaptureError, Photo, Photograph, PhotographFacts};
 use splat_model::effects::masks;
 use splat_model::formats;
 use splat_model::gaussians::GaussianRows;
 use splat_model::optim::scene_extent;
 use splat_model::ply::TrainedAs;
+use splat_model::sniff::FileKind;
 use splat_model::trainer::ranks::{Ranks, gather_all, share_of};
 
 use crate::{progress, reconstruct};
@@ -25,8 +26,12 @@ const AT_ONCE: usize = 64;
 /// # Errors
 /// If the folder is missing or is not a capture.
 pub fn capture(folder: &Path) -> Result<Capture> {
+    let is_file = folder.is_file() && !Capture::is_in(folder);
+    if let Some(FileKind { what, remedy, .. }) = FileKind::of(folder).filter(|_| is_file) {
+        bail!("{} is {what}, and no capture: {remedy}", folder.display());
+    }
     ensure!(
-        folder.is_dir(),
+        folder.exists() && !is_file,
         "there is no capture folder {}: name the folder that holds `images/` and `sparse/0/`, or `transforms.json`, or make one \
          with `splat reconstruct`",
         folder.display()
@@ -49,6 +54,7 @@ pub fn extent(capture: &Capture) -> f64 {
 /// If a picture is missing, cannot be decoded, or differs in size from its camera; with `masked`, also if this holds
 /// for a mask, or if masks leave no photograph.
 pub fn photographs(capture: &Capture, views: &[usize], max_side: Option<u32>, masked: bool) -> Result<Vec<Photo>> {
+    capture.check_photographs(views)?;
     let photos = decoded(capture, views, max_side, masked)?;
     say_dropped(capture, views.len(), photos.len())?;
     Ok(photos)
@@ -101,6 +107,7 @@ impl PhotoSelection<'_> {
     /// # Errors
     /// The errors of [`photographs`].
     pub fn within(&self, views: &[usize], room: &mut usize) -> Result<Vec<Photograph>> {
+        self.capture.check_photographs(views)?;
         let names = views.iter().map(|&view| (self.capture.views[view].name.as_str(), view));
         let by_name: BTreeMap<&str, usize> = names.collect();
         let mut found = Vec::with_capacity(views.len());
@@ -124,6 +131,7 @@ impl PhotoSelection<'_> {
     /// # Errors
     /// The errors of [`photographs`] in its own share, and if another rank is gone.
     pub fn shared(&self, views: &[usize], room: usize, ranks: &dyn Ranks) -> Result<Vec<Photograph>> {
+        self.capture.check_photographs(views)?;
         let names = views.iter().map(|&view| (self.capture.views[view].name.as_str(), view));
         let by_name: BTreeMap<&str, usize> = names.collect();
         let room = Arc::new(AtomicUsize::new(room));
@@ -154,7 +162,7 @@ impl PhotoSelection<'_> {
     fn again(&self, view: usize) -> impl Fn() -> Result<Photo, CaptureError> + Send + Sync + 'static {
         let (capture, max_side, masked, opaque) = (Arc::clone(self.capture), self.max_side, self.masked, self.opaque);
         move || {
-            let mut photos = vec![load(&capture.views[view], max_side)?];
+            let mut photos = vec![load_again(&capture.views[view], max_side)?];
             if masked {
                 masks::attach(&capture, &[view], &mut photos)?;
             }

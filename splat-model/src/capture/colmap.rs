@@ -1,4 +1,4 @@
-//! COLMAP reconstructions: `sparse/0/{cameras,images,points3D}.{bin,txt}` beside `images/`. Of several models the largest is read.
+//! COLMAP reconstructions: `sparse/0/{cameras,images,points3D}.{bin,txt}` beside `images/`, or wherever [`find`](super::find) finds them. Of several models the largest is read.
 //!
 //! Format: <https://colmap.github.io/format.html>. Poses map world to camera, axes are OpenCV's, quaternions are wxyz, pixel
 //! centres lie at +0.5: the conventions of this crate. Keypoints are kept where a track refers to them; `rigs` and `frames` are ignored.
@@ -7,6 +7,7 @@ mod binary;
 mod check;
 mod files;
 mod model;
+mod pictures;
 mod text;
 mod write;
 
@@ -14,15 +15,20 @@ mod write;
 mod tests;
 
 use std::collections::{HashMap, HashSet};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use glam::{DAffine3, DVec3};
 use splat_op::Intrinsics;
 
-pub(super) use self::files::is_there;
 use self::files::{Files, find, of_model};
+pub(super) use self::files::{SPARSE, is_complete, models_in};
+pub(super) use self::pictures::Pictures;
+use super::find::parent;
+use super::names::{Names, PICTURES};
 use super::read::{Place, PlaceInFile, quoted, read};
 use super::{Capture, CaptureError, Observation, Tracks, View};
+use crate::encoding::utf8;
+use crate::ply;
 
 pub use write::{write_binary, write_binary_with_tracks};
 
@@ -64,18 +70,55 @@ struct TrackElement {
     keypoint: u32,
 }
 
-/// See [`Capture::load`].
-pub(super) fn load(folder: &Path) -> Result<Capture, CaptureError> {
-    let (files, remark) = find(folder)?;
-    let cameras = parse(&files.cameras, binary::cameras, text::cameras)?;
-    let images = parse(&files.images, binary::images, text::images)?;
-    let points = match files.points.exists() {
+/// Loads one of some models, and finds its pictures.
+pub(super) fn load(models: &[PathBuf], pictures: &Pictures) -> Result<Capture, CaptureError> {
+    let (files, remark) = find(models)?;
+    let cameras = by_id(&files.cameras, parse(&files.cameras, binary::cameras, text::cameras)?)?;
+    let mut images = parse(&files.images, binary::images, text::images)?;
+    let size = |image: &ImageRecord| cameras.get(&image.camera_id).map(|camera| [camera.width, camera.height]);
+    let root = pictures.root(&files.cameras, &images, size);
+    let mut names = Names::default();
+    for image in &mut images {
+        if let Some(found) = names.find(&root.pictures, &image.name, &PICTURES) {
+            image.name = found;
+        }
+    }
+    check_entries(&files, &cameras, &images)?;
+    images.sort_by(|a, b| a.name.cmp(&b.name));
+    let mut points = match files.points.exists() {
         true => parse(&files.points, binary::points, text::points)?,
         false => Vec::new(),
     };
-    let capture = assemble(folder, &files, cameras, images, &points)?;
-    let read = [files.cameras, files.images, files.points].into_iter().filter(|file| file.exists()).collect();
-    Ok(Capture { files: read, remarks: remark.into_iter().collect(), ..capture })
+    let mut remarks: Vec<String> = remark.into_iter().collect();
+    let mut read = vec![files.images, files.cameras];
+    let tracks = tracks(&images, &points);
+    if !points.is_empty() {
+        read.push(files.points);
+    } else if let Some(file) = point_file([&parent(&read[0]), &root.capture]) {
+        let (positions, colours) = ply::read_points(&file).map_err(CaptureError::Points)?;
+        remarks.push(format!("the model has no points: {} are read from {}", positions.len(), file.display()));
+        let point = |(position, colour)| PointRecord { position, colour, error_px: f64::NAN, track: Vec::new() };
+        points = positions.into_iter().zip(colours).map(point).collect();
+        read.push(file);
+    }
+    let view = |image: ImageRecord| View {
+        image_path: root.pictures.join(&image.name),
+        name: image.name,
+        intrinsics: cameras[&image.camera_id],
+        cam_from_world: image.cam_from_world,
+    };
+    let views = images.into_iter().map(view).collect();
+    let (positions, colours): (Vec<_>, _) = points.iter().map(|point| (point.position, point.colour)).unzip();
+    Ok(Capture { tracks, remarks, files: read, ..Capture::near_zero(&root.capture, views, &positions, colours) })
+}
+
+/// The first of the files of points that programs write beside a model: COLMAP's, nerfstudio's and the original code's.
+fn point_file(folders: [&PathBuf; 2]) -> Option<PathBuf> {
+    const FILES: [&str; 6] =
+        ["points3D.ply", "sparse_pc.ply", "fused.ply", "input.ply", "points.ply", "point_cloud.ply"];
+    let mut names = Names::default();
+    let files = folders.into_iter().flat_map(|folder| FILES.map(|name| (folder, name)));
+    files.into_iter().find_map(|(folder, name)| Some(folder.join(names.find(folder, name, &[])?)))
 }
 
 /// The number of photographs in a model's folder, such as `sparse/0`.
@@ -90,34 +133,9 @@ type Parser<T> = fn(&Path, &[u8]) -> Result<Vec<T>, CaptureError>;
 
 fn parse<T>(file: &Path, binary: Parser<T>, text: Parser<T>) -> Result<Vec<T>, CaptureError> {
     let parser = if file.extension().is_some_and(|extension| extension == "bin") { binary } else { text };
-    parser(file, &read(file)?)
-}
-
-fn assemble(
-    folder: &Path,
-    files: &Files,
-    cameras: Vec<CameraRecord>,
-    images: Vec<ImageRecord>,
-    points: &[PointRecord],
-) -> Result<Capture, CaptureError> {
-    let cameras = by_id(&files.cameras, cameras)?;
-    check_unique(&files.images, &images)?;
-    let mut images = images;
-    images.sort_by(|a, b| a.name.cmp(&b.name));
-    let tracks = tracks(&images, points);
-    let views = images
-        .into_iter()
-        .map(|image| {
-            let intrinsics = *cameras.get(&image.camera_id).ok_or_else(|| no_camera(files, &image, cameras.len()))?;
-            let image_path = folder.join("images").join(&image.name);
-            Ok(View { name: image.name, image_path, intrinsics, cam_from_world: image.cam_from_world })
-        })
-        .collect::<Result<Vec<View>, CaptureError>>()?;
-    if views.is_empty() {
-        return Err(CaptureError::NoViews { file: files.images.clone() });
-    }
-    let (positions, colours): (Vec<_>, _) = points.iter().map(|point| (point.position, point.colour)).unzip();
-    Ok(Capture { tracks, ..Capture::near_zero(folder, views, &positions, colours) })
+    let is_text = file.extension().is_some_and(|extension| extension == "txt");
+    let bytes = read(file)?;
+    parser(file, &if is_text { utf8(bytes) } else { bytes })
 }
 
 /// The observations of all points, in the order of the points. `images` are in the order of the views.
@@ -146,23 +164,30 @@ fn by_id(file: &Path, cameras: Vec<CameraRecord>) -> Result<HashMap<u32, Intrins
     Ok(map)
 }
 
-fn check_unique(file: &Path, images: &[ImageRecord]) -> Result<(), CaptureError> {
+/// Checks that each image has a camera, and an id and a name of its own.
+fn check_entries(
+    files: &Files,
+    cameras: &HashMap<u32, Intrinsics>,
+    images: &[ImageRecord],
+) -> Result<(), CaptureError> {
     let (mut ids, mut names) = (HashSet::new(), HashSet::new());
-    for ImageRecord { at, id, name, .. } in images {
-        let place = Place::new(file, *at);
-        if !ids.insert(id) {
-            return Err(place.refuse("IMAGE_ID", format!("{id} again"), "a number of its own for each image"));
+    for image in images {
+        let place = Place::new(&files.images, image.at);
+        if !ids.insert(image.id) {
+            return Err(place.refuse("IMAGE_ID", format!("{} again", image.id), "a number of its own for each image"));
         }
-        if !names.insert(name) {
-            let found = format!("{} again", quoted(name));
+        if !names.insert(&image.name) {
+            let found = format!("{} again", quoted(&image.name));
             return Err(place.refuse("NAME", found, "a name of its own for each image"));
         }
+        if !cameras.contains_key(&image.camera_id) {
+            let found = format!("{} (of image {})", image.camera_id, quoted(&image.name));
+            let expected = format!("one of the {} cameras in {}", cameras.len(), files.cameras.display());
+            return Err(place.refuse("CAMERA_ID", found, expected));
+        }
     }
-    Ok(())
-}
-
-fn no_camera(files: &Files, image: &ImageRecord, cameras: usize) -> CaptureError {
-    let place = Place::new(&files.images, image.at);
-    let found = format!("{} (of image {})", image.camera_id, quoted(&image.name));
-    place.refuse("CAMERA_ID", found, format!("one of the {cameras} cameras in {}", files.cameras.display()))
+    match images.is_empty() {
+        true => Err(CaptureError::NoViews { file: files.images.clone() }),
+        false => Ok(()),
+    }
 }

@@ -1,10 +1,11 @@
 //! Errors of captures.
 
 use std::io;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use thiserror::Error;
 
+use super::names::beside;
 use crate::ply::PlyError;
 
 /// A capture that cannot be read or written. Each message names the file, what was found and what to do.
@@ -23,6 +24,31 @@ pub enum CaptureError {
         looked_for: Vec<PathBuf>,
         /// What to do.
         fix: &'static str,
+    },
+    /// Photographs that a file lists are not there.
+    #[error(
+        "{missing} of {of} photographs that {} lists are missing, the first is {}: {beside}. Put the photographs where it lists them: below \
+         `images/`, or for JSON below its folder", .file.display(), .first.display()
+    )]
+    Photographs {
+        /// The file.
+        file: PathBuf,
+        /// Number of photographs that are missing.
+        missing: usize,
+        /// Number of photographs that were looked for.
+        of: usize,
+        /// Where the first should be.
+        first: PathBuf,
+        /// What lies there instead.
+        beside: String,
+    },
+    /// Cameras lie at unusual places, and which are meant is not clear.
+    #[error("{}: {detail}", .folder.display())]
+    Cameras {
+        /// The folder in which they were looked for.
+        folder: PathBuf,
+        /// What was found, and what to do.
+        detail: String,
     },
     /// A file is there but cannot be read.
     #[error("cannot read {}: {reason}. {fix}", .file.display())]
@@ -142,8 +168,8 @@ pub enum CaptureError {
     },
     /// A split that leaves nothing to test on.
     #[error(
-        "all {views} views are for training and none is held out for testing, expected at least one. Set `--test-every` to \
-         8, say, to hold out every eighth"
+        "{} for training and none is held out for testing, expected at least one. {}", all(*.views),
+        if *.views > 1 { "Set `--test-every` to 8, say, to hold out every eighth" } else { "Add photographs" }
     )]
     NoTestViews {
         /// Number of views in the split.
@@ -151,13 +177,26 @@ pub enum CaptureError {
     },
     /// A split that leaves nothing to train on.
     #[error(
-        "all {views} views are held out for testing and none is for training, expected at least one. Set `--test-every` to \
-         8, say, or to 0 to train on all, or add photographs"
+        "{} held out for testing and none is for training, expected at least one. Set `--test-every 0` to train on {}, or \
+         add photographs", all(*.views), if *.views > 1 { "all, or 8 to hold out every eighth" } else { "it" }
     )]
     NoTrainingViews {
         /// Number of views in the split.
         views: usize,
     },
+}
+
+impl CaptureError {
+    /// The error for photographs that `file` lists, of which these are missing.
+    pub(super) fn photographs(missing: &[PathBuf], of: usize, file: &Path) -> Self {
+        let first = missing.first().cloned().unwrap_or_default();
+        Self::Photographs { file: file.to_owned(), missing: missing.len(), of, beside: beside(&first), first }
+    }
+}
+
+/// The beginning of a sentence about so many views.
+fn all(views: usize) -> String {
+    if views == 1 { "the 1 view is".into() } else { format!("all {views} views are") }
 }
 
 fn list(paths: &[PathBuf]) -> String {

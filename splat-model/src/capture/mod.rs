@@ -7,6 +7,8 @@ mod colmap;
 pub mod demo;
 mod error;
 pub mod exif;
+mod find;
+pub(crate) mod names;
 pub(crate) mod origin;
 pub(crate) mod packed;
 mod photograph;
@@ -19,6 +21,7 @@ pub(crate) mod strays;
 mod tracks;
 mod transforms;
 pub mod unposed;
+mod unused;
 
 #[cfg(test)]
 pub(crate) mod testing;
@@ -43,8 +46,11 @@ use crate::ply::WorldFrame;
 /// A capture as its files describe it. Pictures are not decoded yet.
 #[derive(Clone, Debug)]
 pub struct Capture {
-    /// The capture's folder.
+    /// The capture's folder, which holds masks and the like.
     pub folder: PathBuf,
+    /// The files that were read, besides pictures: first that which lists the photographs, then cameras, points, the size of a unit and the
+    /// list of a block.
+    pub files: Vec<PathBuf>,
     /// Photographs, sorted by name.
     pub views: Vec<View>,
     /// Sparse points, empty if the capture has none.
@@ -63,8 +69,6 @@ pub struct Capture {
     pub masks: Vec<Option<PathBuf>>,
     /// The part of the scene on which the capture focuses, if it is a block of another; see [`blocks`].
     pub focus: Option<Bounds>,
-    /// The files that it was read from, besides pictures: cameras, points, the list of a block, the size of a unit.
-    pub files: Vec<PathBuf>,
     /// Notes for the user about how the files were read.
     pub remarks: Vec<String>,
 }
@@ -78,12 +82,16 @@ impl Capture {
     ///    capture's own split.
     /// 3. nerfstudio and instant-ngp: `transforms.json`. Its `train_filenames`, `val_filenames` and `test_filenames` make the
     ///    capture's own split, its `ply_file_path` is the point cloud, and its frames may name masks.
+    /// 4. A COLMAP model or a JSON file with frames anywhere in the folder, or directly above it, if it is the only one whose photographs
+    ///    are there.
     ///
     /// Before them comes a block: `block.json`, which names a capture in one of these formats and a part of it (see [`blocks`]). The
-    /// folder of the result is that of the whole capture, and so are its origin, masks and depth maps.
+    /// folder of the result is that of the whole capture, and so are its origin, masks and depth maps. A file of cameras may be named
+    /// instead of its folder.
     ///
     /// Pictures are not opened, except for the sizes in their headers where a JSON file lacks them. A picture in
-    /// JSON is named by its path below the folder, with its extension.
+    /// JSON is named by its path below the folder, with its extension. Names may differ from the files' in letter case and Unicode form, and
+    /// have `\` for `/`.
     ///
     /// Without points the point cloud is empty. A capture whose mean camera centre lies further from zero than 100
     /// times its extent is moved next to zero; [`Capture::origin`] says by how much. `scale.json` gives the size of a scene unit.
@@ -97,19 +105,32 @@ impl Capture {
         if blocks::is_there(folder) {
             return blocks::load(folder);
         }
-        let capture = match transforms::is_there(folder) && !colmap::is_there(folder) {
-            true => transforms::load(folder),
-            false => colmap::load(folder),
-        }?;
-        let mut files = capture.files;
-        let scale = Scale::load(folder)?;
-        files.extend(scale.is_some().then(|| folder.join(scale::SCALE_FILE)));
-        Ok(strays::leave_out(Self { scale, files, ..capture }))
+        let mut capture = find::load(folder)?;
+        capture.scale = Scale::load(&capture.folder)?;
+        capture.files.extend(capture.scale.is_some().then(|| capture.folder.join(scale::SCALE_FILE)));
+        let unused = unused::remarks(&capture);
+        capture.remarks.extend(unused);
+        Ok(strays::leave_out(capture))
     }
 
-    /// Whether a folder holds a capture's cameras in one of the formats of [`load`](Self::load). They may be damaged.
+    /// Whether a folder holds a capture's cameras in one of the formats of [`load`](Self::load), or is a file of them. They may be damaged, or
+    /// several.
     pub fn is_in(folder: &Path) -> bool {
-        blocks::is_there(folder) || transforms::is_there(folder) || colmap::is_there(folder)
+        blocks::is_there(folder) || find::is_there(folder)
+    }
+
+    /// Checks that the photographs of some views are there, without opening them.
+    ///
+    /// # Errors
+    /// [`CaptureError::Photographs`], with the number of all photographs that are not.
+    pub fn check_photographs(&self, views: &[usize]) -> Result<(), CaptureError> {
+        // A folder in the place of a picture has an error of its own.
+        if views.iter().all(|&view| self.views[view].image_path.exists()) {
+            return Ok(());
+        }
+        let paths = self.views.iter().map(|view| &view.image_path);
+        let missing: Vec<PathBuf> = paths.filter(|path| !path.exists()).cloned().collect();
+        Err(CaptureError::photographs(&missing, self.views.len(), self.files.first().unwrap_or(&self.folder)))
     }
 
     /// A capture of views and points of the files' world, moved next to zero where it lies far away.

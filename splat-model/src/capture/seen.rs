@@ -48,7 +48,8 @@ impl PointsSeen {
         let seen: Vec<AtomicBool> = some.iter().map(|_| AtomicBool::new(false)).collect();
         let of_view = |(camera, pose): &(Intrinsics, DAffine3)| {
             let projector = camera.projector();
-            let shown = some.iter().zip(&seen).filter(|(point, _)| project(camera, &projector, pose, **point).is_some());
+            let shown =
+                some.iter().zip(&seen).filter(|(point, _)| project(camera, &projector, pose, **point).is_some());
             (shown.inspect(|(_, seen)| seen.store(true, Ordering::Relaxed)).count() * step).min(points)
         };
         let by_view = cameras.par_iter().map(of_view).collect();
@@ -92,7 +93,10 @@ mod tests {
     use super::*;
 
     fn camera(angle_rad: f64) -> (Intrinsics, DAffine3) {
-        (Intrinsics::centred(60, 40, 50.0), DAffine3::from_translation(5.0 * DVec3::Z) * DAffine3::from_rotation_y(angle_rad))
+        (
+            Intrinsics::centred(60, 40, 50.0),
+            DAffine3::from_translation(5.0 * DVec3::Z) * DAffine3::from_rotation_y(angle_rad),
+        )
     }
 
     #[test]

@@ -107,6 +107,14 @@ mod tests {
     }
 
     #[test]
+    fn one_photograph_is_told_what_helps() {
+        let split = Split::every(&views(&["a"]), 8);
+        let message = split.require_train().unwrap_err().to_string();
+        assert!(message.contains("the 1 view is held out") && message.contains("`--test-every 0`"), "{message}");
+        assert!(!message.contains("8"), "{message}");
+    }
+
+    #[test]
     fn no_views_at_all_is_an_error_both_ways() {
         let split = Split::every(&[], 8);
         assert!(split.require_train().is_err() && split.require_test().is_err());

@@ -37,7 +37,9 @@ pub(crate) fn leave_out(mut capture: Capture) -> Capture {
         .map(|(far, miss)| match (far, miss) {
             (Some(times), _) => Some(format!("{times:.0} times the size of the scene away from the others")),
             (_, Some(miss)) if miss.is_infinite() => Some("its points are outside of its picture".into()),
-            (_, Some(miss)) => Some(format!("its points are {:.0}% of its longer side beside their places", 100.0 * miss)),
+            (_, Some(miss)) => {
+                Some(format!("its points are {:.0}% of its longer side beside their places", 100.0 * miss))
+            }
             _ => None,
         })
         .collect();
@@ -45,7 +47,8 @@ pub(crate) fn leave_out(mut capture: Capture) -> Capture {
     if count == 0 || ONE_IN * count > all {
         return capture;
     }
-    let of_view = |(view, reason): (usize, &Option<String>)| Some(format!("{} ({})", capture.views[view].name, reason.as_ref()?));
+    let of_view =
+        |(view, reason): (usize, &Option<String>)| Some(format!("{} ({})", capture.views[view].name, reason.as_ref()?));
     let mut named: Vec<String> = reasons.iter().enumerate().filter_map(of_view).take(NAMED).collect();
     if count > NAMED {
         named.push(format!("and {} more", count - NAMED));

@@ -41,7 +41,8 @@ impl Tracks {
     pub(super) fn picked(&self, points: impl IntoIterator<Item = usize>, place: &[Option<usize>]) -> Self {
         let mut picked = Self { dangling: self.dangling, ..Self::default() };
         for point in points {
-            let placed = self.of(point).iter().filter_map(|seen| Some(Some(Observation { view: place[seen.view]?, ..*seen })));
+            let placed =
+                self.of(point).iter().filter_map(|seen| Some(Some(Observation { view: place[seen.view]?, ..*seen })));
             picked.push(placed, self.stated_error_px(point).map_or(-1.0, f64::from));
         }
         picked

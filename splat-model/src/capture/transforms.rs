@@ -9,7 +9,8 @@
 //! program frames it, are ignored, and so are depth maps (`depth_file_path`).
 //!
 //! A name in JSON is a path relative to the file's folder and may not leave it. A `file_path` without an extension
-//! means the `.png`, `.jpg` or `.jpeg` that exists. Where `w` and `h` are missing, they come from the picture's header.
+//! means the `.png`, `.jpg` or `.jpeg` that exists, and one that exists only with a second extension or in another letter case means that
+//! (see [`Names`]). Where `w` and `h` are missing, they come from the picture's header.
 
 mod camera;
 mod json;
@@ -19,29 +20,29 @@ mod tests;
 
 use std::collections::{BTreeSet, HashMap};
 use std::io;
-use std::path::{Component, Path, PathBuf};
+use std::path::{Path, PathBuf};
 
 use self::camera::Lenses;
 use self::json::{Fields, Value};
+use super::find::parent;
+use super::names::{Names, PICTURES, below};
 use super::read::{Place, PlaceInFile, quoted, read, regular_size, unreadable};
 use super::{Capture, CaptureError, Split, View};
+use crate::encoding::utf8;
 use crate::ply;
 
 /// NeRF-synthetic's file of training frames.
-const TRAIN: &str = "transforms_train.json";
+pub(super) const TRAIN: &str = "transforms_train.json";
 /// NeRF-synthetic's file of test frames, then its substitutes; the first that exists is read.
 const HELD_OUT: [&str; 2] = ["transforms_test.json", "transforms_val.json"];
 /// The file of instant-ngp and nerfstudio.
-const SINGLE: &str = "transforms.json";
+pub(super) const SINGLE: &str = "transforms.json";
 
 /// The largest accepted file. A frame takes about a kilobyte.
-const MAX_BYTES: u64 = 256 << 20;
+pub(super) const MAX_BYTES: u64 = 256 << 20;
 
 /// The longest accepted path; messages name several on one screen.
 const MAX_PATH_BYTES: usize = 400;
-
-/// Appended to a `file_path` without an extension, in this order.
-const EXTENSIONS: [&str; 3] = ["png", "jpg", "jpeg"];
 
 impl Place<'_> {
     /// The value of an optional field; `null` counts as absent.
@@ -79,82 +80,114 @@ impl Place<'_> {
                 "Move the file to the folder that holds the pictures, and correct its paths",
             )
         };
-        let mut parts = Vec::new();
-        for part in Path::new(path).components() {
-            match part {
-                Component::Normal(part) => parts.push(part.to_str().ok_or_else(refuse)?),
-                Component::CurDir => {}
-                _ => return Err(refuse()),
-            }
-        }
-        let odd = parts.is_empty() || path.len() > MAX_PATH_BYTES || path.contains(char::is_control);
-        if odd { Err(refuse()) } else { Ok(parts.join("/")) }
+        let is_plain = path.len() <= MAX_PATH_BYTES && !path.contains(char::is_control);
+        below(path).filter(|_| is_plain).ok_or_else(refuse)
     }
 }
 
-/// Whether the folder holds a file of this format.
-pub(super) fn is_there(folder: &Path) -> bool {
-    [TRAIN, SINGLE].iter().any(|name| folder.join(name).is_file())
-}
-
-/// See [`Capture::load`].
-pub(super) fn load(folder: &Path) -> Result<Capture, CaptureError> {
-    let mut reading = Reading { folder, files: Vec::new(), named: HashMap::new(), views: Vec::new(), points: None };
-    let train = folder.join(TRAIN);
-    let split = if train.is_file() {
-        let count = reading.add(&train)?.0;
-        let held_out = HELD_OUT.iter().map(|name| folder.join(name)).find(|file| file.is_file());
-        match held_out {
-            Some(file) => {
-                let both = reading.add(&file)?.0;
-                Some(Split { train: (0..count).collect(), test: (count..both).collect() })
-            }
-            None => None,
+/// Loads a JSON file: with its test frames if it is NeRF-synthetic's, and else with the split that it states.
+pub(super) fn load(file: &Path) -> Result<Capture, CaptureError> {
+    let mut reading = Reading { folder: parent(file), ..Reading::default() };
+    let fields = reading.read(file)?;
+    reading.add(file, &fields)?;
+    if !file.ends_with(TRAIN) {
+        let split = reading.split(file, &fields)?;
+        return reading.finish(split);
+    }
+    let count = reading.views.len();
+    for file in HELD_OUT.map(|name| reading.folder.join(name)).iter().filter(|file| file.is_file()) {
+        let fields = reading.read(file)?;
+        if reading.has_pictures(file, &fields)? {
+            reading.add(file, &fields)?;
+            let test = (count..reading.views.len()).collect();
+            return reading.finish(Some(Split { train: (0..count).collect(), test }));
         }
-    } else {
-        let file = folder.join(SINGLE);
-        let (_, fields) = reading.add(&file)?;
-        reading.split(&file, &fields)?
-    };
-    reading.finish(split)
+    }
+    reading.finish(None)
 }
 
 /// The lists of file names that nerfstudio knows: for training, validation and testing.
 const LISTS: [&str; 3] = ["train_filenames", "val_filenames", "test_filenames"];
 
 /// The capture as read so far.
-struct Reading<'a> {
-    folder: &'a Path,
-    files: Vec<PathBuf>,
+#[derive(Default)]
+struct Reading {
+    folder: PathBuf,
     /// The view of a name, by its picture's name and by its name in the file.
     named: HashMap<String, usize>,
     /// The views, with their masks where they name one.
     views: Vec<(View, Option<PathBuf>)>,
     points: Option<PathBuf>,
+    /// Files that were read.
+    files: Vec<PathBuf>,
+    names: Names,
+    remarks: Vec<String>,
 }
 
-impl Reading<'_> {
-    /// Reads a file and adds its frames. Returns the number of views so far and the file's fields.
-    fn add(&mut self, file: &Path) -> Result<(usize, Fields), CaptureError> {
+impl Reading {
+    /// Reads the fields of a file.
+    fn read(&self, file: &Path) -> Result<Fields, CaptureError> {
         let bytes = regular_size(file).map_err(|reason| unreadable(file, reason))?;
         if bytes > MAX_BYTES {
             let reason = format!("it has {bytes} bytes, expected at most {MAX_BYTES}");
             return Err(unreadable(file, io::Error::new(io::ErrorKind::FileTooLarge, reason)));
         }
-        let fields = json::parse(file, &read(file)?)?;
+        json::parse(file, &utf8(read(file)?))
+    }
+
+    /// Adds the frames of a file.
+    fn add(&mut self, file: &Path, fields: &Fields) -> Result<(), CaptureError> {
         let whole = Place::new(file, PlaceInFile::Whole);
-        let frames = whole.required(&fields, "frames", Value::list, "a list of frames")?;
+        let frames = whole.required(fields, "frames", Value::list, "a list of frames")?;
         if frames.is_empty() {
             return Err(CaptureError::NoViews { file: file.to_owned() });
         }
         for (index, frame) in frames.iter().enumerate() {
-            self.add_frame(file, index, frame, &fields)?;
+            match self.add_frame(file, index, frame, fields) {
+                // One picture that is missing may stand for many.
+                Err(CaptureError::Missing { .. }) => return Err(self.missing(file, frames)),
+                added => added?,
+            }
         }
-        if let Some(points) = whole.optional(&fields, "ply_file_path", Value::text, "the path of a PLY file")? {
-            self.points = Some(self.folder.join(whole.path("ply_file_path", points)?));
+        if let Some(points) = whole.optional(fields, "ply_file_path", Value::text, "the path of a PLY file")? {
+            let points = whole.path("ply_file_path", points)?;
+            self.points = Some(self.folder.join(self.names.find(&self.folder, &points, &[]).unwrap_or(points)));
         }
         self.files.push(file.to_owned());
-        Ok((self.views.len(), fields))
+        Ok(())
+    }
+
+    /// The names of a file's pictures, and whether each is there.
+    fn pictures(&mut self, frames: &[Value]) -> Vec<(String, bool)> {
+        let stated = frames.iter().filter_map(|frame| below(frame.fields().ok()?.get("file_path").text().ok()?));
+        let mut pictures: Vec<(String, bool)> = stated.map(|name| (name, false)).collect();
+        pictures
+            .iter_mut()
+            .for_each(|(name, is_there)| *is_there = self.names.find(&self.folder, name, &PICTURES).is_some());
+        pictures
+    }
+
+    /// Whether any picture of the frames for testing is there: BlenderNeRF writes their poses alone.
+    fn has_pictures(&mut self, file: &Path, fields: &Fields) -> Result<bool, CaptureError> {
+        let Ok(frames) = fields.get("frames").list() else { return Ok(true) };
+        let pictures = self.pictures(frames);
+        let Some((first, _)) = pictures.first().filter(|_| pictures.iter().all(|(_, is_there)| !is_there)) else {
+            return Ok(true);
+        };
+        self.remarks.push(format!(
+            "{} is left out, because none of its {} pictures is there, the first of them {first}; other photographs are held out",
+            file.display(),
+            pictures.len()
+        ));
+        self.files.push(file.to_owned());
+        Ok(false)
+    }
+
+    /// The error for a file of whose pictures some are missing.
+    fn missing(&mut self, file: &Path, frames: &[Value]) -> CaptureError {
+        let pictures = self.pictures(frames);
+        let missing = pictures.iter().filter(|(_, is_there)| !is_there).map(|(name, _)| self.folder.join(name));
+        CaptureError::photographs(&missing.collect::<Vec<_>>(), pictures.len(), file)
     }
 
     fn add_frame(&mut self, file: &Path, index: usize, frame: &Value, of_file: &Fields) -> Result<(), CaptureError> {
@@ -166,11 +199,19 @@ impl Reading<'_> {
         let matrix = place.required(frame, "transform_matrix", Value::matrix, json::MATRIX)?;
         let cam_from_world = camera::pose(&place, matrix)?;
         let stated = place.path("file_path", stated)?;
-        let name = self.picture(&stated)?;
+        let name = self.names.find(&self.folder, &stated, &PICTURES);
+        let has_extension = Path::new(&stated).extension().and_then(|extension| extension.to_str());
+        let has_extension = has_extension.is_some_and(|of| PICTURES.iter().any(|known| known.eq_ignore_ascii_case(of)));
+        let name = name.or_else(|| has_extension.then(|| stated.clone())).ok_or_else(|| CaptureError::Missing {
+            what: "picture",
+            looked_for: vec![self.folder.join(&stated)],
+            fix: "",
+        })?;
         let image_path = self.folder.join(&name);
         let intrinsics = Lenses { place, frame, file: of_file }.intrinsics(&image_path)?;
         let mask = place.optional(frame, "mask_path", Value::text, PICTURE)?;
         let mask = mask.map(|path| place.path("mask_path", path)).transpose()?;
+        let mask = mask.map(|path| self.names.find(&self.folder, &path, &[]).unwrap_or(path));
         let view = self.views.len();
         if self.named.insert(name.clone(), view).is_some() {
             let found = format!("{} again", quoted(&name));
@@ -182,22 +223,6 @@ impl Reading<'_> {
         Ok(())
     }
 
-    /// The path of a picture with its extension.
-    fn picture(&self, stated: &str) -> Result<String, CaptureError> {
-        let extension = Path::new(stated).extension().and_then(|extension| extension.to_str());
-        let known = |extension: &str| EXTENSIONS.iter().any(|known| known.eq_ignore_ascii_case(extension));
-        if extension.is_some_and(known) || self.folder.join(stated).is_file() {
-            return Ok(stated.to_owned());
-        }
-        let candidates = EXTENSIONS.map(|extension| format!("{stated}.{extension}"));
-        let found = candidates.iter().find(|name| self.folder.join(name).is_file());
-        found.cloned().ok_or_else(|| CaptureError::Missing {
-            what: "picture",
-            looked_for: candidates.iter().map(|name| self.folder.join(name)).collect(),
-            fix: "Copy the pictures to where `file_path` says, from the folder of the JSON file",
-        })
-    }
-
     /// The split given by the lists, if there are any. Validation views replace missing test views. Views
     /// in no list are for training if there is no training list, and held out if that is the only list.
     fn split(&self, file: &Path, fields: &Fields) -> Result<Option<Split>, CaptureError> {
@@ -206,7 +231,9 @@ impl Reading<'_> {
             let Some(list) = place.optional(fields, field, Value::texts, "a list of paths")? else { return Ok(None) };
             let view = |path: &str| {
                 let unknown = || place.refuse(field, quoted(path), "the `file_path` of a frame");
-                self.named.get(&place.path(field, path)?).copied().ok_or_else(unknown)
+                let path = place.path(field, path)?;
+                let found = self.named.get(&path).or_else(|| self.named.get(&path.replace('\\', "/")));
+                found.copied().ok_or_else(unknown)
             };
             list.into_iter().map(view).collect::<Result<_, _>>().map(Some)
         };
@@ -232,10 +259,11 @@ impl Reading<'_> {
     }
 
     /// The capture, its views in order of name.
-    fn finish(self, split: Option<Split>) -> Result<Capture, CaptureError> {
+    fn finish(mut self, split: Option<Split>) -> Result<Capture, CaptureError> {
         let (positions, colours) = match &self.points {
             Some(file) => {
                 regular_size(file).map_err(|reason| unreadable(file, reason))?;
+                self.files.push(file.clone());
                 ply::read_points(file).map_err(CaptureError::Points)?
             }
             None => Default::default(),
@@ -249,7 +277,7 @@ impl Reading<'_> {
         };
         let split = split.map(|Split { train, test }| Split { train: ranked(train), test: ranked(test) });
         let (views, masks) = views.into_iter().map(|(_, view)| view).unzip();
-        let files = self.files.into_iter().chain(self.points).collect();
-        Ok(Capture { split, masks, files, ..Capture::near_zero(self.folder, views, &positions, colours) })
+        let (files, remarks) = (self.files, self.remarks);
+        Ok(Capture { split, masks, files, remarks, ..Capture::near_zero(&self.folder, views, &positions, colours) })
     }
 }

@@ -11,10 +11,8 @@ use splat_op::Intrinsics;
 use super::CaptureError;
 use super::exif::Exif;
 use super::image::{decode, size};
+use super::names::PICTURES;
 use super::read::{read, unreadable};
-
-/// Extensions of the pictures that can be read, in lower case.
-const PICTURES: [&str; 3] = ["jpg", "jpeg", "png"];
 
 /// Extensions of pictures that cannot be read, but that a user may have meant.
 const OTHER_PICTURES: [&str; 12] =

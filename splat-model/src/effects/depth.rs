@@ -11,7 +11,7 @@
 //! `(zᵢ − D/α)/α` for each weight: Gaussians that are too far fade, and nearer ones gain.
 
 use std::io;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use burn::tensor::{DType, Device, Int, Tensor, TensorData};
 use glam::Vec2;
@@ -23,7 +23,8 @@ use splat_op::depth_miss::depth_miss;
 use super::learned::{EffectContext, Falling};
 use super::masks::by_name;
 use super::{Effect, EffectKind, RenderInput};
-use crate::capture::{Capture, CaptureError};
+use crate::capture::names::Names;
+use crate::capture::{Capture, CaptureError, View};
 use crate::gaussians::Gaussians;
 use crate::json;
 use crate::quantile::quantile;
@@ -73,9 +74,6 @@ pub fn from_tracks(capture: &Capture, views: &[usize]) -> Vec<Vec<DepthSample>> 
     })
 }
 
-/// The file beside depth maps that holds their scale.
-pub(super) const DEPTH_SCALE: &str = "depth.json";
-
 /// The contents of `depth.json`.
 #[derive(Deserialize)]
 struct DepthScale {
@@ -83,29 +81,60 @@ struct DepthScale {
     scale: f64,
 }
 
-/// Reads the depth maps of the photographs `views` in `folder` of the capture: 16-bit grey PNG files of any size, named
+/// Folders of a capture in which tools keep depth maps.
+const FOLDERS: [&str; 3] = ["depth", "depths", "depth_maps"];
+
+/// The file beside depth maps that states their scale.
+pub(crate) const SCALE: &str = "depth.json";
+
+/// The folders of the capture that may hold depth maps.
+pub(crate) fn folders(capture: &Capture) -> Vec<PathBuf> {
+    FOLDERS.iter().map(|name| capture.folder.join(name)).filter(|folder| folder.is_dir()).collect()
+}
+
+/// The depth map of each view: a PNG file named like a mask (see [`masks`](super::masks)), in the first folder that has one for any view. `None`
+/// for a view without a map.
+pub(crate) fn find(capture: &Capture) -> Vec<Option<PathBuf>> {
+    let mut files = Names::default();
+    for folder in folders(capture) {
+        let of_view = |view: &View| by_name(std::slice::from_ref(&folder), &view.name, &mut files);
+        let found: Vec<Option<PathBuf>> = capture.views.iter().map(of_view).collect();
+        if found.iter().any(Option::is_some) {
+            return found;
+        }
+    }
+    vec![None; capture.views.len()]
+}
+
+/// The folder of a capture's depth maps, relative to the capture; `None` if no photograph has one.
+pub fn folder(capture: &Capture) -> Option<PathBuf> {
+    let first = find(capture).into_iter().flatten().next()?;
+    Some(first.strip_prefix(&capture.folder).ok()?.components().next()?.as_os_str().into())
+}
+
+/// Reads the depth maps of the photographs `views`, in the capture's [folder](folder) of them: 16-bit grey PNG files of any size, named
 /// like masks (see [`masks`](super::masks)). Levels are camera z at pixel centres, and zero where the depth is unknown. The
 /// file `depth.json` holds the scene units per level: `{"scale": 0.001}`. Large maps are sampled evenly. A photograph
-/// without a map has no samples.
+/// without a map has no samples. `None` without any map.
 ///
 /// # Errors
 /// If `depth.json` is missing or its scale is not positive, or if a map cannot be read or is not a 16-bit grey picture.
-pub fn from_maps(capture: &Capture, folder: &str, views: &[usize]) -> Result<Vec<Vec<DepthSample>>, CaptureError> {
-    let folder = capture.folder.join(folder);
-    let file = folder.join(DEPTH_SCALE);
+pub fn from_maps(capture: &Capture, views: &[usize]) -> Result<Option<Vec<Vec<DepthSample>>>, CaptureError> {
+    let Some(folder) = folder(capture) else { return Ok(None) };
+    let file = capture.folder.join(folder).join(SCALE);
     let wrong = |file: &Path, reason: String| CaptureError::Depth { file: file.to_owned(), reason };
     let unread = |error: io::Error| wrong(&file, error.to_string());
     let DepthScale { scale } = json::read(&file, LARGEST_TEXT, unread, |reason| wrong(&file, reason))?;
     if !(scale > 0.0 && scale.is_finite()) {
         return Err(wrong(&file, format!("`scale` is {scale}, expected a number above 0")));
     }
+    let found = find(capture);
     let of_view = |&view: &usize| {
-        let view = &capture.views[view];
-        let Some(file) = by_name(std::slice::from_ref(&folder), &view.name) else { return Ok(Vec::new()) };
-        let map = image::open(&file).map_err(|error| wrong(&file, error.to_string()))?;
+        let Some(file) = &found[view] else { return Ok(Vec::new()) };
+        let map = image::open(file).map_err(|error| wrong(file, error.to_string()))?;
         let image::DynamicImage::ImageLuma16(map) = map else {
             let found = map.color();
-            return Err(wrong(&file, format!("its pixels are {found:?}")));
+            return Err(wrong(file, format!("its pixels are {found:?}")));
         };
         let (width, height) = (map.width() as f32, map.height() as f32);
         let every = map.len().div_ceil(MOST_SAMPLES).max(1);
@@ -116,7 +145,7 @@ pub fn from_maps(capture: &Capture, folder: &str, views: &[usize]) -> Result<Vec
         let known = map.enumerate_pixels().filter(|(.., level)| level.0[0] > 0);
         Ok(known.step_by(every).map(sample).collect())
     };
-    views.par_iter().map(of_view).collect()
+    views.par_iter().map(of_view).collect::<Result<_, _>>().map(Some)
 }
 
 /// Largest accepted size of `depth.json`, bytes.
@@ -313,7 +342,7 @@ mod tests {
             DemoOptions { width: 64, height: 48, views: 4, points: 500, depth: true, ..DemoOptions::default() };
         demo::write(folder.path(), &options).unwrap();
         let capture = Capture::load(folder.path()).unwrap();
-        let (tracks, maps) = (from_tracks(&capture, &[2]), from_maps(&capture, "depth", &[2]).unwrap());
+        let (tracks, maps) = (from_tracks(&capture, &[2]), from_maps(&capture, &[2]).unwrap().unwrap());
         assert!(maps[0].len() > 1000, "{}", maps[0].len());
         // At the positions of tracks the map has the tracks' depth, except at depth discontinuities.
         let at = |sample: &DepthSample| {
@@ -326,10 +355,10 @@ mod tests {
         misses.sort_by(f32::total_cmp);
         assert!(misses.len() > 50 && misses[misses.len() / 2] < 0.01, "{:?}", misses.get(misses.len() / 2));
         std::fs::write(folder.path().join("depth/depth.json"), "{\"scale\": -1}").unwrap();
-        let error = from_maps(&capture, "depth", &[2]).unwrap_err().to_string();
+        let error = from_maps(&capture, &[2]).unwrap_err().to_string();
         assert!(error.contains("depth.json") && error.contains("-1"), "{error}");
         std::fs::remove_file(folder.path().join("depth/depth.json")).unwrap();
-        let error = from_maps(&capture, "depth", &[2]).unwrap_err().to_string();
+        let error = from_maps(&capture, &[2]).unwrap_err().to_string();
         assert!(error.contains("depth.json") && error.contains("0.001"), "{error}");
     }
 

@@ -1,7 +1,7 @@
 //! Masks: the pixels of a photograph that count.
 //!
 //! A mask is a picture of the photograph's size that is dark (below half) where pixels are excluded: passers-by, the sky, a
-//! turntable. Two conventions are supported in a folder `masks` or `mask` of the capture: `<name>.png` after the
+//! turntable. A picture whose largest value is 1 is white where it is 1, and one with transparent parts is dark there. Two conventions are supported in a folder `masks` or `mask` of the capture: `<name>.png` after the
 //! photograph's full name, as in COLMAP (`masks/a.jpg.png`), and the name with its extension replaced (`masks/a.png`).
 //! Masks that the capture itself names (`mask_path` in `transforms.json`) come first.
 //!
@@ -17,32 +17,42 @@ use burn::tensor::{Bool, Tensor};
 use rayon::prelude::*;
 use splat_op::Intrinsics;
 
-use crate::capture::{Capture, CaptureError, Photo, View, image};
+use crate::capture::names::Names;
+use crate::capture::{Capture, CaptureError, Photo, image};
 
 /// Folders of the capture that are searched for masks.
 const FOLDERS: [&str; 2] = ["masks", "mask"];
 
-/// Smallest value that counts as white.
-const KEPT_FROM: u8 = 128;
+/// The folders of the capture that may hold masks.
+pub(crate) fn folders(capture: &Capture) -> Vec<PathBuf> {
+    FOLDERS.iter().map(|name| capture.folder.join(name)).filter(|folder| folder.is_dir()).collect()
+}
 
 /// The mask file of each view. `None` for a view without a mask.
 pub fn find(capture: &Capture) -> Vec<Option<PathBuf>> {
-    let folders: Vec<PathBuf> =
-        FOLDERS.iter().map(|name| capture.folder.join(name)).filter(|folder| folder.is_dir()).collect();
-    let of_view = |(index, view): (usize, &View)| {
-        let stated = capture.masks.get(index).cloned().flatten();
-        stated.or_else(|| by_name(&folders, &view.name))
-    };
-    capture.views.iter().enumerate().map(of_view).collect()
+    of_views(capture, 0..capture.views.len())
 }
 
-/// The PNG file for a photograph: named after its full name, or with the extension replaced.
-pub(super) fn by_name(folders: &[PathBuf], name: &str) -> Option<PathBuf> {
-    let candidates = folders.iter().flat_map(|folder| {
-        let whole = folder.join(format!("{name}.png"));
-        [whole, folder.join(name).with_extension("png")]
-    });
-    candidates.into_iter().find(|file| file.is_file())
+fn of_views(capture: &Capture, views: impl IntoIterator<Item = usize>) -> Vec<Option<PathBuf>> {
+    let (folders, mut files) = (folders(capture), Names::default());
+    let mut of_view = |view: usize| {
+        let stated = capture.masks.get(view).cloned().flatten();
+        stated.or_else(|| by_name(&folders, &capture.views[view].name, &mut files))
+    };
+    views.into_iter().map(&mut of_view).collect()
+}
+
+/// The names of a photograph's mask or depth map: its own with `.png` added, and with the extension replaced.
+pub(crate) fn names(photograph: &str) -> [String; 2] {
+    let replaced = Path::new(photograph).with_extension("png");
+    [format!("{photograph}.png"), replaced.to_string_lossy().into_owned()]
+}
+
+/// The PNG file for a photograph in one of some folders.
+pub(super) fn by_name(folders: &[PathBuf], photograph: &str, files: &mut Names) -> Option<PathBuf> {
+    let names = names(photograph);
+    let candidates = folders.iter().flat_map(|folder| names.iter().map(move |name| (folder, name)));
+    candidates.into_iter().find_map(|(folder, name)| Some(folder.join(files.find(folder, name, &[])?)))
 }
 
 /// `[H, W]` row-major: whether each pixel counts.
@@ -50,8 +60,20 @@ pub(super) fn by_name(folders: &[PathBuf], name: &str) -> Option<PathBuf> {
 /// # Errors
 /// A [`CaptureError`] if the file cannot be decoded or has another size than `camera`.
 pub fn load(file: &Path, camera: &Intrinsics) -> Result<Vec<bool>, CaptureError> {
-    let picture = image::decode(file, camera)?.into_luma8();
-    Ok(picture.into_raw().into_iter().map(|value| value >= KEPT_FROM).collect())
+    let picture = image::decode(file, camera)?;
+    let levels = |values: Vec<u16>| {
+        let largest = values.iter().copied().max().unwrap_or_default();
+        // One of 255 is 257 of 65535.
+        let kept_from = if largest <= 257 { 1 } else { 1 << 15 };
+        values.into_iter().map(|value| value >= kept_from).collect::<Vec<bool>>()
+    };
+    if picture.color().has_alpha() {
+        let alpha: Vec<u16> = picture.to_rgba16().pixels().map(|pixel| pixel.0[3]).collect();
+        if alpha.iter().min() != alpha.iter().max() {
+            return Ok(levels(alpha));
+        }
+    }
+    Ok(levels(picture.into_luma16().into_raw()))
 }
 
 /// Adds masks to `photos`, which are the photographs of `views` of the capture, at the size of the photographs. Photographs
@@ -60,9 +82,9 @@ pub fn load(file: &Path, camera: &Intrinsics) -> Result<Vec<bool>, CaptureError>
 /// # Errors
 /// Errors of [`load`].
 pub fn attach(capture: &Capture, views: &[usize], photos: &mut Vec<Photo>) -> Result<(), CaptureError> {
-    let found = find(capture);
-    let masked =
-        photos.par_iter_mut().zip(views).filter_map(|(photo, &view)| Some((photo, view, found[view].as_ref()?)));
+    let found = of_views(capture, views.iter().copied());
+    let masked = photos.par_iter_mut().zip(views).zip(&found);
+    let masked = masked.filter_map(|((photo, &view), file)| Some((photo, view, file.as_ref()?)));
     masked.try_for_each(|(photo, view, file)| {
         let camera = &capture.views[view].intrinsics;
         let to = [photo.intrinsics.width, photo.intrinsics.height];

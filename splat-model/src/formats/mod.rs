@@ -31,6 +31,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod beginning;
 mod compressed;
 mod extras;
 mod files;
@@ -50,13 +51,13 @@ mod tests;
 
 use std::borrow::Cow;
 use std::fmt;
-use std::fs::{self, File};
-use std::io::{self, Read};
+use std::io;
 use std::path::{Path, PathBuf};
 
 use glam::DVec3;
 use thiserror::Error;
 
+use beginning::{Beginning, json};
 pub use files::files;
 pub use loss::{Deviation, QuantisationError, QuantisationSums};
 pub use sog::SogOptions;
@@ -69,7 +70,7 @@ use crate::ply::{self, PlyError, TrainedAs, WorldFrame};
 use crate::replace::Refused;
 
 /// The spherical harmonic of degree 0, `1 / (2 √π)`.
-const DC: f64 = 0.282_094_791_773_878_14;
+pub(crate) const DC: f64 = 0.282_094_791_773_878_14;
 
 /// A format of scene files.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -217,6 +218,20 @@ pub enum FormatError {
         /// Its first bytes, made printable.
         found: String,
     },
+    /// The file is of another kind.
+    #[error(
+        "{path}: not a scene that is read: it is {what}. Scenes are PLY files (original layout or SuperSplat's compressed one), SPZ, glTF and \
+         SOG: {remedy}, or export it as one of these",
+        path = path.display()
+    )]
+    Foreign {
+        /// The file.
+        path: PathBuf,
+        /// What it is.
+        what: String,
+        /// What to do.
+        remedy: String,
+    },
     /// The file begins like the format, but the rest does not match it.
     #[error("{path}: broken {format} file: {detail}; copy or export it again", path = path.display())]
     Broken {
@@ -236,6 +251,10 @@ impl FormatError {
 
     fn broken(path: &Path, format: Format, detail: impl Into<String>) -> Self {
         Self::Broken { path: path.to_path_buf(), format, detail: detail.into() }
+    }
+
+    fn foreign(path: &Path, what: String, remedy: impl Into<String>) -> Self {
+        Self::Foreign { path: path.to_path_buf(), what, remedy: remedy.into() }
     }
 
     fn refused(path: &Path, Refused { action, source }: Refused) -> Self {
@@ -352,48 +371,4 @@ fn fitted(rows: &GaussianRows, format: Format) -> Written<'_> {
     }
     let (left_out, added) = (rows.len() - count, fitted.len() - count);
     Written { rows: Cow::Owned(fitted), left_out, added, moved }
-}
-
-/// What the first bytes of a scene's file tell.
-enum Beginning {
-    Ply,
-    Spz,
-    Glb,
-    Zip,
-    Json,
-}
-
-impl Beginning {
-    fn of(path: &Path) -> Result<Self, FormatError> {
-        let mut first = Vec::new();
-        File::open(path)
-            .map_err(FormatError::io(path, "open the scene (is the path right?)"))?
-            .take(16)
-            .read_to_end(&mut first)
-            .map_err(FormatError::io(path, "read the scene (is the path right?)"))?;
-        let line = first.split(|byte| *byte == b'\n').next().unwrap_or_default().trim_ascii();
-        Ok(match () {
-            () if spz::is_spz(&first) => Self::Spz,
-            () if first.starts_with(&gltf::MAGIC) => Self::Glb,
-            () if first.starts_with(&sog::MAGIC) => Self::Zip,
-            () if first.trim_ascii_start().starts_with(b"{") => Self::Json,
-            () if line == b"ply" => Self::Ply,
-            () => return Err(unknown(path, line)),
-        })
-    }
-}
-
-fn unknown(path: &Path, line: &[u8]) -> FormatError {
-    let found = String::from_utf8_lossy(line).escape_debug().to_string();
-    FormatError::Unknown { path: path.to_path_buf(), found }
-}
-
-/// A file of JSON, and the format that it has.
-fn json(path: &Path) -> Result<(Format, Vec<u8>), FormatError> {
-    let json = fs::read(path).map_err(FormatError::io(path, "read the scene (is the path right?)"))?;
-    match () {
-        () if gltf::is_document(&json) => Ok((Format::Gltf, json)),
-        () if sog::is_meta(&json) => Ok((Format::Sog, json)),
-        () => Err(unknown(path, &json[..json.len().min(16)])),
-    }
 }

@@ -191,7 +191,8 @@ fn limits_of_opacity_and_thickness_are_kept_by_every_format() {
     write(&given, &scene(rows), Format::Ply).unwrap();
     let read_back = read(&given).unwrap().0;
     assert_eq!([0, 1, 2, 3, 4].map(|row| read_back.rows.is_usable(row)), [true, true, false, true, false]);
-    let opacities = |rows: &GaussianRows| rows.logit_opacities.iter().map(|&l| crate::gaussians::sigmoid(l)).collect::<Vec<_>>();
+    let opacities =
+        |rows: &GaussianRows| rows.logit_opacities.iter().map(|&l| crate::gaussians::sigmoid(l)).collect::<Vec<_>>();
     for format in Format::ALL {
         let (_folder, path) = folder_and_file(format);
         write(&path, &read_back, format).unwrap();

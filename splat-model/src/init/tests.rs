@@ -61,7 +61,8 @@ fn points_at_one_place_have_a_size() {
 
 #[test]
 fn of_points_at_one_place_the_first_remains() {
-    let places = [[1.0, 2.0, 3.0], [1.000_001, 2.0, 3.0], [-4.0, 0.0, 0.0], [1.0, 2.0, 3.0], [1.1, 2.0, 3.0], [4.0, 0.0, 0.0]];
+    let places =
+        [[1.0, 2.0, 3.0], [1.000_001, 2.0, 3.0], [-4.0, 0.0, 0.0], [1.0, 2.0, 3.0], [1.1, 2.0, 3.0], [4.0, 0.0, 0.0]];
     let mut cloud = grey(places.to_vec());
     cloud.colours = (0..6).map(|i| [i; 3]).collect();
     let found = distinct(&cloud);
@@ -69,7 +70,8 @@ fn of_points_at_one_place_the_first_remains() {
     assert_eq!(found.colours, [[0; 3], [2; 3], [4; 3], [5; 3]]);
     // Whatever lies between the borders of cells.
     let mut rng = rng(4);
-    let mut positions: Vec<[f32; 3]> = (0..4_000).map(|_| std::array::from_fn(|_| rng.random_range(-3.0..3.0))).collect();
+    let mut positions: Vec<[f32; 3]> =
+        (0..4_000).map(|_| std::array::from_fn(|_| rng.random_range(-3.0..3.0))).collect();
     let once = distinct(&grey(positions.clone())).positions.len();
     assert!(once > 3_990, "{once}");
     positions.extend(positions.clone().iter().map(|p| p.map(|x| x + 1e-6)));

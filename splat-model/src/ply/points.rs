@@ -1,4 +1,4 @@
-//! Plain points: `x y z` and, if present, `red green blue`.
+//! Plain points: `x y z` and, if present, colours.
 
 use std::path::Path;
 
@@ -7,6 +7,7 @@ use ply_rs_bw::ply::{PropertyType, ScalarType};
 
 use super::read::{PlyReader, require, value_error, vertex};
 use super::{PlyError, VERTEX};
+use crate::formats::DC;
 
 /// Largest valid coordinate; its square still fits an f32. Larger values indicate damage.
 const MAX_COORDINATE: f64 = 1e15;
@@ -15,12 +16,22 @@ const MAX_COORDINATE: f64 = 1e15;
 const GREY: u8 = 127;
 
 const COORDINATES: [&str; 3] = ["x", "y", "z"];
-const CHANNELS: [&str; 3] = ["red", "green", "blue"];
+
+/// The names that programs give to colours; the first that are all there count. The last are harmonics of degree 0.
+const CHANNELS: [[&str; 3]; 6] = [
+    ["red", "green", "blue"],
+    ["diffuse_red", "diffuse_green", "diffuse_blue"],
+    ["r", "g", "b"],
+    ["Red", "Green", "Blue"],
+    ["R", "G", "B"],
+    ["f_dc_0", "f_dc_1", "f_dc_2"],
+];
 
 /// Reads points: positions, and display-referred colours from 0 to 255.
 ///
-/// `x y z` may be of any numeric type. `red green blue` range from 0 to 255, or from 0 to 1 if they are floating-point numbers,
-/// and are clamped to that range. Points without colours are grey. All other content of the file is ignored.
+/// `x y z` may be of any numeric type. Colours are `red green blue`, or have another name of `CHANNELS`; they range from 0 to 1 if they are
+/// floating-point numbers of at most 2, from 0 to 65,535 if they exceed 255, and else from 0 to 255, and are clamped to that range; a hundredth of the
+/// rows may lie beyond. A missing channel of `red green blue` and points without colours are grey. All other content of the file is ignored.
 ///
 /// # Errors
 ///
@@ -30,32 +41,50 @@ pub fn read_points(path: &Path) -> Result<(Vec<DVec3>, Vec<[u8; 3]>), PlyError> 
     let (mut input, header) = PlyReader::open(path)?;
     let vertex = vertex(path, &header)?;
     require(path, vertex, &COORDINATES)?;
-    // Floating-point colours range from 0 to 1, all others from 0 to 255.
-    let scales = CHANNELS.map(|name| {
-        Some(match vertex.properties.get(name)?.data_type {
-            PropertyType::Scalar(ScalarType::Float | ScalarType::Double) => 255.0,
-            _ => 1.0,
-        })
-    });
-    let coloured = CHANNELS.into_iter().zip(scales).filter_map(|(name, scale)| scale.map(|_| name));
-    let names: Vec<&str> = COORDINATES.into_iter().chain(coloured).collect();
+    let has = |name: &&str| vertex.properties.contains_key(*name);
+    let channels = CHANNELS.into_iter().find(|channels| channels.iter().all(has)).unwrap_or(CHANNELS[0]);
+    let coloured: Vec<usize> = (0..3).filter(|&channel| has(&channels[channel])).collect();
+    let is_float = |name: &str| {
+        let kind = vertex.properties.get(name).map(|property| &property.data_type);
+        matches!(kind, Some(PropertyType::Scalar(ScalarType::Float | ScalarType::Double)))
+    };
+    let floats = channels.map(is_float);
+    let names: Vec<&str> = COORDINATES.into_iter().chain(coloured.iter().map(|&channel| channels[channel])).collect();
     input.begin(&header)?;
-    let (mut positions, mut colours) = (Vec::with_capacity(vertex.count), Vec::with_capacity(vertex.count));
+    let (mut positions, mut levels) = (Vec::with_capacity(vertex.count), Vec::with_capacity(vertex.count));
     input.each_row(vertex, header.encoding, &names, |row, values| {
-        let (position, channels) = values.split_at(3);
+        let (position, colour) = values.split_at(3);
         if let Some(axis) = position.iter().position(|value| !(value.abs() <= MAX_COORDINATE)) {
             let (name, value) = (COORDINATES[axis], position[axis]);
             let detail = format!("`{name}` is {value:e}, expected a finite number of at most 1e15");
             return Err(value_error(path, VERTEX, row, &detail));
         }
         positions.push(DVec3::from_slice(position));
-        let mut channels = channels.iter();
-        // The cast clamps to 0..255 and converts NaN to 0.
-        let mut level = |scale: f64| channels.next().map(|value| (value * scale).round() as u8);
-        colours.push(scales.map(|scale| scale.and_then(&mut level).unwrap_or(GREY)));
+        let mut level = [f32::NAN; 3];
+        coloured.iter().zip(colour).for_each(|(&channel, &value)| level[channel] = value as f32);
+        levels.push(level);
         Ok(())
     })?;
-    Ok((positions, colours))
+    // A hundredth of the rows has to agree: one row with a wild colour says nothing about the others.
+    let exceed = |of_floats: bool, limit: f32| {
+        let exceeds = |level: &&[f32; 3]| (0..3).any(|channel| floats[channel] == of_floats && level[channel] > limit);
+        100 * levels.iter().filter(exceeds).count() > levels.len()
+    };
+    let is_harmonic = channels == CHANNELS[CHANNELS.len() - 1];
+    let scales = floats.map(|is_float| match is_float {
+        true if !exceed(true, 2.0) => 255.0,
+        is_float if exceed(is_float, 255.5) => 255.0 / 65_535.0,
+        _ => 1.0,
+    });
+    let colour = |level: [f32; 3]| {
+        std::array::from_fn(|channel| match level[channel] {
+            // The cast clamps to 0..255 and converts NaN to 0.
+            _ if !coloured.contains(&channel) => GREY,
+            level if is_harmonic => (255.0 * (0.5 + DC as f32 * level)).round() as u8,
+            level => (level * scales[channel]).round() as u8,
+        })
+    };
+    Ok((positions, levels.into_iter().map(colour).collect()))
 }
 
 #[cfg(test)]
@@ -92,6 +121,33 @@ mod tests {
         assert_eq!(read(&binary("uchar", &[[255; 4], [128; 4], [3; 4]])).unwrap(), expected);
         let unit = [1.7_f32, 128.0 / 255.0, 3.2 / 255.0].map(f32::to_le_bytes);
         assert_eq!(read(&binary("float", &unit)).unwrap(), expected, "0 to 1, and clipped at 1");
+    }
+
+    #[test]
+    fn colours_of_other_names_and_ranges_are_read() {
+        let read = |names: [&str; 3], kind: &str, rows: &[&str]| {
+            let properties: String = names.iter().map(|name| format!("property {kind} {name}\n")).collect();
+            let rows: String = rows.iter().map(|row| format!("0 0 0 {row}\n")).collect();
+            let count = rows.lines().count();
+            let text = format!(
+                "ply\nformat ascii 1.0\nelement vertex {count}\nproperty float x\nproperty float y\nproperty float z\n{properties}end_header\n{rows}"
+            );
+            read(text.as_bytes()).unwrap().1
+        };
+        let expected = [[255, 51, 0], [0, 128, 10]];
+        for names in CHANNELS.iter().take(5) {
+            assert_eq!(read(*names, "uchar", &["255 51 0", "0 128 10"]), expected, "{names:?}");
+            assert_eq!(read(*names, "float", &["1 0.2 0", "0 0.5 0.04"]), expected, "{names:?}");
+            assert_eq!(read(*names, "double", &["255 51 0", "0 128 10"]), expected, "{names:?}");
+            assert_eq!(read(*names, "ushort", &["65535 13107 0", "0 32896 2570"]), expected, "{names:?}");
+        }
+        // (c / 255 − 0.5) / 0.28209.
+        assert_eq!(read(CHANNELS[5], "float", &["1.7725 -1.0635 -1.7725"])[0], expected[0]);
+        // One row beyond the range of two hundred.
+        let mut rows = vec!["1 0.2 0"; 200];
+        rows[7] = "9000 0 0";
+        let wild = read(CHANNELS[0], "float", &rows);
+        assert_eq!((wild[0], wild[7]), ([255, 51, 0], [255, 0, 0]));
     }
 
     #[test]

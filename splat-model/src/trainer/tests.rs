@@ -341,7 +341,8 @@ fn points_at_one_place_start_as_one_gaussian() {
         let positions: Vec<[f32; 3]> = points().positions.iter().flat_map(of).collect();
         PointCloud { colours: vec![[128; 3]; positions.len()], positions }
     };
-    let start = |points: &PointCloud| Trainer::new(photos([0.0; 3]), points, config(1), &Device::flex()).unwrap().rows();
+    let start =
+        |points: &PointCloud| Trainer::new(photos([0.0; 3]), points, config(1), &Device::flex()).unwrap().rows();
     let once = start(&points());
     assert_eq!(once.len(), 30);
     for by in [0.0, f32::EPSILON] {

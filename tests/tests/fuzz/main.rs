@@ -16,6 +16,7 @@ mod allocations;
 mod engine;
 mod json;
 mod mutate;
+mod pictures;
 mod regressions;
 mod scenes;
 mod seeds;
@@ -55,6 +56,11 @@ fn colmap_text() {
 #[test]
 fn transforms() {
     engine::fuzz(&mut transforms::Transforms::new("transforms"));
+}
+
+#[test]
+fn pictures() {
+    engine::fuzz(&mut pictures::Pictures::new("pictures"));
 }
 
 #[test]

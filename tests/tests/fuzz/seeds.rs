@@ -9,8 +9,6 @@ use splat_model::gaussians::GaussianRows;
 use splat_model::ply;
 use splat_op::{CameraModel, Intrinsics};
 
-use super::engine::folder;
-
 /// Returns Gaussians that can all be rendered.
 pub fn rows(count: usize, sh_degree: usize) -> GaussianRows {
     let rest = 3 * ((sh_degree + 1) * (sh_degree + 1) - 1);

@@ -13,7 +13,7 @@ use super::seeds;
 use super::split::{self, ModelFile};
 
 /// Words with which a message says what to do.
-const REMEDIES: [&str; 19] = [
+const REMEDIES: [&str; 24] = [
     "Export",
     "Put the",
     "Correct",
@@ -33,6 +33,11 @@ const REMEDIES: [&str; 19] = [
     "make all",
     "is the path right",
     "Use the",
+    "unpack",
+    "convert",
+    "develop",
+    "fetch",
+    "name the folder",
 ];
 
 /// Checks that a message names a file of `folder` and says what to do, in printable text that fits a screen.
@@ -225,7 +230,7 @@ impl Colmap {
         let poses = capture.views.iter().all(|view| view.cam_from_world.is_finite());
         let points = capture.points.positions.as_flattened().iter().all(|value| value.is_finite());
         let inside = capture.views.iter().all(|view| {
-            let below = view.image_path.strip_prefix(capture.folder.join("images"));
+            let below = view.image_path.strip_prefix(&capture.folder);
             below.is_ok_and(|path| !path.components().any(|part| part == std::path::Component::ParentDir))
         });
         match () {
@@ -258,7 +263,21 @@ impl FuzzTarget for Colmap {
     }
 
     fn seeds(&self) -> Vec<Vec<u8>> {
-        (0..3_u8).map(|part| [&[part], &self.valid[usize::from(part)][..]].concat()).collect()
+        let whole = (0..3_u8).map(|part| (part, self.valid[usize::from(part)].clone()));
+        let text = |part: u8, change: &dyn Fn(&str) -> Vec<u8>| {
+            (part, change(std::str::from_utf8(&self.valid[usize::from(part)]).expect("text")))
+        };
+        // Files of Windows: a byte order mark, UTF-16, backslashes in names.
+        let of_windows = match self.extension {
+            "txt" => vec![
+                text(0, &|text| format!("\u{feff}{text}").into_bytes()),
+                text(1, &|text| format!("\u{feff}{text}").encode_utf16().flat_map(u16::to_le_bytes).collect()),
+                text(1, &|text| text.replace("sub/", "sub\\").into_bytes()),
+                text(2, &|text| text.encode_utf16().flat_map(u16::to_be_bytes).collect()),
+            ],
+            _ => Vec::new(),
+        };
+        whole.chain(of_windows).map(|(part, bytes)| [vec![part], bytes].concat()).collect()
     }
 
     fn words(&self) -> &'static [&'static str] {

@@ -109,7 +109,15 @@ impl FuzzTarget for Transforms {
     }
 
     fn seeds(&self) -> Vec<Vec<u8>> {
-        [(0, JSON), (0, BLENDER), (1, POINTS)].map(|(part, text)| [&[part], text.as_bytes()].concat()).to_vec()
+        // Files of Windows: backslashes, a byte order mark, UTF-16; pictures in another letter case; colours of other names.
+        let backslashes = JSON.replace("images/", "images\\\\").replace("masks/", "masks\\\\");
+        let marked = format!("\u{feff}{}", BLENDER.replace("./images/0001", "Images/0001.PNG"));
+        let wide: Vec<u8> = format!("\u{feff}{BLENDER}").encode_utf16().flat_map(u16::to_le_bytes).collect();
+        let renamed =
+            POINTS.replace("uchar red", "float r").replace("float green", "float g").replace("ushort blue", "float b");
+        let texts = [(0, JSON), (0, BLENDER), (0, &backslashes), (0, &marked), (1, POINTS), (1, &renamed)];
+        let texts = texts.map(|(part, text)| [&[part], text.as_bytes()].concat());
+        texts.into_iter().chain([[vec![0], wide].concat()]).collect()
     }
 
     fn words(&self) -> &'static [&'static str] {

@@ -159,21 +159,17 @@ pub fn of_capture(capture: &Capture) -> CaptureInfo {
         }
     }
     let mut warnings = capture.remarks.clone();
-    let missing: Vec<&str> =
-        capture.views.iter().filter(|view| !view.image_path.is_file()).map(|view| view.name.as_str()).collect();
-    if let Some(first) = missing.first() {
-        warnings.push(format!("{} photographs are missing, the first is {first}", missing.len()));
-    }
+    let all: Vec<usize> = (0..capture.views.len()).collect();
+    warnings.extend(capture.check_photographs(&all).err().map(|error| error.to_string()));
     if capture.points.positions.is_empty() {
         warnings.push("there are no sparse points: training starts from random splats".into());
     }
     let pixels: f64 = capture.views.iter().map(|view| (view.intrinsics.width * view.intrinsics.height) as f64).sum();
     let split = Split::of(capture, capture.split.is_none().then_some(Split::USUAL));
-    let json =
-        capture.folder.join("transforms_train.json").is_file() || capture.folder.join("transforms.json").is_file();
+    let is_json = |file: &PathBuf| file.extension().is_some_and(|kind| kind.eq_ignore_ascii_case("json"));
     CaptureInfo {
         kind: "capture",
-        format: if json && !capture.folder.join("sparse").is_dir() { "JSON" } else { "COLMAP" },
+        format: if capture.files.first().is_some_and(is_json) { "JSON" } else { "COLMAP" },
         views: capture.views.len(),
         held_out: split.test.len(),
         own_split: capture.split.is_some(),

@@ -22,6 +22,7 @@ use clap::builder::RangedU64ValueParser;
 use serde::{Deserialize, Serialize};
 use splat_model::capture::unposed::PhotographFolder;
 use splat_model::capture::{Capture, CaptureError};
+use splat_model::sniff::{FileClass, FileKind};
 
 use self::cache::{Ingredients, Stage, Workspace};
 use self::photographs::CameraModelName;
@@ -120,11 +121,10 @@ impl CameraArgs {
 pub fn run(args: &ReconstructArgs) -> Result<()> {
     let source = &args.photographs;
     ensure!(source.exists(), "there is nothing at {}: name a folder of photographs, or a video", source.display());
-    ensure!(
-        !source.is_dir() || !Capture::is_in(source),
-        "{} has cameras already: `splat train` reads it as it is",
-        source.display()
-    );
+    ensure!(!Capture::is_in(source), "{} has cameras already: `splat train` reads it as it is", source.display());
+    if source.is_file() && !is_video(source) {
+        input::capture(source)?;
+    }
     let folder = args.out.clone().unwrap_or_else(|| own_folder(source));
     let mut capture = reconstruct(source, &folder, &args.cameras)?;
     args.cameras.from_anywhere(source).scale(&mut capture)?;
@@ -135,10 +135,15 @@ pub fn run(args: &ReconstructArgs) -> Result<()> {
 /// Whether `splat train` is to reconstruct this first: a video, or a folder of photographs without cameras. A folder with a broken
 /// reconstruction is not.
 pub fn is_needed(source: &Path) -> bool {
-    let has_cameras = || Capture::is_in(source) || source.join(cache::SPARSE).exists();
+    let has_cameras = Capture::is_in(source) || source.join(cache::SPARSE).exists();
     let has_photographs =
         || PhotographFolder::list(source).is_ok_and(|found| !found.names.is_empty() || !found.other.is_empty());
-    source.is_file() || (source.is_dir() && !has_cameras() && has_photographs())
+    !has_cameras && (is_video(source) || source.is_dir() && has_photographs())
+}
+
+/// Whether a file is a video, as far as can be told: FFmpeg knows more kinds than this program.
+fn is_video(source: &Path) -> bool {
+    source.is_file() && FileKind::of(source).is_none_or(|kind| kind.class == FileClass::Video)
 }
 
 /// Whether a folder is a reconstruction of this program.
@@ -158,7 +163,12 @@ pub fn name_of(source: &Path) -> String {
     // The name of `..` is the name of the folder that it leads to.
     let named =
         if source.file_name().is_none() { source.canonicalize().unwrap_or_default() } else { source.to_owned() };
-    let name = if source.is_file() { named.file_stem() } else { named.file_name() };
+    let folder_of_cameras = named.parent().filter(|_| source.is_file() && Capture::is_in(source));
+    let name = match folder_of_cameras.and_then(Path::file_name) {
+        Some(folder) => Some(folder),
+        None if source.is_file() => named.file_stem(),
+        None => named.file_name(),
+    };
     let name = name.unwrap_or(OsStr::new("capture")).to_string_lossy().into_owned();
     match name.strip_suffix(&format!("-{FOLDER}")) {
         Some(short) if is_in(source) => short.to_owned(),

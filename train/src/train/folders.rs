@@ -27,9 +27,8 @@ pub fn open(args: &TrainArgs) -> Result<(PathBuf, Capture, Instant)> {
                 Some(out) => out.join(reconstruct::FOLDER),
                 None => reconstruct::own_folder(source),
             };
-            reconstruct::reconstruct(source, &folder, &args.cameras)?;
-            let start = Instant::now();
-            Ok((out(), input::capture(&folder)?, start))
+            let capture = reconstruct::reconstruct(source, &folder, &args.cameras)?;
+            Ok((out(), capture, Instant::now()))
         }
         Some(folder) => {
             args.cameras.check_for_capture(folder)?;

@@ -159,15 +159,20 @@ fn to_the_end(
     let mut effects = args.effects.choose(&capture, seen, args.model.antialias.unwrap_or_default(), max_side)?;
     effects.configure(&mut config, args.background, args.sh_degree);
     config.density = config.density.focused(capture.focus.map(Focus::on));
-    if capture.points.positions.is_empty() || std::env::var("SPLAT_NOPOINTS").is_ok() {
+    if capture.points.positions.is_empty() {
         config.density = config.density.without_points();
+        if args.start.is_none() {
+            progress::note("the capture has no points: training starts from random splats around the cameras");
+        }
     }
     let available = budget::available();
     let cache = budget::cache(args.cache_mb, available) / ranks.count();
     if ranks.count() > 1 {
         let checkpoint = kept.as_ref().map(|kept| std::path::absolute(&kept.path)).transpose()?;
         let mut args = args.clone();
-        args.capture = Some(std::path::absolute(&capture.folder)?);
+        if args.capture.is_none() {
+            args.capture = Some(std::path::absolute(&capture.folder)?);
+        }
         let effects = effects.on.iter().map(|effect| effect.name().to_owned()).collect();
         let setup = Setup { args, config: config.clone(), effects, checkpoint };
         ranks::tell(&*ranks, Some(Some(setup)))?;

@@ -48,7 +48,9 @@ pub(crate) fn start_points(capture: &Capture, train: &[Photograph], args: &Train
         progress::note(&format!("{} of {all} points are at the place of another one and left out", all - count));
     }
     // EXPERIMENT
-    if let Ok(to) = std::env::var("SPLAT_FILL") && count > 0 {
+    if let Ok(to) = std::env::var("SPLAT_FILL")
+        && count > 0
+    {
         let to: usize = to.parse()?;
         let filled = init::filled(&points, &cameras, to, args.seed);
         progress::note(&format!("filled to {}", filled.positions.len()));

@@ -20,7 +20,6 @@ use crate::accuracy::RequestedAccuracy;
 use crate::live::Live;
 use crate::output::OutputFolder;
 use crate::pareto::{MeasuredView, UnmeasuredScene};
-use crate::progress;
 use crate::ranks::{self, Order};
 use crate::report::history::History;
 use crate::report::log::RunLog;

@@ -83,7 +83,14 @@ fn a_missing_picture() {
     let capture = copy();
     let path = capture.path().join("images/0003.png");
     fs::remove_file(&path).unwrap();
-    refuse_capture(capture.path(), &[text(&path), "Put the photographs"]);
+    let list = capture.path().join("sparse/0/images.bin");
+    let parts = ["1 of 8 photographs", text(&list), text(&path), "holds \"0000.png\"", "Put the photographs"];
+    refuse_capture(capture.path(), &parts);
+    for i in 0..8 {
+        let _ = fs::remove_file(capture.path().join(format!("images/000{i}.png")));
+    }
+    fs::remove_dir(capture.path().join("images")).unwrap();
+    refuse_capture(capture.path(), &["8 of 8 photographs", "sparse"]);
 }
 
 #[test]
@@ -162,7 +169,7 @@ fn a_single_photograph_cannot_be_split() {
     let capture = copy();
     let read = Capture::load(capture.path()).unwrap();
     write_binary(capture.path(), &read.views[..1], &read.points).unwrap();
-    refuse_capture(capture.path(), &["--test-every", "add photographs"]);
+    refuse_capture(capture.path(), &["the 1 view is held out", "`--test-every 0`", "add photographs"]);
 }
 
 #[test]

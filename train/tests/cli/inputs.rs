@@ -95,7 +95,7 @@ fn cases() -> Vec<Case> {
 }
 
 /// Subcommands that write no file, or read none beside the one that they renew.
-const OTHERS: [&str; 9] = ["view", "info", "inspect", "effects", "hard-cases", "devices", "completions", "man", "help"];
+const OTHERS: [&str; 7] = ["view", "inspect", "hard-cases", "devices", "completions", "man", "help"];
 
 /// The inputs of all commands, below one folder.
 fn inputs() -> TempDir {

@@ -2,6 +2,7 @@
 
 mod blocks;
 mod browser;
+mod captures;
 mod choices;
 mod clean;
 mod convert;

@@ -266,6 +266,64 @@ fn photographs_that_cannot_work_are_refused_before_colmap_begins() {
     refuse(&mut alone.reconstruct("ok"), &["made is not empty", "--out"]);
 }
 
+/// Cameras that are there are used, or what is unclear about them is said; the search for cameras takes hours and has another world.
+#[test]
+fn colmap_is_never_called_where_cameras_are() {
+    for (model, photographs, named) in [
+        ("photos", "photos", "photos"),
+        ("photos/colmap/sparse/0", "photos/images", "photos"),
+        ("photos/distorted/sparse/0", "photos/input", "photos"),
+        ("photos/dense/sparse", "photos/dense/images", "photos"),
+        ("photos/sparse/0", "photos/images", "photos/images"),
+    ] {
+        let alone = Alone::new();
+        if photographs != "photos" {
+            fs::rename(alone.path("photos"), alone.path("moved")).unwrap();
+            fs::create_dir_all(alone.path(photographs).parent().unwrap()).unwrap();
+            fs::rename(alone.path("moved"), alone.path(photographs)).unwrap();
+        }
+        copy_model(&DEMO.join("sparse/0"), &alone.path(model));
+        let said = succeed(&mut alone.splat("ok", &[&TRAIN[..], &[named, "--out", "out"]].concat())).stderr;
+        assert!(said.contains("7 photographs to train on") && !said.contains("COLMAP"), "{model}: {said}");
+        refuse(&mut alone.splat("ok", &["reconstruct", named]), &["has cameras already"]);
+        // A second model, and it is not clear which is meant.
+        copy_model(&DEMO.join("sparse/0"), &alone.path("photos/elsewhere/sparse/0"));
+        if named == "photos" && photographs != "photos/dense/images" {
+            refuse(
+                &mut alone.splat("ok", &[&TRAIN[..], &[named]].concat()),
+                &["several places", "elsewhere/sparse/0", "Name the one"],
+            );
+        }
+        assert_eq!(alone.called(), [""; 0], "{model}");
+    }
+}
+
+#[test]
+fn a_file_is_named_for_what_it_is_and_leaves_nothing() {
+    let alone = Alone::new();
+    for (name, bytes, parts) in [
+        ("a.zip", &b"PK\x03\x04\x14\0\0\0"[..], ["a.zip is a ZIP archive", "unpack it"]),
+        ("a.tar.gz", b"\x1f\x8b\x08\0\0\0\0\0", ["a.tar.gz is a GZ archive", "unpack it"]),
+        ("a.ply", b"ply\nformat ascii 1.0\n", ["a.ply is a PLY file", "name the folder"]),
+        ("a.json", b"{\"frames\": []}", ["a.json is a JSON file without frames", "name the folder"]),
+        ("images.txt", b"# nothing\n", ["images.txt is a text file", "name the folder"]),
+        ("a.spz", b"\x1f\x8b\x08\0\0\0\0\0", ["a.spz is a scene in SPZ", "splat view"]),
+        ("a.splat", &[0; 64], ["format .splat", "splat-transform"]),
+        ("a.jpg", b"\xff\xd8\xff\xe0\0\x10JFIF", ["a.jpg is a JPG picture", "name the folder"]),
+    ] {
+        fs::write(alone.path(name), bytes).unwrap();
+        for arguments in [&["train", name, "--out", "out"][..], &["reconstruct", name], &["inspect", name]] {
+            refuse(&mut alone.splat("ok", arguments), &parts);
+        }
+    }
+    assert!(!alone.path("out").exists() && alone.called().is_empty());
+    // FFmpeg knows more videos than this program: what is not known is left to it.
+    for (name, bytes) in [("a.mp4", &b"\0\0\0\x18ftypmp42\0\0\0\0mp42isom"[..]), ("a.y4m", &[1; 64])] {
+        fs::write(alone.path(name), bytes).unwrap();
+        refuse(&mut alone.splat("ok", &["train", name, "--out", "out"]), &["ffmpeg"]);
+    }
+}
+
 /// Marks of two points of the demo, which is in metres, as if it were smaller.
 fn marks(photographs: usize) -> (String, f64) {
     let capture = Capture::load(DEMO.as_path()).unwrap();

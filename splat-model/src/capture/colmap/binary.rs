@@ -23,18 +23,38 @@ const TRACK_BYTES: usize = 4 + 4;
 
 /// The entries of `cameras.bin`.
 pub(super) fn cameras(file: &Path, bytes: &[u8]) -> Result<Vec<CameraRecord>, CaptureError> {
-    BinaryReader { file, kind: "camera", entry: 0, rest: bytes }.entries(CAMERA_BYTES, |input| {
+    let mut reader = BinaryReader { file, kind: "camera", entry: 0, rest: bytes };
+    let mut last = None;
+    let cameras = reader.entries(CAMERA_BYTES, |input| {
         let id = u32::from_le_bytes(input.take("CAMERA_ID")?);
         let model = ColmapCameraModel::name(i32::from_le_bytes(input.take("MODEL")?));
         let model = input.place().model_by_name(&model)?;
         let size_px = [u64::from_le_bytes(input.take("WIDTH")?), u64::from_le_bytes(input.take("HEIGHT")?)];
         let parameters = &mut [0.0; ColmapCameraModel::MOST_PARAMETERS][..model.parameters()];
+        if input.rest.len() < 8 * parameters.len() && input.rest.len().is_multiple_of(8) {
+            return Err(input.damaged(format!(
+                "{}: the camera model {} has {} parameters, and the file ends after {}. It is cut short, or the camera is of another \
+                 model: copy or export it again",
+                input.place(),
+                model.own_name(),
+                parameters.len(),
+                input.rest.len() / 8
+            )));
+        }
         for parameter in parameters.iter_mut() {
             *parameter = f64::from_le_bytes(input.take("PARAMS")?);
         }
         let intrinsics = input.place().intrinsics(model, size_px, parameters)?;
+        last = Some((input.entry, model));
         Ok(CameraRecord { at: input.place().at, id, intrinsics })
-    })
+    });
+    match (last, reader.rest.len()) {
+        // All cameras were read, and what is left are numbers: the last has more than its model.
+        (Some((entry, model)), left) if cameras.is_err() && entry == reader.entry && left.is_multiple_of(8) => {
+            Err(reader.place().parameters(model, model.parameters() + left / 8))
+        }
+        _ => cameras,
+    }
 }
 
 /// The entries of `images.bin`.

@@ -1,13 +1,12 @@
 //! Checks shared by both encodings of a model.
 
-use std::path::{Component, Path};
-
 use glam::{DAffine3, DQuat, DVec3};
 use splat_op::Intrinsics;
 use splat_op::camera::{MAX_COEFFICIENT, MAX_SIDE_PX};
 
 use super::model::ColmapCameraModel;
 use crate::capture::CaptureError;
+use crate::capture::names::below;
 use crate::capture::read::{MAX_MAGNITUDE, Place, quoted};
 
 impl Place<'_> {
@@ -32,10 +31,7 @@ impl Place<'_> {
         let (fx, fy, cx, cy, coefficients) = match (focals, rest) {
             (&[f], &[cx, cy, ref rest @ ..]) if rest.len() == model.coefficients => (f, f, cx, cy, rest),
             (&[fx, fy], &[cx, cy, ref rest @ ..]) if rest.len() == model.coefficients => (fx, fy, cx, cy, rest),
-            _ => {
-                let expected = format!("{} numbers", model.parameters());
-                return Err(self.refuse("PARAMS", format!("{} numbers", parameters.len()), expected));
-            }
+            _ => return Err(self.parameters(model, parameters.len())),
         };
         for focal in [fx, fy] {
             if !(focal > 0.0 && focal <= MAX_MAGNITUDE) {
@@ -54,6 +50,12 @@ impl Place<'_> {
         }
         let [width, height] = [self.side("WIDTH", size_px[0])?, self.side("HEIGHT", size_px[1])?];
         Ok(Intrinsics { model: model.ours, width, height, fx, fy, cx, cy, distortion })
+    }
+
+    /// The error for a camera with so many parameters.
+    pub(super) fn parameters(&self, model: ColmapCameraModel, found: usize) -> CaptureError {
+        let expected = format!("{} numbers for the camera model {}", model.parameters(), model.own_name());
+        self.refuse("PARAMS", format!("{found} numbers"), expected)
     }
 
     fn side(&self, field: &'static str, px: u64) -> Result<usize, CaptureError> {
@@ -95,9 +97,7 @@ impl Place<'_> {
 
     /// The name of a picture. It becomes part of a path, so it must stay below the folder of pictures.
     pub(super) fn name(&self, name: &str) -> Result<String, CaptureError> {
-        let inside = |part| matches!(part, Component::Normal(_) | Component::CurDir);
-        let plain = !name.is_empty() && !name.contains('\0') && Path::new(name).components().all(inside);
-        if plain {
+        if below(name).is_some() && !name.contains('\0') {
             return Ok(name.to_owned());
         }
         Err(self.refuse_with(

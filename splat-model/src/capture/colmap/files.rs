@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use super::{CaptureError, binary, parse, text};
 
 /// The folder of the models.
-const SPARSE: &str = "sparse";
+pub(in crate::capture) const SPARSE: &str = "sparse";
 
 /// The paths of a model's files, each binary or text by its extension.
 #[derive(Clone)]
@@ -30,25 +30,22 @@ impl Files {
     }
 }
 
-/// Whether the folder holds a model; its points may be missing.
-pub(in crate::capture) fn is_there(folder: &Path) -> bool {
-    candidates(folder).iter().any(|model| of_model(model).is_ok())
+/// Whether a folder holds a model; its points may be missing.
+pub(in crate::capture) fn is_complete(model: &Path) -> bool {
+    of_model(model).is_ok()
 }
 
-/// The folder's model, and a note for the user about the choice. COLMAP leaves several, `sparse/0`, `sparse/1` and so on, where it could not register all photographs together; the choice
+/// One of some models, and a note for the user about the choice. COLMAP leaves several, `sparse/0`, `sparse/1` and so on, where it could not register all photographs together; the choice
 /// is the first of those with the most photographs.
 ///
 /// # Errors
 /// If there is none, or the photographs of one of several cannot be counted.
-pub(super) fn find(folder: &Path) -> Result<(Files, Option<String>), CaptureError> {
-    let models = candidates(folder);
+pub(super) fn find(models: &[PathBuf]) -> Result<(Files, Option<String>), CaptureError> {
     let complete: Vec<(&PathBuf, Files)> =
         models.iter().filter_map(|model| Some((model, of_model(model).ok()?))).collect();
     let [_, _, ..] = complete.as_slice() else {
-        // The error names the model that should exist.
-        let usual = || models.first().cloned().unwrap_or_else(|| folder.join(SPARSE));
         let only = complete.into_iter().next().map(|(_, files)| Ok(files));
-        return Ok((only.unwrap_or_else(|| of_model(&usual()))?, None));
+        return Ok((only.unwrap_or_else(|| of_model(&models[0]))?, None));
     };
     let mut counted = Vec::with_capacity(complete.len());
     for (model, files) in complete {
@@ -57,7 +54,8 @@ pub(super) fn find(folder: &Path) -> Result<(Files, Option<String>), CaptureErro
     }
     // A stable sort keeps the first of the largest in front.
     counted.sort_by_key(|(images, ..)| std::cmp::Reverse(*images));
-    let name = |model: &Path| model.strip_prefix(folder).unwrap_or(model).display().to_string();
+    let above = models[0].parent().and_then(Path::parent).unwrap_or(Path::new(""));
+    let name = |model: &Path| model.strip_prefix(above).unwrap_or(model).display().to_string();
     let others = counted[1..].iter().map(|(images, model, _)| format!("{} has {images}", name(model)));
     let remark = format!(
         "{} models: {}, the largest, is taken, with {} photographs; {}",
@@ -70,10 +68,9 @@ pub(super) fn find(folder: &Path) -> Result<(Files, Option<String>), CaptureErro
     Ok((files, Some(remark)))
 }
 
-/// Candidate folders: the numbered ones in `sparse/`, in order, or else `sparse/` itself.
-fn candidates(folder: &Path) -> Vec<PathBuf> {
-    let sparse = folder.join(SPARSE);
-    let entries = fs::read_dir(&sparse).into_iter().flatten().flatten();
+/// The folders of models that a folder such as `sparse` may hold: the numbered ones, in order, or else the folder itself.
+pub(in crate::capture) fn models_in(folder: &Path) -> Vec<PathBuf> {
+    let entries = fs::read_dir(folder).into_iter().flatten().flatten();
     let numbered = entries.filter_map(|entry| {
         let number: u32 = entry.file_name().to_str()?.parse().ok()?;
         entry.path().is_dir().then(|| (number, entry.path()))
@@ -81,7 +78,7 @@ fn candidates(folder: &Path) -> Vec<PathBuf> {
     let mut numbered: Vec<(u32, PathBuf)> = numbered.collect();
     numbered.sort();
     match numbered.is_empty() {
-        true => vec![sparse],
+        true => vec![folder.to_owned()],
         false => numbered.into_iter().map(|(_, path)| path).collect(),
     }
 }

@@ -53,6 +53,11 @@ impl ColmapCameraModel {
         known.map_or_else(|| format!("number {number}"), |(name, _)| name.to_string())
     }
 
+    /// COLMAP's name for this model.
+    pub fn own_name(self) -> &'static str {
+        MODELS.iter().find(|(_, model)| *model == Some(self)).map_or("unknown", |(name, _)| name)
+    }
+
     /// The model with a COLMAP name; `None` if it is not supported.
     pub fn by_name(name: &str) -> Option<Self> {
         MODELS.iter().find(|(known, _)| *known == name)?.1

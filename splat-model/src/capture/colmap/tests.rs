@@ -13,6 +13,10 @@ use super::*;
 use crate::capture::PointCloud;
 use crate::capture::testing::assert_says;
 
+fn load(folder: &Path) -> Result<Capture, CaptureError> {
+    Capture::load(folder)
+}
+
 /// A camera as `cameras.bin` holds it: 64 bytes for PINHOLE.
 fn camera(id: u32, model: i32, size_px: [u64; 2], parameters: &[f64]) -> Vec<u8> {
     let mut bytes = [id.to_le_bytes(), model.to_le_bytes()].concat();

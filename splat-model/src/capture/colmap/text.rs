@@ -17,7 +17,7 @@ pub(super) fn cameras(file: &Path, bytes: &[u8]) -> Result<Vec<CameraRecord>, Ca
             let model = line.place.model_by_name(model)?;
             let size_px = [line.parse("WIDTH", "a whole number of px")?, line.parse("HEIGHT", "a whole number of px")?];
             let mut parameters = Vec::with_capacity(model.parameters());
-            while !line.rest.is_empty() && parameters.len() <= model.parameters() {
+            while !line.rest.is_empty() {
                 parameters.push(line.parse("PARAMS", "a number")?);
             }
             let intrinsics = line.place.intrinsics(model, size_px, &parameters)?;

@@ -8,7 +8,7 @@ use glam::{DAffine3, DMat3, DQuat};
 use splat_op::Intrinsics;
 
 use super::model::ColmapCameraModel;
-use super::{Files, assemble, binary};
+use super::{Files, binary, by_id, check_entries};
 use crate::capture::read::{Place, PlaceInFile};
 use crate::capture::{CaptureError, PointCloud, Tracks, View};
 use crate::replace::{Refused, replace};
@@ -55,13 +55,9 @@ pub fn write_binary_with_tracks(
     let image_bytes = image_bytes(&files.images, &cameras, views, &keypoints)?;
     let point_bytes = point_bytes(points, tracks, &elements);
     // Reads back the bytes before they are written, so that reader and writer cannot disagree on validity.
-    assemble(
-        folder,
-        &files,
-        binary::cameras(&files.cameras, &camera_bytes)?,
-        binary::images(&files.images, &image_bytes)?,
-        &binary::points(&files.points, &point_bytes)?,
-    )?;
+    let read = by_id(&files.cameras, binary::cameras(&files.cameras, &camera_bytes)?)?;
+    check_entries(&files, &read, &binary::images(&files.images, &image_bytes)?)?;
+    binary::points(&files.points, &point_bytes)?;
     fs::create_dir_all(&model).map_err(|reason| CaptureError::Write { file: model, reason })?;
     for (file, bytes) in [(files.cameras, camera_bytes), (files.images, image_bytes), (files.points, point_bytes)] {
         replace(&file, |out| out.write_all(&bytes))

@@ -148,9 +148,11 @@ impl<'a> Lenses<'a> {
         let (p1, p2) = (number("p1")?, number("p2")?);
         let [k1, k2, k3, k4, k5, k6] =
             [number("k1")?, number("k2")?, number("k3")?, number("k4")?, number("k5")?, number("k6")?];
+        let fix = "Fix it at 0 where the lens is calibrated (K4 of Metashape is of another model) and export again, or export photographs \
+                   that are undistorted";
         let none = |field, value: f64, expected| match value == 0.0 {
             true => Ok(()),
-            false => Err(place.refuse(field, value, expected)),
+            false => Err(place.refuse_with(field, value, expected, fix)),
         };
         let name = self.model()?;
         if name == "OPENCV_FISHEYE" {

@@ -116,8 +116,6 @@ impl Value {
 
 /// Reads a file.
 pub(super) fn parse(file: &Path, bytes: &[u8]) -> Result<Fields, CaptureError> {
-    // Some editors begin files with a byte order mark.
-    let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
     let mut input = serde_json::Deserializer::from_slice(bytes);
     let read = Expected::File.deserialize(&mut input).and_then(|value| input.end().map(|()| value));
     match read {

@@ -169,6 +169,55 @@ fn points_and_masks_come_with_nerfstudio() {
 }
 
 #[test]
+fn files_are_found_by_the_names_that_other_systems_write() {
+    let ply = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n1 2 3\n";
+    let frames = [frame("images\\\\a.png"), frame(".\\\\IMAGES\\\\B.PNG"), frame("images/c.png"), frame("images\\\\d")];
+    let masked = frames.join(", ").replacen("\"transform", "\"mask_path\": \"m\\\\a.png\", \"transform", 1);
+    let text = format!(
+        r#"{{"w": 8, "h": 6, "fl_x": 8, "ply_file_path": ".\\p.ply", "test_filenames": ["images\\a.png", "images/c.png"], "frames": [{masked}]}}"#
+    );
+    let pictures =
+        [("images/a.png", ""), ("images/b.png", ""), ("images/c.png.png", ""), ("images/d.jpg", ""), ("m/a.png", "")];
+    let root = folder(&[&[(SINGLE, text.as_str()), ("p.ply", ply)][..], &pictures].concat());
+    // In UTF-16 with a mark, as PowerShell writes it, too.
+    let wide: Vec<u8> = format!("\u{feff}{text}").encode_utf16().flat_map(u16::to_le_bytes).collect();
+    for bytes in [text.clone().into_bytes(), format!("\u{feff}{text}").into_bytes(), wide] {
+        fs::write(root.path().join(SINGLE), bytes).unwrap();
+        let capture = Capture::load(root.path()).unwrap();
+        assert_eq!(names(&capture), ["images/a.png", "images/b.png", "images/c.png.png", "images/d.jpg"]);
+        assert_eq!(capture.split, Some(Split { train: vec![1, 3], test: vec![0, 2] }));
+        assert_eq!(capture.points.positions, [[1.0, 2.0, 3.0]]);
+        assert_eq!(masks::find(&capture)[0], Some(root.path().join("m/a.png")));
+        assert_eq!(photos::load_all(&capture.views, None, |_| ()).unwrap().len(), 4);
+    }
+}
+
+#[test]
+fn test_frames_without_pictures_are_left_out() {
+    let file = |path: &str| format!(r#"{{"w": 8, "h": 6, "fl_x": 8, "frames": [{}]}}"#, frame(path));
+    let files = [
+        (TRAIN, file("a.png")),
+        ("transforms_test.json", file("test/a.png")),
+        ("transforms_val.json", file("val/a.png")),
+    ];
+    let files = files.each_ref().map(|(name, text)| (*name, text.as_str()));
+    let root = folder(&[&files[..], &[("a.png", "")]].concat());
+    let capture = Capture::load(root.path()).unwrap();
+    assert_eq!((names(&capture), &capture.split), (vec!["a.png"], &None));
+    assert_eq!(capture.remarks.len(), 2, "{:?}", capture.remarks);
+    for (remark, part) in
+        capture.remarks.iter().zip(["transforms_test.json is left out", "transforms_val.json is left out"])
+    {
+        assert!(remark.contains(part) && remark.contains("none of its 1 pictures"), "{remark}");
+    }
+    // With the pictures for validation, these are held out.
+    fs::create_dir(root.path().join("val")).unwrap();
+    fs::copy(root.path().join("a.png"), root.path().join("val/a.png")).unwrap();
+    let capture = Capture::load(root.path()).unwrap();
+    assert_eq!(capture.split, Some(Split { train: vec![0], test: vec![1] }));
+}
+
+#[test]
 fn far_away_both_points_and_cameras_move() {
     let ply = "ply\nformat ascii 1.0\nelement vertex 1\nproperty double x\nproperty double y\nproperty double z\n\
                end_header\n4000005.25 2 3\n";

@@ -126,3 +126,39 @@ fn both_conventions_are_found_and_read() {
     let message = load(&whole, &Intrinsics::centred(3, 3, 5.0)).unwrap_err().to_string();
     assert!(message.contains("a.jpg.png") && message.contains("3 × 2") && message.contains("3 × 3"), "{message}");
 }
+
+#[test]
+fn masks_of_every_range_say_the_same() {
+    use ::image::{DynamicImage, GrayAlphaImage, GrayImage, ImageBuffer, RgbaImage};
+
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("mask.png");
+    let kept = [true, false, false, true, false, true];
+    let of = |low: u8, high: u8| kept.map(|kept| if kept { high } else { low }).to_vec();
+    let grey = |values: Vec<u8>| DynamicImage::from(GrayImage::from_raw(3, 2, values).unwrap());
+    let deep = |high: u16| {
+        let values = kept.map(|kept| if kept { high } else { 0 }).to_vec();
+        DynamicImage::from(ImageBuffer::<::image::Luma<u16>, _>::from_raw(3, 2, values).unwrap())
+    };
+    // The colour of a cut-out picture says nothing, and an alpha that is the same everywhere does not either.
+    let cut_out = kept.iter().flat_map(|&kept| [9, 200, 30, if kept { 255 } else { 0 }]).collect();
+    let with_alpha = of(0, 1).into_iter().flat_map(|value| [value, 128]).collect();
+    let pictures = [
+        grey(of(0, 255)),
+        grey(of(127, 128)),
+        grey(of(0, 1)),
+        deep(u16::MAX),
+        deep(1),
+        grey(of(0, 1)).into_rgb8().into(),
+        RgbaImage::from_raw(3, 2, cut_out).unwrap().into(),
+        GrayAlphaImage::from_raw(3, 2, with_alpha).unwrap().into(),
+    ];
+    for (i, picture) in pictures.iter().enumerate() {
+        picture.save(&file).unwrap();
+        assert_eq!(load(&file, &Intrinsics::centred(3, 2, 5.0)).unwrap(), kept, "picture {i}");
+    }
+    for (value, all) in [(0, false), (1, true), (255, true), (100, false)] {
+        grey(vec![value; 6]).save(&file).unwrap();
+        assert_eq!(load(&file, &Intrinsics::centred(3, 2, 5.0)).unwrap(), [all; 6], "all {value}");
+    }
+}

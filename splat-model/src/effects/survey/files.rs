@@ -1,19 +1,14 @@
 //! Evidence from alpha channels and from files next to the photographs.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use rayon::prelude::*;
 use serde::Serialize;
 
 use super::Capture;
 use super::pictures::Glance;
-use crate::capture::View;
 use crate::capture::image::has_alpha;
-use crate::effects::depth::DEPTH_SCALE;
-use crate::effects::masks;
-
-/// Folder names that tools use for depth maps.
-const DEPTH_FOLDERS: [&str; 3] = ["depth", "depths", "depth_maps"];
+use crate::effects::{depth, masks};
 
 /// Alpha channels, masks and depth maps.
 #[derive(Clone, Debug, Serialize)]
@@ -24,25 +19,16 @@ pub struct FileEvidence {
     pub with_mask: usize,
     /// Share of the pixels that masks exclude, over the decoded photographs with masks.
     pub masked_share: f64,
-    /// The folder with depth maps, if there is one.
+    /// The folder with depth maps of photographs, if there is one.
     pub depth_maps: Option<String>,
-}
-
-/// The folder of a capture's depth maps, relative to the capture.
-pub fn depth_folder(capture: &Path) -> Option<&'static str> {
-    DEPTH_FOLDERS.into_iter().find(|name| capture.join(name).is_dir())
 }
 
 /// All files that a run on a capture may read: the capture's own, photographs, masks and depth maps.
 pub fn input_files(capture: &Capture) -> Vec<PathBuf> {
-    let depths = depth_folder(&capture.folder).map(|name| capture.folder.join(name));
-    let maps = depths.iter().flat_map(|folder| {
-        let of_view = |view: &View| masks::by_name(std::slice::from_ref(folder), &view.name);
-        capture.views.iter().filter_map(of_view).chain([folder.join(DEPTH_SCALE)])
-    });
-    let pictures =
-        capture.views.iter().map(|view| view.image_path.clone()).chain(masks::find(capture).into_iter().flatten());
-    capture.files.iter().cloned().chain(pictures).chain(maps).collect()
+    let scale = depth::folder(capture).map(|folder| capture.folder.join(folder).join(depth::SCALE));
+    let beside = [masks::find(capture), depth::find(capture)].concat();
+    let photographs = capture.views.iter().map(|view| view.image_path.clone());
+    capture.files.iter().cloned().chain(photographs).chain(beside.into_iter().flatten()).chain(scale).collect()
 }
 
 pub(super) fn evidence(capture: &Capture, views: &[usize], glances: &[Glance]) -> FileEvidence {
@@ -54,6 +40,6 @@ pub(super) fn evidence(capture: &Capture, views: &[usize], glances: &[Glance]) -
         with_alpha: transparent + unseen.filter(|view| has_alpha(&capture.views[**view].image_path)).count(),
         with_mask: masks::find(capture).iter().flatten().count(),
         masked_share: masked.iter().sum::<f64>() / masked.len().max(1) as f64,
-        depth_maps: depth_folder(&capture.folder).map(str::to_owned),
+        depth_maps: depth::folder(capture).map(|name| name.to_string_lossy().into_owned()),
     }
 }

@@ -29,7 +29,7 @@ use crate::quantile::quantile;
 pub use self::blur::{BlurEvidence, sharpness_of_grey};
 pub use self::depth::DepthEvidence;
 pub use self::exposure::{ExposureEvidence, ViewExposure};
-pub use self::files::{FileEvidence, depth_folder, input_files};
+pub use self::files::{FileEvidence, input_files};
 pub use self::footprint::FootprintEvidence;
 pub use self::grading::GradingEvidence;
 pub use self::lens::LensEvidence;
@@ -97,6 +97,7 @@ impl Survey {
     /// # Errors
     /// Errors of [`Self::of`].
     pub fn of_views(capture: &Capture, views: &[usize]) -> Result<Self, CaptureError> {
+        capture.check_photographs(views)?;
         let size = |&view: &usize| capture.views[view].intrinsics.width * capture.views[view].intrinsics.height;
         let pixels: usize = views.iter().map(size).sum();
         let surveyed = selection::select(capture, views, Self::MOST_PIXELS);

@@ -31,6 +31,12 @@ pub fn read_archive(path: &Path) -> Result<SceneFile, FormatError> {
     let broken = |detail: String| FormatError::broken(path, Format::Sog, detail);
     let mut archive = ZipArchive::new(BufReader::new(file))
         .map_err(|error| broken(format!("its archive: {}", brief(&error.to_string()))))?;
+    if archive.index_for_name(META).is_none() {
+        let first = archive.file_names().next().and_then(Result::ok);
+        let first = first.map_or("nothing".into(), |name| format!("`{}`", brief(&name)));
+        let what = format!("a ZIP archive without `{META}`, so not SOG; it holds {first}");
+        return Err(FormatError::foreign(path, what, "unpack it, and name the scene in it"));
+    }
     let mut load = |name: &str| {
         let entry = archive
             .by_name(name)

@@ -49,7 +49,7 @@ pub(super) use write::{PackedSections, write};
 pub use write::{SpzOptions, SpzVersion};
 
 /// First bytes of version 4, and of the decompressed stream of the other versions.
-const MAGIC: [u8; 4] = *b"NGSP";
+pub(super) const MAGIC: [u8; 4] = *b"NGSP";
 
 /// First bytes of a gzip stream.
 const GZIP: [u8; 2] = [0x1f, 0x8b];

@@ -90,6 +90,57 @@ fn points_are_refused_by_line() {
 }
 
 #[test]
+fn text_of_windows_is_read() {
+    let wide = |text: &str, bytes: fn(u16) -> [u8; 2]| text.encode_utf16().flat_map(bytes).collect::<Vec<u8>>();
+    for encode in [
+        |text: &str| format!("\u{feff}{text}").into_bytes(),
+        |text: &str| format!("\u{feff}{text}").encode_utf16().flat_map(u16::to_le_bytes).collect(),
+        |text: &str| format!("\u{feff}{text}").encode_utf16().flat_map(u16::to_be_bytes).collect::<Vec<u8>>(),
+    ] {
+        let folder = folder("sparse/0", &small_model_as_text().map(|(name, text)| (name, encode(&text))));
+        check_small(&load(folder.path()).unwrap(), folder.path());
+    }
+    let folder = folder("sparse/0", &small_model_as_text().map(|(name, text)| (name, wide(&text, u16::to_le_bytes))));
+    check_small(&load(folder.path()).unwrap(), folder.path());
+}
+
+#[test]
+fn a_wrong_number_of_parameters_names_the_model() {
+    for (parameters, found) in [("50 20.5 15.5", "3 numbers"), ("50 51 20.5 15.5 0 0 0 0", "8 numbers")] {
+        let message = message("cameras.txt", format!("4 PINHOLE 40 30 {parameters}\n"));
+        assert_says(&message, &["line 1", "`PARAMS`", found, "4 numbers for the camera model PINHOLE"]);
+    }
+    let message = |parameters: &[f64]| message_with("cameras.bin", &file(&[camera(4, 4, [40, 30], parameters)]));
+    assert_says(&message(&[1.0; 5]), &["camera entry 1", "OPENCV has 8 parameters", "ends after 5"]);
+    assert_says(
+        &message(&[1.0; 10]),
+        &["camera entry 1", "`PARAMS` is 10 numbers", "8 numbers for the camera model OPENCV"],
+    );
+}
+
+#[test]
+fn pictures_are_found_by_the_names_that_other_systems_write() {
+    let folder = folder("sparse/0", &small_model_as_text());
+    let images = "1 1 0 0 0 0 0 0 4 b\\two.jpg\n\n2 1 0 0 0 0 0 0 4 A one.JPG\n\n3 1 0 0 0 0 0 0 4 c.png\n\n4 1 0 0 0 0 0 0 4 gone\\x.png\n\n";
+    fs::write(folder.path().join("sparse/0/images.txt"), images).unwrap();
+    fs::create_dir_all(folder.path().join("images/b")).unwrap();
+    for name in ["b/two.jpg", "a one.jpg", "c.png.png"] {
+        ::image::RgbImage::new(40, 30).save(folder.path().join("images").join(name)).unwrap();
+    }
+    let capture = load(folder.path()).unwrap();
+    let names: Vec<&str> = capture.views.iter().map(|view| view.name.as_str()).collect();
+    assert_eq!(names, ["a one.jpg", "b/two.jpg", "c.png.png", "gone\\x.png"]);
+    // Two names of one file are one photograph too many.
+    let twice = images.replace("c.png", "b/two.jpg");
+    fs::write(folder.path().join("sparse/0/images.txt"), twice).unwrap();
+    assert_says(&load(folder.path()).unwrap_err().to_string(), &["`NAME` is \"b/two.jpg\" again"]);
+    for name in ["..\\x.png", "C:\\x.png", "\\x.png"] {
+        fs::write(folder.path().join("sparse/0/images.txt"), format!("1 1 0 0 0 0 0 0 4 {name}\n\n")).unwrap();
+        assert_says(&load(folder.path()).unwrap_err().to_string(), &["`NAME`", "neither absolute nor with `..`"]);
+    }
+}
+
+#[test]
 fn bytes_that_are_not_text_are_refused_by_line() {
     for name in ["cameras.txt", "images.txt", "points3D.txt"] {
         assert_says(&message(name, b"# one\n# two\n\xff\n"), &["line 3", "UTF-8", "export it again"]);

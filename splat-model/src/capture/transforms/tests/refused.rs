@@ -65,7 +65,7 @@ fn paths_that_lead_nowhere() {
     assert_says(&message(&format!("[{{{pose}}}]")), &["frame 0", "`file_path` is missing"]);
     assert_says(&message(&format!(r#"[{{"file_path": 5, {pose}}}]"#)), &["frame 0", "`file_path` is 5"]);
     let long = "x/".repeat(201);
-    for path in ["../a.png", "/etc/a.png", "", ".", "a\\u0000.png", "a\\n.png", &long] {
+    for path in ["../a.png", "..\\\\a.png", "C:\\\\a.png", "/etc/a.png", "", ".", "a\\u0000.png", "a\\n.png", &long] {
         assert_says(
             &message(&format!(r#"[{{"file_path": "{path}", {pose}}}]"#)),
             &["frame 0", "`file_path`", "neither absolute"],
@@ -86,9 +86,12 @@ fn paths_that_lead_nowhere() {
 fn pictures_that_are_not_there() {
     let text = format!(r#"{{"w": 8, "h": 6, "fl_x": 8, "frames": [{}]}}"#, frame("train/r_0"));
     let message = single(&text).unwrap_err().to_string();
-    assert_says(&message, &["train/r_0.png", "train/r_0.jpg", "train/r_0.jpeg", "Copy"]);
+    assert_says(
+        &message,
+        &["1 of 1 photographs", "transforms.json", "train/r_0:", "holds \"transforms.json\"", "Put the photographs"],
+    );
     let message = single(&format!(r#"{{"fl_x": 8, "frames": [{}]}}"#, frame("a.png"))).unwrap_err().to_string();
-    assert_says(&message, &["no picture found", "a.png"]);
+    assert_says(&message, &["1 of 1 photographs", "a.png", "holds \"transforms.json\""]);
     let root =
         folder(&[(SINGLE, &format!(r#"{{"fl_x": 8, "frames": [{}]}}"#, frame("a.png"))), ("a.png", "not a picture")]);
     assert_says(&Capture::load(root.path()).unwrap_err().to_string(), &["cannot decode", "a.png"]);
@@ -117,7 +120,7 @@ fn files_that_are_no_captures() {
 #[test]
 fn the_same_name_in_both_files_of_a_split() {
     let file = format!(r#"{{"w": 8, "h": 6, "fl_x": 8, "frames": [{}]}}"#, frame("a.png"));
-    let root = folder(&[(TRAIN, &file), ("transforms_test.json", &file)]);
+    let root = folder(&[(TRAIN, &file), ("transforms_test.json", &file), ("a.png", "")]);
     let message = Capture::load(root.path()).unwrap_err().to_string();
     assert_says(&message, &["transforms_test.json", "frame 0", "\"a.png\" again"]);
 }

@@ -1,0 +1,192 @@
+//! Names of files as other programs and other systems wrote them.
+
+use std::collections::{BTreeSet, HashMap};
+use std::fs;
+use std::path::{Component, Path, PathBuf};
+
+use unicode_normalization::UnicodeNormalization;
+
+use super::read::quoted;
+
+/// Extensions of pictures. A name may lack its own (NeRF-synthetic), or have one more on the disk than in the list (BlenderNeRF).
+pub(crate) const PICTURES: [&str; 3] = ["png", "jpg", "jpeg"];
+
+/// The path without `.`; `None` where it is absolute or leads out of its folder, whether `\` separates folders, as on Windows, or not.
+pub(super) fn below(path: &str) -> Option<String> {
+    let with_slashes = path.replace('\\', "/");
+    let has_drive = matches!(with_slashes.as_bytes(), [drive, b':', b'/', ..] if drive.is_ascii_alphabetic());
+    if has_drive || with_slashes.starts_with('/') || with_slashes.split('/').any(|part| part == "..") {
+        return None;
+    }
+    let mut parts = Vec::new();
+    for part in Path::new(path).components() {
+        match part {
+            Component::Normal(part) => parts.push(part.to_str()?),
+            Component::CurDir => {}
+            _ => return None,
+        }
+    }
+    (!parts.is_empty()).then(|| parts.join("/"))
+}
+
+/// A name without its letter case and its Unicode form: file systems differ in both.
+fn folded(name: &str) -> String {
+    name.chars().flat_map(char::to_lowercase).nfc().collect()
+}
+
+/// Finds files by such names. Folders are listed once, and only where a name is not there as it is.
+#[derive(Default)]
+pub(crate) struct Names {
+    /// The names in a folder, by their folded form.
+    listed: HashMap<PathBuf, HashMap<String, Vec<String>>>,
+}
+
+impl Names {
+    /// The path below `root` of the file that `stated` means: as it stands, with `/` for `\`, with one of `extensions` added; or else as the only
+    /// file whose name differs from that in letter case or Unicode form alone.
+    pub fn find(&mut self, root: &Path, stated: &str, extensions: &[&str]) -> Option<String> {
+        let with_slashes = stated.replace('\\', "/");
+        let forms = if with_slashes == stated { vec![with_slashes] } else { vec![stated.to_owned(), with_slashes] };
+        let longer = |form: &String| extensions.iter().map(|extension| format!("{form}.{extension}")).collect();
+        let longer: Vec<String> = forms.iter().flat_map(|form| -> Vec<String> { longer(form) }).collect();
+        let candidates = [forms, longer].concat();
+        let is_there = candidates.iter().find(|name| root.join(name).is_file());
+        is_there.cloned().or_else(|| candidates.iter().find_map(|name| self.alike(root, name)))
+    }
+
+    fn alike(&mut self, root: &Path, name: &str) -> Option<String> {
+        let mut found = String::new();
+        for part in name.split('/').filter(|part| !["", "."].contains(part)) {
+            let beside = self.listed.entry(root.join(&found)).or_insert_with_key(|folder| listing(folder));
+            let alike = beside.get(&folded(part))?;
+            let same = alike.iter().find(|name| *name == part);
+            let [only] = same.map_or(alike.as_slice(), std::slice::from_ref) else { return None };
+            found.push_str(if found.is_empty() { "" } else { "/" });
+            found.push_str(only);
+        }
+        root.join(&found).is_file().then_some(found)
+    }
+}
+
+fn listing(folder: &Path) -> HashMap<String, Vec<String>> {
+    let mut names: HashMap<String, Vec<String>> = HashMap::new();
+    for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
+        if let Ok(name) = entry.file_name().into_string() {
+            names.entry(folded(&name)).or_default().push(name);
+        }
+    }
+    names
+}
+
+/// What lies where a file is missing, or in the nearest folder above that is there.
+pub(super) fn beside(missing: &Path) -> String {
+    let folder = missing.ancestors().skip(1).find(|folder| folder.is_dir()).unwrap_or(Path::new("."));
+    let names = listing(folder).into_values().flatten().filter(|name| !name.starts_with('.'));
+    let names: BTreeSet<String> = names.map(|name| quoted(&name)).collect();
+    let some = names.iter().take(3).cloned().collect::<Vec<_>>().join(", ");
+    match names.len() {
+        0 => format!("{} is empty", folder.display()),
+        1..=3 => format!("{} holds {some}", folder.display()),
+        count => format!("{} holds {some} and {} more", folder.display(), count - 3),
+    }
+}
+
+/// Names of files in a folder and its subfolders, in order, without hidden ones. Empty if it cannot be listed.
+pub(crate) fn files_below(folder: &Path) -> Vec<String> {
+    /// Largest depth of subfolders.
+    const DEEPEST: usize = 8;
+    fn walk(folder: &Path, prefix: &str, depth: usize, found: &mut Vec<String>) {
+        for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
+            let name = entry.file_name().to_string_lossy().into_owned();
+            match entry.path().is_dir() {
+                _ if name.starts_with('.') => {}
+                true if depth < DEEPEST => walk(&entry.path(), &format!("{prefix}{name}/"), depth + 1, found),
+                true => {}
+                false => found.push(format!("{prefix}{name}")),
+            }
+        }
+    }
+    let mut found = Vec::new();
+    walk(folder, "", 0, &mut found);
+    found.sort();
+    found
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn folder(names: &[&str]) -> tempfile::TempDir {
+        let folder = tempfile::tempdir().unwrap();
+        for name in names {
+            let path = folder.path().join(name);
+            fs::create_dir_all(path.parent().unwrap()).unwrap();
+            fs::write(path, "").unwrap();
+        }
+        folder
+    }
+
+    #[test]
+    fn a_path_stays_below_its_folder_however_it_is_read() {
+        assert_eq!(below("./a/./b.png").as_deref(), Some("a/b.png"));
+        assert_eq!(below("a\\b.png").as_deref(), Some("a\\b.png"));
+        assert_eq!(below("C:x.png").as_deref(), Some("C:x.png"));
+        for path in
+            ["", ".", "/a", "../a", "a/../b", "..\\a", "a\\..\\b", "\\a", "\\\\server\\a", "C:\\a", "c:/a", "a/..\\b"]
+        {
+            assert_eq!(below(path), None, "{path}");
+        }
+    }
+
+    /// Letter case is folded on file systems that distinguish it; on others the first form is there.
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn names_of_other_systems_are_found_where_they_are_unambiguous() {
+        let names = [
+            "in/A.JPG",
+            "in/a b.png",
+            "in/Two.png",
+            "in/TWO.png",
+            "in/re\u{301}sume\u{301}.png",
+            "in/d.png.png",
+            "in/e.jpeg",
+            "w\\f.png",
+        ];
+        let folder = folder(&names);
+        let mut found = Names::default();
+        let mut find = |stated: &str| found.find(folder.path(), stated, &PICTURES);
+        for (stated, expected) in [
+            ("in/a b.png", Some("in/a b.png")),
+            ("in\\a b.png", Some("in/a b.png")),
+            ("IN\\a.jpg", Some("in/A.JPG")),
+            ("in/R\u{e9}sum\u{e9}.PNG", Some("in/re\u{301}sume\u{301}.png")),
+            ("in/d.png", Some("in/d.png.png")),
+            ("in/D.png", Some("in/d.png.png")),
+            ("in/e", Some("in/e.jpeg")),
+            ("w\\f.png", Some("w\\f.png")),
+            ("in/Two.png", Some("in/Two.png")),
+            ("in/two.png", None),
+            ("in/g.png", None),
+            ("in", None),
+        ] {
+            assert_eq!(find(stated).as_deref(), expected, "{stated}");
+        }
+        assert_eq!(found.find(folder.path(), "in/e", &[]), None);
+    }
+
+    #[test]
+    fn what_lies_beside_a_missing_file_is_said() {
+        let folder = folder(&["in/a.png", "in/b.png", "in/c.png", "in/d.png", "e"]);
+        let of = |name: &str| beside(&folder.path().join(name));
+        let root = folder.path().display();
+        assert_eq!(of("in/x.png"), format!("{root}/in holds \"a.png\", \"b.png\", \"c.png\" and 1 more"));
+        assert_eq!(of("images/left/x.png"), format!("{root} holds \"e\", \"in\""));
+    }
+
+    #[test]
+    fn files_are_listed_with_their_folders() {
+        let folder = folder(&["b.png", "a/c.png", ".hidden", ".git/x"]);
+        assert_eq!(files_below(folder.path()), ["a/c.png", "b.png"]);
+        assert!(files_below(&folder.path().join("none")).is_empty());
+    }
+}

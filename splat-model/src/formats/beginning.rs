@@ -1,0 +1,74 @@
+//! Which format a file has, by its first bytes.
+
+use std::fs::{self, File};
+use std::io::{BufReader, Read};
+use std::path::Path;
+
+use flate2::bufread::GzDecoder;
+
+use super::{Format, FormatError, gltf, sog, spz};
+use crate::sniff::{FileClass, FileKind};
+
+/// What the first bytes of a scene's file tell.
+pub(super) enum Beginning {
+    Ply,
+    Spz,
+    Glb,
+    Zip,
+    Json,
+}
+
+impl Beginning {
+    pub fn of(path: &Path) -> Result<Self, FormatError> {
+        let mut first = Vec::new();
+        File::open(path)
+            .map_err(FormatError::io(path, "open the scene (is the path right?)"))?
+            .take(16)
+            .read_to_end(&mut first)
+            .map_err(FormatError::io(path, "read the scene (is the path right?)"))?;
+        let line = first.split(|byte| *byte == b'\n').next().unwrap_or_default().trim_ascii();
+        Ok(match () {
+            () if spz::is_spz(&first) => match gunzipped(path).and_then(|inner| FileKind::of_bytes(&inner)) {
+                Some(inner) => {
+                    let what = format!("a gzip file around {}, not SPZ", inner.what);
+                    return Err(FormatError::foreign(path, what, "unpack it with `gunzip`"));
+                }
+                None => Self::Spz,
+            },
+            () if first.starts_with(&gltf::MAGIC) => Self::Glb,
+            () if first.starts_with(&sog::MAGIC) => Self::Zip,
+            () if first.trim_ascii_start().starts_with(b"{") => Self::Json,
+            () if line == b"ply" => Self::Ply,
+            () => return Err(unknown(path, &first)),
+        })
+    }
+}
+
+/// The first bytes in a gzip file; `None` if it is none, damaged or SPZ.
+fn gunzipped(path: &Path) -> Option<Vec<u8>> {
+    let mut first = Vec::new();
+    GzDecoder::new(BufReader::new(File::open(path).ok()?)).take(16).read_to_end(&mut first).ok()?;
+    Some(first).filter(|first| !first.is_empty() && !first.starts_with(&spz::MAGIC))
+}
+
+/// The error for a file that begins so and is no scene.
+fn unknown(path: &Path, first: &[u8]) -> FormatError {
+    match FileKind::of(path).filter(|kind| !matches!(kind.class, FileClass::Scene | FileClass::Text)) {
+        Some(FileKind { what, remedy, .. }) => FormatError::foreign(path, what, remedy),
+        None => {
+            let line = first.split(|byte| *byte == b'\n').next().unwrap_or_default().trim_ascii();
+            let found = String::from_utf8_lossy(line).escape_debug().to_string();
+            FormatError::Unknown { path: path.to_path_buf(), found }
+        }
+    }
+}
+
+/// A file of JSON, and the format that it has.
+pub(super) fn json(path: &Path) -> Result<(Format, Vec<u8>), FormatError> {
+    let json = fs::read(path).map_err(FormatError::io(path, "read the scene (is the path right?)"))?;
+    match () {
+        () if gltf::is_document(&json) => Ok((Format::Gltf, json)),
+        () if sog::is_meta(&json) => Ok((Format::Sog, json)),
+        () => Err(unknown(path, &json[..json.len().min(16)])),
+    }
+}

@@ -1,0 +1,159 @@
+//! Captures of other programs: what is not used is said, and files are read in spite of their names.
+
+use std::fs;
+use std::path::Path;
+
+use image::codecs::jpeg::JpegEncoder;
+use splat_model::capture::{Capture, View, write_binary};
+use splat_model::formats::{self, Format};
+use splat_model::sniff::FileKind;
+use tempfile::TempDir;
+
+use crate::run::{DEMO, TRAIN, TRAINED, refuse, splat, succeed};
+use crate::{json, text};
+
+/// The demo's photographs and model, without the mark that they are this program's.
+fn capture() -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    for part in ["images", "sparse/0"] {
+        fs::create_dir_all(folder.path().join(part)).unwrap();
+        for entry in fs::read_dir(DEMO.join(part)).unwrap().map(Result::unwrap) {
+            fs::copy(entry.path(), folder.path().join(part).join(entry.file_name())).unwrap();
+        }
+    }
+    folder
+}
+
+/// Trains a few steps and returns what was said.
+fn trained(capture: &Path, options: &[&str]) -> String {
+    let out = tempfile::tempdir().unwrap();
+    let arguments =
+        [&["train", text(capture), "--steps", "2", "--device", "cpu", "--out", text(out.path())], options].concat();
+    succeed(&mut splat(&arguments)).stderr
+}
+
+#[test]
+fn what_is_not_used_is_said_by_every_command_that_reads_a_capture() {
+    let capture = capture();
+    fs::create_dir(capture.path().join("masks")).unwrap();
+    fs::create_dir(capture.path().join("stereo")).unwrap();
+    for i in 0..8 {
+        image::GrayImage::new(64, 48).save(capture.path().join(format!("masks/000{i}_mask.png"))).unwrap();
+    }
+    let masks = "masks/ holds 8 pictures, and none belongs to a photograph: expected for instance masks/0000.png.png or masks/0000.png, \
+                 found 0000_mask.png";
+    let said = [
+        trained(capture.path(), &[]),
+        succeed(&mut splat(&["inspect", text(capture.path())])).stderr,
+        succeed(&mut splat(&["inspect", text(capture.path())])).stdout,
+    ];
+    for said in said {
+        for part in [masks, "not used: stereo/"] {
+            assert_eq!(said.matches(part).count(), 1, "{part}: {said}");
+        }
+    }
+}
+
+#[test]
+fn a_capture_without_points_is_said_to_start_at_random() {
+    let capture = capture();
+    assert!(!trained(capture.path(), &["--effects", "none"]).contains("random"));
+    fs::remove_file(capture.path().join("sparse/0/points3D.bin")).unwrap();
+    let said = trained(capture.path(), &["--effects", "none"]);
+    assert_eq!(said.matches("no points: training starts from random splats").count(), 1, "{said}");
+}
+
+#[test]
+fn a_jpeg_that_is_cut_short_is_refused_for_training_and_for_testing() {
+    let capture = capture();
+    let read = Capture::load(capture.path()).unwrap();
+    let renamed = |view: &View| View { name: view.name.replace(".png", ".jpg"), ..view.clone() };
+    write_binary(capture.path(), &read.views.iter().map(renamed).collect::<Vec<_>>(), &read.points).unwrap();
+    for view in &read.views {
+        let picture = image::open(&view.image_path).unwrap().into_rgb8();
+        let mut bytes = Vec::new();
+        picture.write_with_encoder(JpegEncoder::new_with_quality(&mut bytes, 95)).unwrap();
+        fs::write(view.image_path.with_extension("jpg"), bytes).unwrap();
+    }
+    trained(capture.path(), &["--effects", "none"]);
+    for name in ["0000.jpg", "0003.jpg"] {
+        let path = capture.path().join("images").join(name);
+        let whole = fs::read(&path).unwrap();
+        let third = whole.len() / 3;
+        let zeros = [&whole[..third], &vec![0; third], &whole[2 * third..]].concat();
+        for spoilt in [&whole[..whole.len() * 3 / 10], &[&whole[..2 * third], &[0xff, 0xd9]].concat(), &zeros] {
+            fs::write(&path, spoilt).unwrap();
+            let out = tempfile::tempdir().unwrap();
+            for effects in ["none", "auto"] {
+                let arguments =
+                    [&TRAIN[..], &[text(capture.path()), "--effects", effects, "--out", text(out.path())]].concat();
+                refuse(&mut splat(&arguments), &[text(&path), "cannot decode", "damaged"]);
+            }
+        }
+        fs::write(&path, whole).unwrap();
+    }
+}
+
+#[test]
+fn a_picture_of_another_kind_is_named() {
+    let capture = capture();
+    let path = capture.path().join("images/0003.png");
+    fs::write(&path, b"\0\0\0\x18ftypheic\0\0\0\0mif1heic").unwrap();
+    let out = tempfile::tempdir().unwrap();
+    let arguments = [&TRAIN[..], &[text(capture.path()), "--out", text(out.path())]].concat();
+    refuse(&mut splat(&arguments), &[text(&path), "HEIC", "convert it to JPEG", "magick"]);
+}
+
+#[test]
+fn scenes_in_archives_and_of_other_programs_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = fs::read(TRAINED.join("scene.ply")).unwrap();
+    let packed = |name: &str, bytes: &[u8]| {
+        let path = folder.path().join(name);
+        fs::write(&path, bytes).unwrap();
+        path
+    };
+    let mut gzip = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
+    std::io::Write::write_all(&mut gzip, &scene).unwrap();
+    let mut zip = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
+    zip.start_file("scene.ply", zip::write::SimpleFileOptions::default()).unwrap();
+    std::io::Write::write_all(&mut zip, &scene).unwrap();
+    for (path, parts) in [
+        (packed("scene.ply.gz", &gzip.finish().unwrap()), ["a gzip file around a PLY file", "gunzip"]),
+        (
+            packed("scene.zip", &zip.finish().unwrap().into_inner()),
+            ["a ZIP archive without `meta.json`", "`scene.ply`"],
+        ),
+        (packed("scene.splat", &[7; 64]), ["a scene in the format .splat", "splat-transform"]),
+        (packed("scene.ksplat", &[0; 4096]), ["a scene in the format .ksplat", "SuperSplat"]),
+    ] {
+        refuse(&mut splat(&["convert", text(&path), text(&folder.path().join("out.ply"))]), &parts);
+        refuse(&mut splat(&["inspect", text(&path)]), &parts);
+    }
+    // What a name says does not matter where the content is a scene.
+    let path = packed("scene.jpg", &scene);
+    assert_eq!(formats::detect(&path).unwrap(), Format::Ply);
+    assert!(FileKind::of(&path).is_some());
+}
+
+#[test]
+fn a_file_of_cameras_stands_for_its_folder() {
+    let capture = capture();
+    let out = tempfile::tempdir().unwrap();
+    let file = capture.path().join("sparse/0/images.bin");
+    let options = ["--effects", "none", "--steps", "2", "--out", text(out.path())];
+    succeed(splat(&["train", text(&file)]).args(options));
+    assert_eq!(json(&out.path().join("metrics.json"))["options"]["capture"], text(capture.path()));
+    let scene = out.path().join("scene.ply");
+    let scores = tempfile::tempdir().unwrap();
+    succeed(&mut splat(&[
+        "eval",
+        text(&file),
+        "--scene",
+        text(&scene),
+        "--device",
+        "cpu",
+        "--out",
+        text(scores.path()),
+    ]));
+}
