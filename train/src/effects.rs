@@ -148,6 +148,13 @@ impl Chosen {
         self.on.contains(&effect)
     }
 
+    /// The value of `--effects` that chooses them again.
+    pub fn asked_again(&self) -> EffectsArg {
+        let adjustments: Vec<_> = self.on.iter().map(|effect| (*effect, true)).collect();
+        let names = self.on.iter().map(|effect| effect.name()).collect::<Vec<_>>().join(",");
+        EffectsArg { auto: false, adjustments, text: if names.is_empty() { "none".into() } else { names } }
+    }
+
     /// Applies the effects to the configuration of a run; options given on the command line stay. `degree`: the degree
     /// of the spherical harmonics, if it was given.
     pub fn configure(&self, config: &mut TrainConfig, background: Option<TrainBackground>, degree: Option<usize>) {

@@ -80,7 +80,7 @@ pub fn run(command: &Command) -> Result<()> {
     match command {
         Command::Train(args) => {
             args.voice.apply();
-            train::run_or_resume(args)
+            train::run_together(args)
         }
         Command::Resume(args) => {
             args.voice.apply();

@@ -40,7 +40,7 @@ pub fn run_of(
     run.max_splats = ((Focus::BEYOND_SHARE * splats as f64) as usize).max(1);
     run.photos.test_every = training.photos.test_every;
     run.photos.max_side = Some((side / 2).max(SMALLEST_SIDE));
-    (run.eval_during, run.export_every, run.lpips) = (None, None, LpipsArgs::default());
+    (run.eval_during, run.export_every, run.lpips) = (Some(0), None, LpipsArgs::default());
     Ok(run)
 }
 

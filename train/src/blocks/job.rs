@@ -27,8 +27,8 @@ pub fn training(capture: &Path, options: &[String]) -> Result<TrainArgs> {
         Err(error) => bail!("the options after `--` are for `splat train`, which refuses them: {}", error.render()),
     };
     ensure!(
-        args.out.is_none() && !args.resume && args.start.is_none(),
-        "after `--`: the plan sets `--out`, `--resume` and `--start` itself: leave them out"
+        args.out.is_none() && args.start.is_none() && args.config.is_none(),
+        "after `--`: the plan sets `--out` and `--start` itself, and takes no `--config`: leave them out"
     );
     ensure!(
         args.strategy != StrategyName::Mcmc,

@@ -8,6 +8,7 @@ use anyhow::Result;
 use splat_model::capture::demo::DemoOptions;
 use splat_model::capture::{Capture, Split};
 
+use super::config::CONFIG;
 use super::{OUT, TrainArgs, checkpoints};
 use crate::inputs::Inputs;
 use crate::options::PhotoArgs;
@@ -52,7 +53,7 @@ pub fn open(args: &TrainArgs) -> Result<(PathBuf, Capture, Instant)> {
 /// not read that of `--start`.
 pub fn inputs_of(source: Inputs, args: &TrainArgs, capture: &Capture, begins: bool) -> Inputs {
     let inputs =
-        source.and_capture(capture).and(&args.lpips.lpips).and(&args.accuracy.frontier).and(&args.cameras.marks);
+        source.and_capture(capture).and(&args.config).and(&args.lpips.lpips).and(&args.accuracy.frontier).and(&args.cameras.marks);
     args.start.iter().filter(|_| begins).fold(inputs, |inputs, scene| inputs.and_scene(scene))
 }
 
@@ -64,7 +65,7 @@ pub fn prepare(
 ) -> Result<OutputFolder> {
     let test = if photos.test_every == Some(0) { &[][..] } else { &split.test };
     let views = report::view_files(test.iter().map(|&view| capture.views[view].name.as_str()));
-    let files = [SCENE, METRICS, REPORT, BACKGROUND, POSES].map(PathBuf::from).into_iter().chain(views);
+    let files = [CONFIG, SCENE, METRICS, REPORT, BACKGROUND, POSES].map(PathBuf::from).into_iter().chain(views);
     OutputFolder::prepare(out, inputs, files, &[VIEWS, checkpoints::FOLDER])
 }
 

@@ -50,7 +50,9 @@ fn cases() -> Vec<Case> {
         case(TRAIN, "cap/scene.ply", Some("cap")),
         case("train colmap --out OUT --steps 2 --effects none --device cpu", "colmap/views/0000.png", Some("colmap")),
         case("train colmap --start given/scene.ply --out OUT --steps 2 --device cpu", "given/scene.ply", Some("given")),
+        case("train colmap --config given/run.toml --out OUT --device cpu", "given/run.toml", Some("given")),
         case("resume OUT", "cap/scene.ply", Some("cap")),
+        case("render --scene given/scene.ply --capture cap --path orbit --video OUT --device cpu", "given/scene.ply", None),
         case(
             "render --scene given/scene.ply --capture colmap --view all --out OUT --device cpu",
             "colmap/views/0000.png",
@@ -115,12 +117,12 @@ fn inputs() -> TempDir {
     for name in ["scene.ply", "metrics.json", "pareto.csv"] {
         fs::copy(TRAINED.join("scene.ply"), path("given").join(name)).unwrap();
     }
+    fs::write(path("given/run.toml"), "steps = 2").unwrap();
     fs::write(path("given/pareto.json"), "{\"colour\": [0, 0, 0]}").unwrap();
     with_data_beside(&path("given"));
     let plan = "blocks plan cap --out blocks --blocks 2 --coarse-steps 0 -- --steps 4 --effects none";
     succeed(splat(&plan.split(' ').collect::<Vec<_>>()).current_dir(root.path()));
     for block in ["blocks/block-0/run", "blocks/block-1/run"] {
-        fs::create_dir(path(block)).unwrap();
         fs::write(path(block).join("metrics.json"), "{}").unwrap();
         fs::copy(TRAINED.join("scene.ply"), path(block).join("scene.ply")).unwrap();
     }

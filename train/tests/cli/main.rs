@@ -69,7 +69,7 @@ fn text(path: &Path) -> &str {
 #[test]
 fn training_writes_the_scene_its_scores_and_its_pictures() {
     let out = TRAINED.as_path();
-    assert_eq!(files(out), ["metrics.json", "report.html", "scene.ply", "views/0000.png"].map(String::from).into());
+    assert_eq!(files(out), ["metrics.json", "report.html", "run.toml", "scene.ply", "views/0000.png"].map(String::from).into());
     let metrics = json(&out.join("metrics.json"));
     let expected = ["test", "splats", "culled_non_finite", "steps", "seconds", "peak_rss_mib", "device", "seed"];
     assert_eq!(keys(&metrics), expected.into_iter().chain(["effects", "options", "version"]).collect());
@@ -150,14 +150,14 @@ fn a_second_run_replaces_the_first() {
     let out = folder.path();
     succeed(splat(&TRAIN).args(["--test-every", "2", "--out", text(out)]).arg(DEMO.as_path()));
     let views = ["0000", "0002", "0004", "0006"].map(|name| format!("views/{name}.png"));
-    let others = ["metrics.json", "report.html", "scene.ply"].map(String::from);
+    let others = ["metrics.json", "report.html", "run.toml", "scene.ply"].map(String::from);
     assert_eq!(files(out), views.into_iter().chain(others).collect());
     // None of these is as this program writes it.
     let mine = ["views/mine.png", "views/0002.png", "poses.json", "background.json", ".mine.tmp-7-0"];
     mine.iter().for_each(|name| fs::write(out.join(name), "kept").unwrap());
 
     succeed(splat(&TRAIN).args(["--out", text(out)]).arg(DEMO.as_path()));
-    let expected = ["metrics.json", "report.html", "scene.ply", "views/0000.png"];
+    let expected = ["metrics.json", "report.html", "run.toml", "scene.ply", "views/0000.png"];
     assert_eq!(files(out), expected.into_iter().chain(mine).map(String::from).collect());
     assert!(mine.iter().all(|name| fs::read_to_string(out.join(name)).is_ok_and(|text| text == "kept")));
     // The same seed gives the same scene, to the last bit.
@@ -200,7 +200,7 @@ fn zero_holds_out_no_view_and_measures_none() {
     let folder = tempfile::tempdir().unwrap();
     succeed(splat(&TRAIN).args(["--test-every", "0", "--out", text(folder.path())]).arg(DEMO.as_path()));
     assert_eq!(json(&folder.path().join("metrics.json"))["test"], Value::Null);
-    assert_eq!(files(folder.path()), ["metrics.json", "report.html", "scene.ply"].map(String::from).into());
+    assert_eq!(files(folder.path()), ["metrics.json", "report.html", "run.toml", "scene.ply"].map(String::from).into());
 }
 
 #[test]
@@ -218,7 +218,7 @@ fn evaluation_repeats_the_scores_of_training() {
     }
     let mut expected = files(TRAINED.as_path());
     // The report describes the training, of which `eval` knows nothing.
-    assert!(expected.remove("report.html"));
+    assert!(expected.remove("report.html") && expected.remove("run.toml"));
     assert_eq!(files(folder.path()), expected);
     assert_eq!(fs::read(folder.path().join("scene.ply")).unwrap(), fs::read(&scene).unwrap());
 }
