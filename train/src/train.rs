@@ -215,8 +215,8 @@ pub struct TrainArgs {
     /// fit are decoded again, in the background, each time they are used [default: half of the available memory]
     #[arg(long, value_name = "MB", help_heading = MEMORY)]
     pub cache_mb: Option<usize>,
-    /// Steps between checkpoints, from which `splat resume` continues; 0 writes them only when the run is stopped by
-    /// Ctrl-C or SIGTERM [default: every two minutes]
+    /// Write a checkpoint, from which `splat resume` continues, every K steps too, and not only every two minutes; 0 writes one only when
+    /// the run is stopped by Ctrl-C or SIGTERM
     #[arg(long, value_name = "K", help_heading = MEMORY)]
     pub checkpoint_every: Option<usize>,
 }

@@ -16,7 +16,7 @@ use super::metrics::Metrics;
 use crate::progress::{self, StepProgress};
 
 /// Largest number of views scored during a run, spread evenly over the held-out views.
-const FEW: usize = 4;
+pub const FEW: usize = 4;
 
 /// A line of `--json`. Fields are added over time, and never renamed.
 #[derive(Serialize)]
@@ -39,13 +39,15 @@ pub struct RunLog {
     /// `[1]`: sum of the losses that were not read yet, and their number. Kept on the device, because each read would
     /// wait.
     losses: Option<(Tensor<1>, usize)>,
+    /// Time that scores have taken since the run began or was resumed, s.
+    scoring_s: f64,
 }
 
 impl RunLog {
     /// Begins the log before the next step of a run. `history` holds the earlier ones, which took `seconds`.
     pub fn new(trainer: &Trainer, history: History, seconds: f64) -> Self {
         let bar = StepProgress::new(trainer, &history);
-        Self { recorder: Recorder::new(trainer.config().steps, history, seconds), bar, losses: None }
+        Self { recorder: Recorder::new(trainer.config().steps, history, seconds), bar, losses: None, scoring_s: 0.0 }
     }
 
     /// Logs a step that the trainer has just done.
@@ -89,6 +91,7 @@ impl RunLog {
         let every = test.len().div_ceil(FEW).max(1);
         let photos = test.iter().step_by(every).map(|photo| Ok::<_, anyhow::Error>(photo.pixels()?));
         let scores = evaluate_each(&splats, photos, &background, &options, lpips, |_, _| {})?;
+        self.scoring_s += start.elapsed().as_secs_f64();
         let score = self.recorder.keep_score(trainer.steps_done(), &scores, start.elapsed());
         let perceived = score.lpips.map(|lpips| format!(", {lpips:.4} LPIPS")).unwrap_or_default();
         progress::note(&format!(
@@ -97,6 +100,11 @@ impl RunLog {
         ));
         progress::line(&LogLine::Evaluation(score));
         Ok(())
+    }
+
+    /// Returns the time that scores have taken, relative to the time of training.
+    pub fn scoring_share(&self) -> f64 {
+        self.scoring_s / self.recorder.elapsed_s()
     }
 
     /// Predicts the time that the run has left, s. Waits for the device.

@@ -189,7 +189,7 @@ fn to_the_end(
     let test = if photo_args.test_every == Some(0) { &[] } else { split.require_test()? };
     let (train, test) = photographs(&capture, (seen, test), &photo_args, (&effects, cache), &*ranks)?;
     ensure!(
-        args.eval_during.is_none() || !test.is_empty(),
+        args.eval_during.unwrap_or(0) == 0 || !test.is_empty(),
         "`--eval-during` scores test views, and `--test-every 0` holds out none: leave out one of them"
     );
     ensure!(

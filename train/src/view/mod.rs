@@ -11,7 +11,7 @@ use splat_model::formats;
 
 use self::page::{SceneSource, Viewer};
 use self::scene::ShownScene;
-use self::server::{ServedFile, Server};
+use self::server::{LOCALHOST, ServedFile, Server};
 use crate::progress;
 
 /// Options of `splat view`.
@@ -30,7 +30,7 @@ pub struct ViewArgs {
 /// If the file is missing or is not a scene, or the port is not available.
 pub fn run(args: &ViewArgs) -> Result<()> {
     // An unavailable port is found before the scene is read, which may take long.
-    let server = Server::bind(args.port, "--port")?;
+    let server = Server::bind(LOCALHOST, args.port, "--port")?;
     let pages = pages(args)?;
     progress::say(&server.url());
     progress::note(&format!("serving {} on this machine only; Ctrl-C ends it", args.scene.display()));

@@ -36,7 +36,7 @@ use std::path::Path;
 use image::GenericImageView;
 use serde_json::Value;
 
-use run::{DEMO, TRAIN, TRAINED, refuse, splat, succeed};
+use run::{DEMO, TRAIN, TRAINED, end, refuse, splat, succeed};
 
 /// The first and only test view of eight: every eighth by name, beginning with the first.
 const TEST_VIEW: &str = "0000.png";
@@ -263,6 +263,50 @@ fn every_format_of_a_render_holds_the_same_picture() {
     }
 }
 
+/// A program with the name of ffmpeg that runs these lines of a shell, first on the PATH.
+#[cfg(unix)]
+fn with_ffmpeg(command: &mut std::process::Command, folder: &Path, script: &str) {
+    use std::os::unix::fs::PermissionsExt;
+    let program = folder.join("ffmpeg");
+    fs::write(&program, format!("#!/bin/sh\nfor last; do :; done\n{script}\n")).unwrap();
+    fs::set_permissions(&program, fs::Permissions::from_mode(0o755)).unwrap();
+    command.env("PATH", format!("{}:/usr/bin:/bin", folder.display()));
+}
+
+#[cfg(unix)]
+#[test]
+fn a_path_becomes_a_video_by_ffmpeg() {
+    let folder = tempfile::tempdir().unwrap();
+    let (scene, video) = (TRAINED.join("scene.ply"), folder.path().join("out/orbit.mp4"));
+    let orbit = ["render", "--scene", text(&scene), "--capture", text(&DEMO), "--path", "orbit", "--frames", "3"];
+    let to_video = || {
+        let mut command = splat(&orbit);
+        command.args(["--fps", "24", "--video", text(&video)]);
+        command
+    };
+    let mut command = to_video();
+    with_ffmpeg(&mut command, folder.path(), "echo \"$@\" > \"$0.said\"; cat > \"$last\"");
+    assert_eq!(succeed(&mut command).stdout.trim(), text(&video));
+    let said = fs::read_to_string(folder.path().join("ffmpeg.said")).unwrap();
+    assert!(said.contains("-s 64x48 -r 24") && said.trim().ends_with(".partial-orbit.mp4"), "{said}");
+    // The same pictures, in files.
+    let pictures = folder.path().join("pictures");
+    succeed(splat(&orbit).args(["--out", text(&pictures)]));
+    assert_eq!(files(&pictures), ["0000.png", "0001.png", "0002.png"].map(String::from).into());
+    let picture = |name: &str| image::open(pictures.join(name)).unwrap().into_rgb8().into_raw();
+    assert!(fs::read(&video).unwrap() == [picture("0000.png"), picture("0001.png"), picture("0002.png")].concat());
+    assert!(picture("0000.png") != picture("0001.png"));
+    // What goes wrong leaves the file that was there, and nothing else.
+    for (script, part) in [("echo no encoder >&2; exit 3", "no encoder"), ("cat > \"$last\"; exit 1", "exit status: 1")] {
+        let mut command = to_video();
+        with_ffmpeg(&mut command, folder.path(), script);
+        refuse(&mut command, &["cannot encode", "orbit.mp4", part]);
+        assert_eq!(files(&folder.path().join("out")), ["orbit.mp4".to_owned()].into());
+    }
+    refuse(to_video().env("PATH", folder.path().join("pictures")), &["`--video` needs ffmpeg", "apt install", "--out DIR"]);
+    assert_eq!(end(splat(&orbit).args(["--view", "all", "--out", "x"])).code, Some(2));
+}
+
 #[test]
 fn without_a_capture_the_demo_is_made_once_and_trained_on() {
     let folder = tempfile::tempdir().unwrap();
@@ -280,7 +324,7 @@ fn without_a_capture_the_demo_is_made_once_and_trained_on() {
 #[test]
 fn help_names_every_subcommand_and_default() {
     let help = succeed(&mut splat(&["--help"])).stdout;
-    for name in ["train", "resume", "eval", "render", "demo", "devices"] {
+    for name in ["train", "resume", "eval", "render", "inspect", "devices"] {
         assert!(help.contains(name), "{help}");
     }
     // Lines may be wrapped anywhere.
