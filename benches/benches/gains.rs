@@ -245,13 +245,7 @@ impl EffectCase {
             seconds[i] = self.train(capture, &out, options, scale)?;
             score_db[i] = self.evaluate(capture, &out)?;
         }
-        Ok(EffectGain {
-            planned: plan.effects(),
-            harmonics: plan.sh_degree().is_none(),
-            evidence,
-            score_db,
-            seconds,
-        })
+        Ok(EffectGain { planned: plan.effects(), harmonics: plan.sh_degree().is_none(), evidence, score_db, seconds })
     }
 
     fn train(&self, capture: &Path, out: &Path, options: &[&str], scale: &RunSize) -> Result<f64> {

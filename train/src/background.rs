@@ -135,7 +135,10 @@ impl ShownBackground {
             None if trained.environment && beside.is_file() => Ok(Background::read(&beside)?),
             None => {
                 if trained.environment {
-                    progress::note(&format!("{} is not there: the light behind the scene is left out", beside.display()));
+                    progress::note(&format!(
+                        "{} is not there: the light behind the scene is left out",
+                        beside.display()
+                    ));
                 }
                 Ok(Background::Colour(trained.background))
             }

@@ -225,7 +225,9 @@ fn dropped(scene: &SceneFile, format: Format, written: &Converted, of_degree: us
     if let Some(metres) = scene.metres_per_unit.filter(|_| !format.holds_scale()) {
         lost.push(format!("the size of a unit, {metres} m"));
     }
-    if scene.trained != (TrainedAs { antialias: scene.trained.antialias, ..TrainedAs::default() }) && format == Format::Spz {
+    if scene.trained != (TrainedAs { antialias: scene.trained.antialias, ..TrainedAs::default() })
+        && format == Format::Spz
+    {
         lost.push("the background and the projection that it was trained with".into());
     }
     lost

@@ -119,7 +119,10 @@ pub fn run(args: &EvalArgs) -> Result<Metrics> {
     // A scene can be scored where it lies.
     let copied = Inputs::of([&args.scene]).find(&args.out.join(&scene_name)).is_none();
     let inputs = Inputs::default().and_scene(&args.scene).and_capture(&capture);
-    let inputs = inputs.and(args.background.as_ref().and_then(ShownBackground::file)).and(&args.accuracy.frontier).and(&args.lpips.lpips);
+    let inputs = inputs
+        .and(args.background.as_ref().and_then(ShownBackground::file))
+        .and(&args.accuracy.frontier)
+        .and(&args.lpips.lpips);
     let views = report::view_files(photos.iter().map(|photo| photo.name.as_str()));
     let files = copied.then(|| PathBuf::from(&scene_name)).into_iter().chain([METRICS.into()]).chain(views);
     let out = OutputFolder::prepare(&args.out, inputs, files, &[VIEWS])?;

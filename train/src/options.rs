@@ -108,7 +108,9 @@ pub fn command() -> clap::Command {
             command.mut_args(|arg| if arg.get_help_heading().is_some() { arg.hide_short_help(true) } else { arg })
         });
     }
-    command.help_template(format!("{{about-with-newline}}\n{{usage-heading}} {{usage}}\n{groups}\nOptions:\n{{options}}{{after-help}}"))
+    command.help_template(format!(
+        "{{about-with-newline}}\n{{usage-heading}} {{usage}}\n{groups}\nOptions:\n{{options}}{{after-help}}"
+    ))
 }
 
 /// Parses a command line, the first word of which is the program. `splat train --config FILE` takes the options of the file too.
@@ -184,8 +186,19 @@ mod tests {
         command.build();
         let short = command.render_help().to_string();
         assert!(short.lines().count() <= 40, "{short}");
-        let groups = ["Scenes:", "  train ", "  resume ", "  view ", "  clean ", "Measurements:", "Captures:", "Machine:", "Options:"];
-        let at: Vec<usize> = groups.iter().map(|part| short.find(part).unwrap_or_else(|| panic!("{part}: {short}"))).collect();
+        let groups = [
+            "Scenes:",
+            "  train ",
+            "  resume ",
+            "  view ",
+            "  clean ",
+            "Measurements:",
+            "Captures:",
+            "Machine:",
+            "Options:",
+        ];
+        let at: Vec<usize> =
+            groups.iter().map(|part| short.find(part).unwrap_or_else(|| panic!("{part}: {short}"))).collect();
         assert!(at.is_sorted() && !short.contains("completions"), "{short}");
         let train = command.find_subcommand_mut("train").unwrap();
         let (short, long) = (train.render_help().to_string(), train.render_long_help().to_string());
@@ -205,8 +218,28 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("my.toml");
         let path = file.to_str().unwrap();
-        let given = train(&["train", "c", "--antialias", "--background", "0.1,0.2,0.3", "--effects=auto,-masks", "--lr-means", "0.01",
-            "--scale-from", "gps", "--for", "1h", "--strategy", "mcmc", "--device", "ndarray", "--lpips", "w", "--moment-bits", "8"]);
+        let given = train(&[
+            "train",
+            "c",
+            "--antialias",
+            "--background",
+            "0.1,0.2,0.3",
+            "--effects=auto,-masks",
+            "--lr-means",
+            "0.01",
+            "--scale-from",
+            "gps",
+            "--for",
+            "1h",
+            "--strategy",
+            "mcmc",
+            "--device",
+            "ndarray",
+            "--lpips",
+            "w",
+            "--moment-bits",
+            "8",
+        ]);
         fs::write(&file, train::config::to_toml(&given).unwrap()).unwrap();
         assert_eq!(format!("{:?}", train::config::read(&file).unwrap()), format!("{given:?}"));
         let changed = train(&["train", "--config", path, "--steps", "7", "--strategy=adaptive", "d"]);
@@ -244,7 +277,9 @@ mod tests {
             assert!(parsed(&["resume", "out", option]).is_err(), "{option}");
         }
         for option in ["--quiet", "--json"] {
-            let Command::Resume(args) = parsed(&["resume", "out", option]).unwrap().command else { panic!("asked for resume") };
+            let Command::Resume(args) = parsed(&["resume", "out", option]).unwrap().command else {
+                panic!("asked for resume")
+            };
             assert_eq!((args.voice.quiet, args.voice.json), (option == "--quiet", option == "--json"));
         }
         assert!(parsed(&["resume"]).is_err(), "of which run?");

@@ -43,11 +43,10 @@ impl<'a> SceneReader<'a> {
             (SceneFile { rows: GaussianRows::default(), ..scene }, rows)
         };
         let of_gltf = |mut rows: gltf::GltfRows<'a>| (std::mem::take(&mut rows.about), Rows::Gltf(rows));
-        let of_world =
-            |WorldFrame { origin, metres_per_unit, trained }| {
-                let antialiased = trained.antialias;
-                SceneFile { origin, metres_per_unit, antialiased, trained, ..SceneFile::default() }
-            };
+        let of_world = |WorldFrame { origin, metres_per_unit, trained }| {
+            let antialiased = trained.antialias;
+            SceneFile { origin, metres_per_unit, antialiased, trained, ..SceneFile::default() }
+        };
         let (format, (about, rows)) = match Beginning::of(path)? {
             Beginning::Spz => {
                 let rows = spz::SpzRows::open(path)?;

@@ -343,7 +343,13 @@ fn handful() -> SceneFile {
     for (i, mean) in rows.means.iter_mut().enumerate() {
         mean[0] += i as f32;
     }
-    SceneFile { rows, origin: DVec3::new(1e6, 0.0, 0.0), metres_per_unit: Some(0.125), antialiased: true, ..SceneFile::default() }
+    SceneFile {
+        rows,
+        origin: DVec3::new(1e6, 0.0, 0.0),
+        metres_per_unit: Some(0.125),
+        antialiased: true,
+        ..SceneFile::default()
+    }
 }
 
 #[test]

@@ -62,13 +62,17 @@ pub(crate) fn world_frame(path: &Path, header: &Header) -> Result<WorldFrame, Pl
     world.metres_per_unit = metres.map(|[metres]| metres);
     if let Some(text) = text_after(header, TRAINED_COMMENT) {
         let read = serde_json::from_str::<TrainedAs>(text).ok();
-        world.trained = read.filter(|trained| trained.background.iter().all(|value| value.is_finite())).ok_or_else(|| {
-            let expected = serde_json::to_string(&TrainedAs::default()).unwrap_or_default();
-            layout_error(
-                path,
-                format!("comment `{TRAINED_COMMENT}{}`, expected {expected}; correct or remove that line", brief(text)),
-            )
-        })?;
+        world.trained =
+            read.filter(|trained| trained.background.iter().all(|value| value.is_finite())).ok_or_else(|| {
+                let expected = serde_json::to_string(&TrainedAs::default()).unwrap_or_default();
+                layout_error(
+                    path,
+                    format!(
+                        "comment `{TRAINED_COMMENT}{}`, expected {expected}; correct or remove that line",
+                        brief(text)
+                    ),
+                )
+            })?;
     }
     Ok(world)
 }

@@ -13,10 +13,10 @@ use splat_model::effects::EffectKind;
 use super::coarse;
 use super::job;
 use super::planned::{JOBS, PLAN, Plan, PlanFolder};
-use crate::{input, output};
 use crate::progress::{self, VoiceArgs};
 use crate::train::TrainArgs;
 use crate::train::config::{self, CONFIG};
+use crate::{input, output};
 
 /// The splats that a block may have, relative to its share of the scene's: some of them lie in its margin or beyond, and are not
 /// kept.
@@ -136,7 +136,12 @@ fn common_options(
     splats: usize,
 ) -> Result<Vec<String>> {
     let (split, _) = training.photos.split(capture);
-    let chosen = training.effects.choose(capture, &split.train, training.model.antialias.unwrap_or_default(), training.photos.max_side)?;
+    let chosen = training.effects.choose(
+        capture,
+        &split.train,
+        training.model.antialias.unwrap_or_default(),
+        training.photos.max_side,
+    )?;
     let apart = [EffectKind::Environment, EffectKind::PoseRefinement];
     for effect in apart.iter().filter(|effect| chosen.has(**effect)) {
         progress::note(&format!(

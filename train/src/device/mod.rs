@@ -63,7 +63,9 @@ impl Runtime {
     /// The cargo feature that builds it in, whether the program was built with it, and the driver that it needs.
     fn facts(self) -> (&'static str, bool, &'static str) {
         let driver = match cfg!(target_os = "linux") {
-            true => "the GPU's Vulkan driver and loader (Debian and Ubuntu: `libvulkan1` with `mesa-vulkan-drivers`, or NVIDIA's driver)",
+            true => {
+                "the GPU's Vulkan driver and loader (Debian and Ubuntu: `libvulkan1` with `mesa-vulkan-drivers`, or NVIDIA's driver)"
+            }
             false => "the GPU's driver",
         };
         match self {
@@ -124,7 +126,9 @@ impl FromStr for DeviceName {
         let (feature, is_built, _) = runtime.facts();
         if !is_built {
             let other = names();
-            return Err(format!("this program was built without `{feature}`: build it with `--features {feature}`, or pass {other}"));
+            return Err(format!(
+                "this program was built without `{feature}`: build it with `--features {feature}`, or pass {other}"
+            ));
         }
         let number = |index: &str| index.parse().map_err(|_| format!("{index:?} is not a number, as in `{name}:0`"));
         Ok(Self::Adapter(runtime, index.map(number).transpose()?))
@@ -220,9 +224,10 @@ pub fn choose(name: DeviceName, adapters: &[Adapter]) -> Result<Option<&Adapter>
         DeviceName::Flex | DeviceName::Ndarray => return Ok(None),
         DeviceName::Auto => return Ok(best(&|adapter| adapter.kind <= AdapterKind::Virtual)),
         DeviceName::Gpu => (best(&|_| true), Runtime::built()),
-        DeviceName::Adapter(runtime, index) => {
-            (best(&|adapter| adapter.runtime == runtime && index.is_none_or(|index| adapter.index == index)), vec![runtime])
-        }
+        DeviceName::Adapter(runtime, index) => (
+            best(&|adapter| adapter.runtime == runtime && index.is_none_or(|index| adapter.index == index)),
+            vec![runtime],
+        ),
     };
     let count = adapters.iter().filter(|adapter| runtimes.contains(&adapter.runtime)).count();
     match (found, runtimes.first()) {
@@ -278,7 +283,8 @@ impl DeviceName {
             progress::note(line);
         })?;
         let Some((device, name)) = opened else {
-            let (device, backend) = if self == Self::Ndarray { (ndarray(), "ndarray") } else { (Device::flex(), "flex") };
+            let (device, backend) =
+                if self == Self::Ndarray { (ndarray(), "ndarray") } else { (Device::flex(), "flex") };
             let why = if self == Self::Auto && !refused { format!(": {why}") } else { String::new() };
             progress::note(&format!("computing on the CPU, {backend}{why}"));
             return Ok((device, backend.into()));

@@ -39,7 +39,8 @@ fn auto_takes_a_gpu_and_gpu_takes_anything() {
     use AdapterKind::{Discrete, Integrated, Software, Unknown, Virtual};
     let kinds = [Software, Unknown, Virtual, Integrated, Discrete, Discrete];
     let all: Vec<Adapter> = kinds.into_iter().enumerate().map(|(i, kind)| adapter(WGPU, i, kind)).collect();
-    for (count, auto, gpu) in [(6, "gpu:4", "gpu:4"), (4, "gpu:3", "gpu:3"), (3, "gpu:2", "gpu:2"), (2, "cpu", "gpu:1")] {
+    for (count, auto, gpu) in [(6, "gpu:4", "gpu:4"), (4, "gpu:3", "gpu:3"), (3, "gpu:2", "gpu:2"), (2, "cpu", "gpu:1")]
+    {
         assert_eq!((chosen("auto", &all[..count]), chosen("gpu", &all[..count])), (auto.into(), gpu.into()), "{count}");
     }
     assert_eq!([chosen("auto", &[]), chosen("cpu", &all), chosen("ndarray", &all)], ["cpu"; 3].map(String::from));

@@ -159,7 +159,10 @@ fn spread(views: &[usize], count: usize) -> Vec<usize> {
 fn prepare(args: &ParetoArgs, capture: &Capture) -> Result<OutputFolder> {
     let mut files = [&[FRONTIER, TABLE, PAGE], &PLOT[..], &FORMATS_PLOT].concat();
     files.extend(args.train.then_some(TRAIN_PLOT).into_iter().flatten());
-    let inputs = Inputs::default().and_scene(&args.scene).and_capture(capture).and(args.background.as_ref().and_then(ShownBackground::file));
+    let inputs = Inputs::default()
+        .and_scene(&args.scene)
+        .and_capture(capture)
+        .and(args.background.as_ref().and_then(ShownBackground::file));
     OutputFolder::prepare(&args.out, inputs, &files, &[])
 }
 

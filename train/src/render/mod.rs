@@ -170,7 +170,12 @@ fn views(args: &RenderArgs, capture: &Capture) -> Result<Vec<View>> {
     if let (Some(CameraPath::Orbit), Some(first)) = (args.path, capture.views.first()) {
         let poses: Vec<DAffine3> = capture.views.iter().map(|view| view.cam_from_world.inverse()).collect();
         let (intrinsics, image_path) = (path::pinhole(&first.intrinsics), PathBuf::new());
-        let view = |(i, cam_from_world)| View { name: format!("{i:04}"), image_path: image_path.clone(), intrinsics, cam_from_world };
+        let view = |(i, cam_from_world)| View {
+            name: format!("{i:04}"),
+            image_path: image_path.clone(),
+            intrinsics,
+            cam_from_world,
+        };
         return Ok(path::orbit(&poses, args.frames)?.into_iter().enumerate().map(view).collect());
     }
     let name = args.view.as_deref().unwrap_or(ALL);

@@ -74,7 +74,11 @@ impl<'a> Video<'a> {
     /// If ffmpeg is not installed, with how to install it.
     pub fn begin(path: &'a Path, Intrinsics { width, height, .. }: &Intrinsics, fps: u32) -> Result<Self> {
         let name = path.file_name().with_context(|| format!("{} names no file", path.display()))?;
-        ensure!(path.extension().is_some(), "{} has no extension, which gives the format: end it in .mp4", path.display());
+        ensure!(
+            path.extension().is_some(),
+            "{} has no extension, which gives the format: end it in .mp4",
+            path.display()
+        );
         let partial = path.with_file_name(format!(".partial-{}", name.to_string_lossy()));
         let mut command = Command::new("ffmpeg");
         command.args(["-hide_banner", "-loglevel", "error", "-y", "-f", "rawvideo", "-pix_fmt", "rgb24"]);

@@ -52,8 +52,12 @@ pub fn open(args: &TrainArgs) -> Result<(PathBuf, Capture, Instant)> {
 /// Everything that a run reads: `source` as it was named, the capture, and the files of options. A resumed run has its own scene and does
 /// not read that of `--start`.
 pub fn inputs_of(source: Inputs, args: &TrainArgs, capture: &Capture, begins: bool) -> Inputs {
-    let inputs =
-        source.and_capture(capture).and(&args.config).and(&args.lpips.lpips).and(&args.accuracy.frontier).and(&args.cameras.marks);
+    let inputs = source
+        .and_capture(capture)
+        .and(&args.config)
+        .and(&args.lpips.lpips)
+        .and(&args.accuracy.frontier)
+        .and(&args.cameras.marks);
     args.start.iter().filter(|_| begins).fold(inputs, |inputs, scene| inputs.and_scene(scene))
 }
 

@@ -123,7 +123,8 @@ pub fn resume_together(args: &ResumeArgs) -> Result<()> {
 
 fn resume_on(args: &ResumeArgs, ranks: Rc<dyn Ranks>) -> Result<Metrics> {
     let kept = checkpoints::newest(&args.out)?;
-    let of_the_run = TrainArgs { out: Some(args.out.clone()), voice: args.voice, live: args.live.clone(), ..kept.args.clone() };
+    let of_the_run =
+        TrainArgs { out: Some(args.out.clone()), voice: args.voice, live: args.live.clone(), ..kept.args.clone() };
     to_the_end(of_the_run, Some(kept), ranks, |trainer| trainer)
 }
 
@@ -227,7 +228,8 @@ fn to_the_end(
     let checkpoints = Checkpoints::open(out.path())?;
     out.sweep();
     // Without the file a run is as good.
-    let kept_options = config::to_toml(&resolved).and_then(|text| out.write(CONFIG, |file| Ok(file.write_all(text.as_bytes())?)));
+    let kept_options =
+        config::to_toml(&resolved).and_then(|text| out.write(CONFIG, |file| Ok(file.write_all(text.as_bytes())?)));
     if let Err(error) = kept_options {
         progress::note(&format!("{CONFIG} was not written: {error:#}"));
     }

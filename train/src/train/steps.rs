@@ -213,7 +213,8 @@ mod tests {
     #[test]
     fn checkpoints_are_due_by_steps_and_by_time() {
         let (short, long) = (Duration::from_secs(119), Duration::from_secs(120));
-        let due = |every| [(6, short), (7, short), (6, long)].map(|(step, since)| is_checkpoint_due(every, step, since));
+        let due =
+            |every| [(6, short), (7, short), (6, long)].map(|(step, since)| is_checkpoint_due(every, step, since));
         assert_eq!(due(None), [false, false, true]);
         assert_eq!(due(Some(7)), [false, true, true]);
         assert_eq!(due(Some(0)), [false; 3]);

@@ -47,13 +47,7 @@ fn pages(args: &ViewArgs) -> Result<[ServedFile; 2]> {
     let scene = ShownScene::new(&rows, usize::MAX)
         .with_context(|| format!("{} cannot be shown: name another scene", args.scene.display()))?;
     drop(rows);
-    let viewer = Viewer {
-        scene: &scene,
-        source: SceneSource::Url(SCENE),
-        viewpoints: &[],
-        background,
-        antialias,
-    };
+    let viewer = Viewer { scene: &scene, source: SceneSource::Url(SCENE), viewpoints: &[], background, antialias };
     let name = args.scene.file_name().unwrap_or(args.scene.as_os_str()).to_string_lossy();
     let html = viewer.page(&name)?;
     Ok([

@@ -129,7 +129,8 @@ impl Server {
     /// no origin.
     fn is_from_us(&self, request: &Request) -> bool {
         !self.token.is_empty()
-            || headers(request, "Origin").all(|origin| origin.strip_prefix("http://").is_some_and(|host| self.is_own_host(host)))
+            || headers(request, "Origin")
+                .all(|origin| origin.strip_prefix("http://").is_some_and(|host| self.is_own_host(host)))
     }
 
     fn is_own_host(&self, host: &str) -> bool {
@@ -146,16 +147,18 @@ fn headers<'a>(request: &'a Request, name: &'static str) -> impl Iterator<Item =
 }
 
 /// Describes why a port is not available.
-fn refused((host, port): (&str, u16), error: &(dyn std::error::Error + Send + Sync + 'static), option: &str) -> anyhow::Error {
+fn refused(
+    (host, port): (&str, u16),
+    error: &(dyn std::error::Error + Send + Sync + 'static),
+    option: &str,
+) -> anyhow::Error {
     let why = match error.downcast_ref::<std::io::Error>().map(std::io::Error::kind) {
         Some(ErrorKind::AddrInUse) => "another program has it".to_owned(),
         Some(ErrorKind::AddrNotAvailable) => "this machine does not have that address".to_owned(),
         Some(ErrorKind::PermissionDenied) => "this user may not have it".to_owned(),
         _ => error.to_string(),
     };
-    anyhow!(
-        "cannot listen on port {port} of {host}: {why}: choose another with `{option}`, or 0 for any that is free"
-    )
+    anyhow!("cannot listen on port {port} of {host}: {why}: choose another with `{option}`, or 0 for any that is free")
 }
 
 #[cfg(test)]

@@ -96,7 +96,8 @@ fn rays_do_not_go_with_what_changes_ellipses() {
 /// Nothing is said twice: the scene's file states the background, antialiasing and the projection of its training.
 #[test]
 fn a_scene_is_shown_as_it_was_trained() {
-    let (folder, trained) = (tempfile::tempdir().unwrap(), train("stated", &["--antialias", "--background", "0.5,0.1,1"]));
+    let (folder, trained) =
+        (tempfile::tempdir().unwrap(), train("stated", &["--antialias", "--background", "0.5,0.1,1"]));
     let scene = trained.join("scene.ply");
     let psnr_of = |scene: &Path, options: &[&str]| {
         let out = folder.path().join("eval");
@@ -109,7 +110,8 @@ fn a_scene_is_shown_as_it_was_trained() {
         assert!((psnr_of(&scene, &other) - psnr(&trained)).abs() > 1e-3, "{other:?} makes no difference");
     }
     let header = String::from_utf8_lossy(&fs::read(&scene).unwrap()[..600]).into_owned();
-    let stated = r#"splat trained as {"antialias":true,"ray_max":false,"background":[0.5,0.1,1.0],"environment":false}"#;
+    let stated =
+        r#"splat trained as {"antialias":true,"ray_max":false,"background":[0.5,0.1,1.0],"environment":false}"#;
     assert!(header.contains(stated), "{header}");
     let said = succeed(&mut splat(&["inspect", text(&scene)])).stdout;
     assert!(said.contains(r#""background":[0.5,0.1,1.0]"#), "{said}");

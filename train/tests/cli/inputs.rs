@@ -52,7 +52,11 @@ fn cases() -> Vec<Case> {
         case("train colmap --start given/scene.ply --out OUT --steps 2 --device cpu", "given/scene.ply", Some("given")),
         case("train colmap --config given/run.toml --out OUT --device cpu", "given/run.toml", Some("given")),
         case("resume OUT", "cap/scene.ply", Some("cap")),
-        case("render --scene given/scene.ply --capture cap --path orbit --video OUT --device cpu", "given/scene.ply", None),
+        case(
+            "render --scene given/scene.ply --capture cap --path orbit --video OUT --device cpu",
+            "given/scene.ply",
+            None,
+        ),
         case(
             "render --scene given/scene.ply --capture colmap --view all --out OUT --device cpu",
             "colmap/views/0000.png",

@@ -10,9 +10,9 @@ mod effects;
 mod errors;
 mod export;
 mod hard_cases;
-mod inspect;
 #[cfg(unix)]
 mod inputs;
+mod inspect;
 mod live;
 mod lpips;
 mod memory;
@@ -69,7 +69,10 @@ fn text(path: &Path) -> &str {
 #[test]
 fn training_writes_the_scene_its_scores_and_its_pictures() {
     let out = TRAINED.as_path();
-    assert_eq!(files(out), ["metrics.json", "report.html", "run.toml", "scene.ply", "views/0000.png"].map(String::from).into());
+    assert_eq!(
+        files(out),
+        ["metrics.json", "report.html", "run.toml", "scene.ply", "views/0000.png"].map(String::from).into()
+    );
     let metrics = json(&out.join("metrics.json"));
     let expected = ["test", "splats", "culled_non_finite", "steps", "seconds", "peak_rss_mib", "device", "seed"];
     assert_eq!(keys(&metrics), expected.into_iter().chain(["effects", "options", "version"]).collect());
@@ -297,13 +300,17 @@ fn a_path_becomes_a_video_by_ffmpeg() {
     assert!(fs::read(&video).unwrap() == [picture("0000.png"), picture("0001.png"), picture("0002.png")].concat());
     assert!(picture("0000.png") != picture("0001.png"));
     // What goes wrong leaves the file that was there, and nothing else.
-    for (script, part) in [("echo no encoder >&2; exit 3", "no encoder"), ("cat > \"$last\"; exit 1", "exit status: 1")] {
+    for (script, part) in [("echo no encoder >&2; exit 3", "no encoder"), ("cat > \"$last\"; exit 1", "exit status: 1")]
+    {
         let mut command = to_video();
         with_ffmpeg(&mut command, folder.path(), script);
         refuse(&mut command, &["cannot encode", "orbit.mp4", part]);
         assert_eq!(files(&folder.path().join("out")), ["orbit.mp4".to_owned()].into());
     }
-    refuse(to_video().env("PATH", folder.path().join("pictures")), &["`--video` needs ffmpeg", "apt install", "--out DIR"]);
+    refuse(
+        to_video().env("PATH", folder.path().join("pictures")),
+        &["`--video` needs ffmpeg", "apt install", "--out DIR"],
+    );
     assert_eq!(end(splat(&orbit).args(["--view", "all", "--out", "x"])).code, Some(2));
 }
 

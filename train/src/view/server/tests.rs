@@ -59,10 +59,16 @@ fn pages_of_others_cannot_read_what_is_served() {
 #[test]
 fn on_other_addresses_a_token_is_needed() {
     let (server, other) = (started_on("0.0.0.0"), started_on("0.0.0.0"));
-    assert!(server.token.len() == 32 && server.token != other.token && server.url().ends_with(&format!("/{}/", server.token)));
+    assert!(
+        server.token.len() == 32
+            && server.token != other.token
+            && server.url().ends_with(&format!("/{}/", server.token))
+    );
     let get = |path: &str| ask(&server, &format!("GET {path}"), "machine.example:7007");
     assert!(get(&format!("/{}/?reload=1", server.token)).ends_with("\r\n\r\nhello"));
-    for path in ["/", "//", &format!("/{}", server.token), &format!("/{}/", other.token), &format!("/{}/", &server.token[1..])] {
+    for path in
+        ["/", "//", &format!("/{}", server.token), &format!("/{}/", other.token), &format!("/{}/", &server.token[1..])]
+    {
         assert!(get(path).starts_with("HTTP/1.1 404"), "{path}");
     }
     assert!(Server::bind("192.0.2.1", 0, "--live").err().unwrap().to_string().contains("--live"));
