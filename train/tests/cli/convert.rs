@@ -215,14 +215,18 @@ fn every_command_takes_every_format() {
 }
 
 #[test]
-fn a_mark_of_antialiasing_is_told() {
+fn a_mark_of_antialiasing_is_obeyed() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("marked.spz");
     succeed(&mut splat(&["convert", text(&trained()), text(&path), "--antialias"]));
     let out = folder.path().join("out");
     let render = ["render", "--scene", text(&path), "--capture", text(&DEMO), "--view", TEST_VIEW, "--device", "cpu"];
-    let said = succeed(splat(&render).args(["--out", text(&out)])).stderr;
-    assert!(said.contains("marked.spz: trained with antialiasing") && said.contains("--antialias"), "{said}");
+    let picture = |more: &[&str]| {
+        succeed(splat(&render).args(["--out", text(&out)]).args(more));
+        fs::read(out.join(TEST_VIEW)).unwrap()
+    };
+    let marked = picture(&[]);
+    assert!(marked == picture(&["--antialias"]) && marked != picture(&["--antialias=false"]));
 }
 
 /// A page that opens a file with Spark's own readers and writes the result where [`look`] finds it.
