@@ -4,7 +4,7 @@ use std::sync::OnceLock;
 
 use burn::tensor::Device;
 use splat_hard_cases::{Processor, TestDevice};
-use splat_train::device::{AdapterDevice, AdapterKind, DeviceName, Runtime, open};
+use splat_train::device::{Adapter, AdapterKind, DeviceName, Runtime, open};
 
 use crate::data::announce;
 
@@ -23,7 +23,7 @@ pub fn places() -> Vec<TestDevice> {
     };
     let mut places: Vec<TestDevice> = cpu_devices().into_iter().map(cpu).collect();
     places.extend(gpu().map(|device| {
-        let software = adapter().expect("it is open").adapter.kind == AdapterKind::Software;
+        let software = adapter().expect("it is open").kind == AdapterKind::Software;
         TestDevice { name: "gpu".into(), device, processor: Processor::Gpu, software }
     }));
     places
@@ -66,7 +66,7 @@ fn find() -> Result<(String, Device), String> {
     Ok((facts.to_string(), found.device))
 }
 
-fn adapter() -> Result<AdapterDevice, String> {
+fn adapter() -> Result<Adapter, String> {
     let name = match std::env::var("SPLAT_RUNTIME") {
         Err(_) => DeviceName::Gpu,
         Ok(wish) => {
@@ -75,7 +75,7 @@ fn adapter() -> Result<AdapterDevice, String> {
             DeviceName::Adapter(runtime, None)
         }
     };
-    Ok(name.find().map_err(|error| error.to_string())?.0.expect("a GPU's name is never the CPU"))
+    Ok(name.find().map_err(|error| error.to_string())?.expect("a GPU's name is never the CPU"))
 }
 
 /// Applies the rules of `SPLAT_GPU`: returns the line to print and the device, or the failure.

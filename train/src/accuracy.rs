@@ -3,20 +3,19 @@
 use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
 use splat_model::accuracy::{Preset, Setting};
+use splat_model::ply::TrainedAs;
 use splat_model::trainer::TrainConfig;
 use splat_op::{Order, Projection, RenderOptions};
 
-/// Model choices: the function that a scene's parameters define. A scene is rendered with the choices it was trained
-/// with.
+/// Model choices: the function that a scene's parameters define. A scene is rendered with those of its training.
 #[derive(Clone, Debug, Default, clap::Args, Serialize, Deserialize)]
 pub struct ModelArgs {
-    /// Dim splats smaller than a pixel, so that the scene also looks right from further away. Evaluate and render a
-    /// scene with the setting it was trained with
-    #[arg(long)]
-    pub antialias: bool,
-    /// How a splat contributes to a pixel. Evaluate and render a scene with the setting it was trained with
-    #[arg(long, value_enum, value_name = "WHAT", default_value_t)]
-    pub projection: ProjectionArg,
+    /// Dim splats smaller than a pixel, so that the scene also looks right from further away [default: as the scene was trained, or no]
+    #[arg(long, value_name = "BOOL", num_args = 0..=1, require_equals = true, default_missing_value = "true")]
+    pub antialias: Option<bool>,
+    /// How a splat contributes to a pixel [default: as the scene was trained, or affine]
+    #[arg(long, value_enum, value_name = "WHAT")]
+    pub projection: Option<ProjectionArg>,
     /// How splats are sorted by depth. Evaluate and render a scene with the setting it was trained with
     #[arg(long, value_enum, value_name = "WHAT", default_value_t)]
     pub order: OrderArg,
@@ -24,6 +23,7 @@ pub struct ModelArgs {
 
 /// [`Projection`] on the command line.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum ProjectionArg {
     /// Projected ellipse: the projection is taken as affine around the splat's centre
     #[default]
@@ -34,6 +34,7 @@ pub enum ProjectionArg {
 
 /// [`Order`] on the command line.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum OrderArg {
     /// One global sort by the depths of the splats' centres
     #[default]
@@ -45,12 +46,23 @@ pub enum OrderArg {
 impl ModelArgs {
     /// Returns the default configuration of a run with these model choices.
     pub fn config(&self) -> TrainConfig {
-        TrainConfig { antialias: self.antialias, dials: self.dials(), ..TrainConfig::default() }
+        let antialias = self.antialias.unwrap_or_default();
+        TrainConfig { antialias, dials: self.dials(), ..TrainConfig::default() }
+    }
+
+    /// Returns these choices, and where there is none, that of a scene's training.
+    pub fn or(&self, trained: &TrainedAs) -> Self {
+        let projection = if trained.ray_max { ProjectionArg::RayMax } else { ProjectionArg::Affine };
+        Self {
+            antialias: self.antialias.or(Some(trained.antialias)),
+            projection: self.projection.or(Some(projection)),
+            ..self.clone()
+        }
     }
 
     /// The dials turned from the standard setting, apart from [`Self::antialias`].
     fn dials(&self) -> Setting {
-        let projection = match self.projection {
+        let projection = match self.projection.unwrap_or_default() {
             ProjectionArg::Affine => Projection::Affine,
             ProjectionArg::RayMax => Projection::RayMax,
         };

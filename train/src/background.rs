@@ -4,9 +4,12 @@ use std::path::Path;
 use std::str::FromStr;
 
 use anyhow::Result;
-use serde::{Deserialize, Serialize};
 use splat_model::effects::background::{Backdrop, Background};
+use splat_model::ply::TrainedAs;
 use splat_model::trainer::TrainConfig;
+
+use crate::progress;
+use crate::report::BACKGROUND;
 
 /// Parses a colour: a name, or three comma-separated numbers from 0 to 1.
 fn colour(text: &str) -> Option<[f32; 3]> {
@@ -21,7 +24,7 @@ fn colour(text: &str) -> Option<[f32; 3]> {
 }
 
 /// The value of `splat train --background`.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum TrainBackground {
     /// A constant colour.
     Colour([f32; 3]),
@@ -62,6 +65,17 @@ impl FromStr for TrainBackground {
     }
 }
 
+impl std::fmt::Display for TrainBackground {
+    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Colour([r, g, b]) => write!(out, "{r},{g},{b}"),
+            Self::Random => out.write_str("random"),
+            Self::Learned => out.write_str("learned"),
+            Self::Environment { degree } => write!(out, "environment:{degree}"),
+        }
+    }
+}
+
 impl TrainBackground {
     /// Applies the background to the configuration of a run.
     pub fn configure(self, config: &mut TrainConfig) {
@@ -80,12 +94,6 @@ impl TrainBackground {
 /// The value of `--background` of the subcommands that render a scene.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ShownBackground(String);
-
-impl Default for ShownBackground {
-    fn default() -> Self {
-        Self("black".into())
-    }
-}
 
 impl std::fmt::Display for ShownBackground {
     fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
@@ -113,14 +121,27 @@ impl ShownBackground {
         colour(&self.0).is_none().then(|| Path::new(&self.0))
     }
 
-    /// Returns the background, read from its file if it is one.
+    /// Returns the background, read from its file if it is one; without one, that of the training of a scene.
     ///
     /// # Errors
     /// If the file cannot be read or holds no background.
-    pub fn read(&self) -> Result<Background> {
-        match self.file() {
-            None => Ok(Background::Colour(colour(&self.0).unwrap_or_default())),
-            Some(file) => Ok(Background::read(file)?),
+    pub fn read(asked: Option<&Self>, scene: &Path, trained: &TrainedAs) -> Result<Background> {
+        let beside = scene.with_file_name(BACKGROUND);
+        match asked {
+            Some(asked) => match asked.file() {
+                None => Ok(Background::Colour(colour(&asked.0).unwrap_or_default())),
+                Some(file) => Ok(Background::read(file)?),
+            },
+            None if trained.environment && beside.is_file() => Ok(Background::read(&beside)?),
+            None => {
+                if trained.environment {
+                    progress::note(&format!(
+                        "{} is not there: the light behind the scene is left out",
+                        beside.display()
+                    ));
+                }
+                Ok(Background::Colour(trained.background))
+            }
         }
     }
 }
@@ -140,6 +161,9 @@ mod tests {
         let mut config = TrainConfig::default();
         of("white").configure(&mut config);
         assert_eq!((config.background, config.backdrop), ([1.0; 3], Backdrop::Fixed));
+        for text in ["0.25,0,1", "random", "learned", "environment:2"] {
+            assert_eq!(of(text).to_string(), text);
+        }
         for text in ["", "grey", "1,2,3", "0.1,0.2", "environment:5", "0.1,nan,0.2"] {
             let message = text.parse::<TrainBackground>().unwrap_err();
             assert!(message.contains("expected black, white"), "{message}");
@@ -149,9 +173,15 @@ mod tests {
     #[test]
     fn what_is_shown_is_a_colour_or_a_file() {
         let of = |text: &str| text.parse::<ShownBackground>();
-        assert_eq!(of("black").unwrap().read().unwrap(), Background::Colour([0.0; 3]));
-        assert_eq!(of("1,0.5,0").unwrap().read().unwrap(), Background::Colour([1.0, 0.5, 0.0]));
-        assert!(of("nowhere/background.json").unwrap().read().unwrap_err().to_string().contains("nowhere"));
+        let trained = TrainedAs { background: [0.25; 3], ..TrainedAs::default() };
+        let read = |asked: Option<&str>, trained| {
+            let asked = asked.map(|text| of(text).unwrap());
+            ShownBackground::read(asked.as_ref(), Path::new("nowhere/scene.ply"), trained)
+        };
+        assert_eq!(read(Some("black"), &trained).unwrap(), Background::Colour([0.0; 3]));
+        assert_eq!(read(Some("1,0.5,0"), &trained).unwrap(), Background::Colour([1.0, 0.5, 0.0]));
+        assert_eq!(read(None, &trained).unwrap(), Background::Colour([0.25; 3]));
+        assert!(read(Some("nowhere/background.json"), &trained).unwrap_err().to_string().contains("nowhere"));
         assert!(of("random").unwrap_err().contains("background.json"));
     }
 }

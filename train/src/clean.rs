@@ -12,6 +12,7 @@ use splat_model::effects::background::Background;
 use splat_model::evaluate::evaluate;
 use splat_model::formats::{self, Format, SceneFile};
 use splat_model::gaussians::{GaussianRows, Gaussians};
+use splat_model::ply::TrainedAs;
 use splat_op::RenderOptions;
 
 use crate::accuracy::ModelArgs;
@@ -60,9 +61,10 @@ pub struct CleanArgs {
     /// Model choices.
     #[command(flatten)]
     pub model: ModelArgs,
-    /// Background behind the scene: black, white, R,G,B from 0 to 1, or the background.json of a training run
-    #[arg(long, value_name = "WHAT", default_value_t)]
-    pub background: ShownBackground,
+    /// Background behind the scene: black, white, R,G,B from 0 to 1, or the background.json of a training run [default: that of the
+    /// scene's training]
+    #[arg(long, value_name = "WHAT")]
+    pub background: Option<ShownBackground>,
 }
 
 /// Parses the margin of a hull.
@@ -113,14 +115,15 @@ struct CleanupJudge<'a> {
 impl<'a> CleanupJudge<'a> {
     fn new(args: &CleanArgs, capture: &'a Capture, scene: &SceneFile) -> Result<Self> {
         let (device, _) = args.device.resolve()?;
-        let background = args.background.read()?;
+        let trained = TrainedAs { antialias: scene.antialiased, ..scene.trained };
+        let background = ShownBackground::read(args.background.as_ref(), &args.scene, &trained)?;
         let mut rows = scene.rows.clone();
         input::move_means(&mut rows, (scene.origin - capture.origin).to_array());
         let (split, _) = args.photos.split(capture);
         let all: Vec<usize> = (0..capture.views.len()).collect();
         let judged = if split.test.is_empty() { &all } else { &split.test };
         let photos = input::photographs(capture, judged, args.photos.max_side, false)?;
-        let options = args.model.config().render_options(input::extent(capture));
+        let options = args.model.or(&trained).config().render_options(input::extent(capture));
         Ok(Self { capture, rows, photos, background, options, device, max_side: args.photos.max_side })
     }
 
@@ -190,7 +193,7 @@ pub fn run(args: &CleanArgs) -> Result<()> {
     let (mut scene, found) = formats::read(&args.scene).context("cannot read the scene")?;
     scene.rows.check()?;
     let capture = args.capture.as_deref().map(input::capture).transpose()?;
-    let inputs = Inputs::default().and_scene(&args.scene).and(args.background.file());
+    let inputs = Inputs::default().and_scene(&args.scene).and(args.background.as_ref().and_then(ShownBackground::file));
     prepare_file(&args.out, &capture.iter().fold(inputs, Inputs::and_capture))?;
     let judge = capture.as_ref().map(|capture| CleanupJudge::new(args, capture, &scene)).transpose()?;
     progress::say(&describe_file(&args.scene, found, scene.rows.len(), scene.rows.sh_degree)?);

@@ -8,6 +8,7 @@ use clap::{ValueEnum, value_parser};
 use splat_model::formats::{
     self, Deviation, Format, QuantisationError, SceneFile, SogOptions, SpzOptions, SpzVersion, Written,
 };
+use splat_model::ply::TrainedAs;
 
 use crate::inputs::Inputs;
 use crate::output::prepare_file;
@@ -191,8 +192,10 @@ fn dropped(scene: &SceneFile, format: Format, written: &Written, of_degree: usiz
     if let Some(metres) = scene.metres_per_unit.filter(|_| !format.holds_scale()) {
         lost.push(format!("the size of a unit, {metres} m"));
     }
-    if scene.antialiased && !format.holds_antialiasing() {
-        lost.push("the mark that it was trained with antialiasing: show it with `--antialias`".into());
+    if scene.trained != (TrainedAs { antialias: scene.trained.antialias, ..TrainedAs::default() })
+        && format == Format::Spz
+    {
+        lost.push("the background and the projection that it was trained with".into());
     }
     lost
 }

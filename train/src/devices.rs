@@ -21,12 +21,12 @@ pub fn run() -> Result<()> {
     let found = device::list(&Runtime::built());
     let opened: Vec<Result<Facts>> = found.iter().map(device::open).collect();
     let mut rows = vec![cpu(DeviceName::Flex), cpu(DeviceName::Ndarray)];
-    rows.extend(found.iter().zip(&opened).map(|(found, opened)| row(&found.adapter, opened)));
+    rows.extend(found.iter().zip(&opened).map(|(found, opened)| row(found, opened)));
     for line in table(&rows) {
         progress::say(&line);
     }
     let open = found.iter().zip(&opened).filter(|(_, opened)| opened.is_ok());
-    let open: Vec<Adapter> = open.map(|(found, _)| found.adapter).collect();
+    let open: Vec<Adapter> = open.map(|(found, _)| found.clone()).collect();
     progress::say("");
     for line in remarks(&open, found.is_empty())? {
         progress::say(&line);
@@ -83,7 +83,8 @@ fn table(rows: &[TableRow]) -> Vec<String> {
 
 /// Remarks below the table: the device of `auto` among adapters that open, and the runtimes that are built in.
 fn remarks(adapters: &[Adapter], none_found: bool) -> Result<Vec<String>> {
-    let (built, other): (Vec<Runtime>, Vec<Runtime>) = Runtime::ALL.into_iter().partition(|runtime| runtime.is_built());
+    let built = Runtime::built();
+    let other: Vec<Runtime> = Runtime::ALL.into_iter().filter(|runtime| !built.contains(runtime)).collect();
     let mut lines = vec![match choose(DeviceName::Auto, adapters)? {
         Some(adapter) => format!("`--device auto` takes {}.", adapter.name()),
         None => format!("`--device auto` takes the CPU, flex: {}.", device::why_cpu(adapters)),

@@ -113,11 +113,6 @@ impl EffectsArg {
                 "colours do not depend on the view: training with `--sh-degree 0`, unless that option is given",
             );
         }
-        if !antialias && on.contains(&EffectKind::Antialias) {
-            progress::note(
-                "pass `--antialias` to `splat eval` and `splat render` to show this scene as it was trained",
-            );
-        }
         Ok(Chosen { asked: self.text.clone(), on, plan, survey })
     }
 }
@@ -149,6 +144,13 @@ impl Chosen {
     /// Whether an effect is on.
     pub fn has(&self, effect: EffectKind) -> bool {
         self.on.contains(&effect)
+    }
+
+    /// The value of `--effects` that chooses them again.
+    pub fn asked_again(&self) -> EffectsArg {
+        let adjustments: Vec<_> = self.on.iter().map(|effect| (*effect, true)).collect();
+        let names = self.on.iter().map(|effect| effect.name()).collect::<Vec<_>>().join(",");
+        EffectsArg { auto: false, adjustments, text: if names.is_empty() { "none".into() } else { names } }
     }
 
     /// Applies the effects to the configuration of a run; options given on the command line stay. `degree`: the degree

@@ -47,9 +47,10 @@ pub struct EvalArgs {
     /// Accuracy of the renders.
     #[command(flatten)]
     pub accuracy: AccuracyArgs,
-    /// Background behind the scene: black, white, R,G,B from 0 to 1, or the background.json of a training run
-    #[arg(long, value_name = "WHAT", default_value_t)]
-    pub background: ShownBackground,
+    /// Background behind the scene: black, white, R,G,B from 0 to 1, or the background.json of a training run [default: that of the
+    /// scene's training]
+    #[arg(long, value_name = "WHAT")]
+    pub background: Option<ShownBackground>,
     /// Compare as from further away: average each N × N pixels of the photographs to one
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(1..=64))]
     pub shrink: usize,
@@ -76,7 +77,7 @@ struct EvalOptionsRecord<'a> {
     masks: bool,
     ignore_alpha: bool,
     shrink: usize,
-    background: String,
+    background: Option<String>,
     #[serde(flatten)]
     lpips: &'a LpipsArgs,
 }
@@ -88,14 +89,14 @@ struct EvalOptionsRecord<'a> {
 /// written.
 pub fn run(args: &EvalArgs) -> Result<Metrics> {
     let (device, device_name) = args.device.resolve()?;
-    let background = args.background.read()?;
     let lpips = args.lpips.read(&device)?;
     let start = Instant::now();
     let capture = input::capture(&args.capture)?;
     let (split, photo_args) = args.photos.split(&capture);
     let test = split.require_test()?;
-    let rows = input::rows(&args.scene, &capture)?;
-    let config = args.model.config();
+    let (rows, trained) = input::rows("--scene", &args.scene, &capture)?;
+    let background = ShownBackground::read(args.background.as_ref(), &args.scene, &trained)?;
+    let config = args.model.or(&trained).config();
     let mut photos = input::photographs(&capture, test, args.photos.max_side, args.masks)?;
     if args.ignore_alpha {
         photos.iter_mut().for_each(|photo| photo.alpha = None);
@@ -113,7 +114,7 @@ pub fn run(args: &EvalArgs) -> Result<Metrics> {
     // A scene can be scored where it lies.
     let copied = Inputs::of([&args.scene]).find(&args.out.join(&scene_name)).is_none();
     let inputs = Inputs::default().and_scene(&args.scene).and_capture(&capture);
-    let inputs = inputs.and(args.background.file()).and(&args.lpips.lpips);
+    let inputs = inputs.and(args.background.as_ref().and_then(ShownBackground::file)).and(&args.lpips.lpips);
     let views = report::view_files(photos.iter().map(|photo| photo.name.as_str()));
     let files = copied.then(|| PathBuf::from(&scene_name)).into_iter().chain([METRICS.into()]).chain(views);
     let out = OutputFolder::prepare(&args.out, inputs, files, &[VIEWS])?;
@@ -138,12 +139,12 @@ pub fn run(args: &EvalArgs) -> Result<Metrics> {
         capture: &args.capture,
         scene: &args.scene,
         photos: &photo_args,
-        antialias: args.model.antialias,
+        antialias: config.antialias,
         dials: &config.dials.and(&dials),
         masks: args.masks,
         ignore_alpha: args.ignore_alpha,
         shrink: args.shrink,
-        background: args.background.to_string(),
+        background: args.background.as_ref().map(ToString::to_string),
         lpips: &args.lpips,
     };
     let metrics = Metrics {

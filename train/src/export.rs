@@ -10,6 +10,7 @@ use splat_model::capture::{Capture, View};
 use splat_model::effects::background::Background;
 use splat_model::formats::{self, Format, SceneFile};
 use splat_model::gaussians::GaussianRows;
+use splat_model::ply::TrainedAs;
 
 use crate::background::ShownBackground;
 use crate::inputs::Inputs;
@@ -42,12 +43,10 @@ pub struct ExportArgs {
     /// Drop spherical harmonics above this degree, which makes the page smaller
     #[arg(long, value_name = "DEGREE", value_parser = value_parser!(u8).range(0..=3))]
     pub sh_degree: Option<u8>,
-    /// Background: black, white or R,G,B from 0 to 1, or the background.json of a run that learned a colour
-    #[arg(long, value_name = "COLOUR", default_value_t)]
-    pub background: ShownBackground,
-    /// Show the scene as trained with --antialias
-    #[arg(long)]
-    pub antialias: bool,
+    /// Background: black, white or R,G,B from 0 to 1, or the background.json of a run that learned a colour [default: that of the scene's
+    /// training]
+    #[arg(long, value_name = "COLOUR")]
+    pub background: Option<ShownBackground>,
 }
 
 /// Writes the page and prints its size.
@@ -56,15 +55,15 @@ pub struct ExportArgs {
 /// If the scene or the capture cannot be read, a view is not one of the capture, or the page is one of the files that are read or cannot be
 /// written.
 pub fn run(args: &ExportArgs) -> Result<()> {
-    let Background::Colour(background) = args.background.read()? else {
+    let capture = args.views.as_deref().map(input::capture).transpose()?;
+    let viewpoints = capture.as_ref().map(|capture| viewpoints(capture, &args.view)).transpose()?.unwrap_or_default();
+    let (rows, trained) = rows(args, capture.as_ref())?;
+    let Background::Colour(background) = ShownBackground::read(args.background.as_ref(), &args.scene, &trained)? else {
         return Err(anyhow!(
             "the page shows a background of one colour: give `--background` a colour such as black or 0.5,0.5,0.5"
         ));
     };
-    let capture = args.views.as_deref().map(input::capture).transpose()?;
-    let viewpoints = capture.as_ref().map(|capture| viewpoints(capture, &args.view)).transpose()?.unwrap_or_default();
-    let rows = rows(args, capture.as_ref())?;
-    let inputs = Inputs::default().and_scene(&args.scene).and(args.background.file());
+    let inputs = Inputs::default().and_scene(&args.scene).and(args.background.as_ref().and_then(ShownBackground::file));
     prepare_file(&args.html, &capture.iter().fold(inputs, Inputs::and_capture))?;
     let degree = rows.sh_degree.min(args.sh_degree.map_or(Format::Sog.sh_degree_max(), usize::from));
     let rows = input::selected(&rows, 0..rows.len(), degree);
@@ -76,7 +75,7 @@ pub fn run(args: &ExportArgs) -> Result<()> {
         source: SceneSource::Whole(&sog),
         viewpoints: &viewpoints,
         background,
-        antialias: args.antialias,
+        antialias: trained.antialias,
     };
     let name = output::last_name(&args.scene);
     let page = viewer.page(args.title.as_deref().unwrap_or(&name))?;
@@ -94,14 +93,14 @@ pub fn run(args: &ExportArgs) -> Result<()> {
 }
 
 /// The rows of the scene, with positions relative to the origin of the capture if there is one.
-fn rows(args: &ExportArgs, capture: Option<&Capture>) -> Result<GaussianRows> {
+fn rows(args: &ExportArgs, capture: Option<&Capture>) -> Result<(GaussianRows, TrainedAs)> {
     if let Some(capture) = capture {
-        return input::rows(&args.scene, capture);
+        return input::rows("--scene", &args.scene, capture);
     }
-    let (SceneFile { rows, antialiased, .. }, _) = formats::read(&args.scene).context("cannot read the scene")?;
-    input::note_antialiased(&args.scene, antialiased && !args.antialias);
+    let (SceneFile { rows, antialiased, trained, .. }, _) =
+        formats::read(&args.scene).context("cannot read the scene")?;
     progress::note_unusable(&args.scene, rows.unusable(), rows.len());
-    Ok(rows)
+    Ok((rows, TrainedAs { antialias: antialiased, ..trained }))
 }
 
 /// The scene as SOG, the smallest of the formats that the viewer reads.

@@ -78,7 +78,7 @@ fn places(names: &[DeviceName]) -> Result<Vec<TestDevice>> {
 }
 
 fn place(name: DeviceName) -> Result<TestDevice> {
-    let (processor, software) = match name.find()?.0 {
+    let (processor, software) = match name.find()? {
         Some(found) => (Processor::Gpu, device::open(&found)?.kind == AdapterKind::Software),
         None => (Processor::Cpu, false),
     };

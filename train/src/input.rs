@@ -12,6 +12,7 @@ use splat_model::effects::masks;
 use splat_model::formats;
 use splat_model::gaussians::GaussianRows;
 use splat_model::optim::scene_extent;
+use splat_model::ply::TrainedAs;
 use splat_model::sniff::FileKind;
 use splat_model::trainer::ranks::{Ranks, gather_all, share_of};
 
@@ -77,7 +78,7 @@ fn say_dropped(capture: &Capture, asked: usize, left: usize) -> Result<()> {
     ensure!(
         dropped == 0 || left > 0,
         "the masks of {} exclude every pixel of {dropped} photographs, and no other is left: `--effects=-masks` does \
-         without masks, and `--eval-every` chooses the held-out photographs",
+         without masks, and `--test-every` chooses the held-out photographs",
         capture.folder.display()
     );
     if dropped > 0 {
@@ -176,28 +177,18 @@ fn made_opaque(photo: Photo, opaque: bool) -> Photo {
     Photo { alpha, ..photo }
 }
 
-/// Reads the rows of a scene, with positions relative to the origin of `capture`. Prints a note if some of its Gaussians
-/// cannot be rendered.
+/// Reads the rows of a scene that `option` names, with positions relative to the origin of `capture`, and how it was trained. Prints a note
+/// if some of its Gaussians cannot be rendered.
 ///
 /// # Errors
 /// If the file is missing, is not a scene, or holds no Gaussian.
-pub fn rows(path: &Path, capture: &Capture) -> Result<GaussianRows> {
-    let (rows, antialiased) = rows_of("--scene", path, capture)?;
-    note_antialiased(path, antialiased);
-    Ok(rows)
-}
-
-/// Reads rows as [`rows`] does, for an option that errors name. Returns whether the file marks the scene as trained with antialiasing.
-///
-/// # Errors
-/// The errors of [`rows`].
-pub fn rows_of(option: &str, path: &Path, capture: &Capture) -> Result<(GaussianRows, bool)> {
+pub fn rows(option: &str, path: &Path, capture: &Capture) -> Result<(GaussianRows, TrainedAs)> {
     let (scene, _) = formats::read(path).with_context(|| format!("cannot read the scene that `{option}` names"))?;
-    let formats::SceneFile { mut rows, origin, antialiased, .. } = scene;
+    let formats::SceneFile { mut rows, origin, antialiased, trained, .. } = scene;
     ensure!(!rows.is_empty(), "{} holds no Gaussian: name a scene that was trained with `{option}`", path.display());
     move_means(&mut rows, (origin - capture.origin).to_array());
     progress::note_unusable(path, rows.unusable(), rows.len());
-    Ok((rows, antialiased))
+    Ok((rows, TrainedAs { antialias: antialiased, ..trained }))
 }
 
 /// Returns some rows of a scene, with spherical harmonics up to `sh_degree`.
@@ -205,16 +196,6 @@ pub fn selected(rows: &GaussianRows, which: impl IntoIterator<Item = usize>, sh_
     let mut found = GaussianRows { sh_degree, ..GaussianRows::default() };
     which.into_iter().for_each(|row| found.push(rows, row));
     found
-}
-
-/// Prints a note if a scene's file marks it as trained with antialiasing.
-pub fn note_antialiased(scene: &Path, antialiased: bool) {
-    if antialiased {
-        progress::note(&format!(
-            "{}: trained with antialiasing, according to its file: show it with `--antialias`",
-            scene.display()
-        ));
-    }
 }
 
 /// Adds `capture_from_scene` to every position, in f64.

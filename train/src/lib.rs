@@ -41,11 +41,9 @@ pub mod clean;
 pub mod convert;
 pub mod demo;
 pub mod devices;
-pub mod effects_bench;
 pub mod eval;
 pub mod export;
 pub mod hard_cases;
-pub mod info;
 pub mod inspect;
 pub mod manual;
 pub mod pareto;
@@ -68,7 +66,6 @@ pub mod own;
 pub mod progress;
 pub mod ranks;
 pub mod report;
-pub mod snapshots;
 pub mod strategy;
 
 use anyhow::Result;
@@ -83,7 +80,7 @@ pub fn run(command: &Command) -> Result<()> {
     match command {
         Command::Train(args) => {
             args.voice.apply();
-            train::run_or_resume(args)
+            train::run_together(args)
         }
         Command::Resume(args) => {
             args.voice.apply();
@@ -101,9 +98,7 @@ pub fn run(command: &Command) -> Result<()> {
         Command::Convert(args) => convert::run(args),
         Command::Export(args) => export::run(args),
         Command::Clean(args) => clean::run(args),
-        Command::Info(args) => info::run(args),
         Command::Inspect(args) => inspect::run(args),
-        Command::Effects(args) => effects_bench::run(args),
         Command::HardCases(args) => hard_cases::run(args),
         Command::Pareto(args) => pareto::run(args),
         Command::Devices => devices::run(),

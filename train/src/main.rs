@@ -2,9 +2,8 @@
 
 use std::process::ExitCode;
 
-use clap::Parser;
 use splat_train::memory::{CountingAllocator, Fast};
-use splat_train::options::Cli;
+use splat_train::options;
 use splat_train::ranks;
 use splat_train::train::Interrupted;
 
@@ -25,12 +24,16 @@ fn quieten_wayland() {
 /// Ctrl-C and SIGTERM.
 fn main() -> ExitCode {
     quieten_wayland();
-    match splat_train::run(&Cli::parse().command) {
+    match options::parse(std::env::args_os()).and_then(|cli| splat_train::run(&cli.command)) {
         Ok(()) => {
             ranks::leave();
             ExitCode::SUCCESS
         }
         Err(error) => {
+            if let Some(error) = error.downcast_ref::<clap::Error>() {
+                // Help, the version, or an invalid command line.
+                error.exit();
+            }
             if let Some(interrupted) = error.downcast_ref::<Interrupted>() {
                 ranks::say(&interrupted.to_string());
                 ranks::leave();

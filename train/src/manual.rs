@@ -4,11 +4,10 @@ use std::io::{self, Write};
 use std::path::PathBuf;
 
 use anyhow::{Context, Result};
-use clap::CommandFactory;
 use clap_complete::Shell;
 
 use crate::inputs::Inputs;
-use crate::options::Cli;
+use crate::options::command;
 use crate::output::OutputFolder;
 use crate::progress;
 
@@ -33,7 +32,7 @@ pub struct ManArgs {
 /// If standard output is closed.
 pub fn completions(args: &CompletionsArgs) -> Result<()> {
     let mut script = Vec::new();
-    clap_complete::generate(args.shell, &mut Cli::command(), "splat", &mut script);
+    clap_complete::generate(args.shell, &mut command(), "splat", &mut script);
     io::stdout().write_all(&script).context("cannot write the script to standard output")
 }
 
@@ -43,7 +42,7 @@ pub fn completions(args: &CompletionsArgs) -> Result<()> {
 /// If a page cannot be written.
 pub fn man(args: &ManArgs) -> Result<()> {
     let out = OutputFolder::prepare(&args.out, Inputs::default(), [""; 0], &[])?;
-    let mut program = Cli::command();
+    let mut program = command();
     // Sets the full names of subcommands.
     program.build();
     let subcommands = program.get_subcommands().filter(|command| command.get_name() != "help").cloned();

@@ -1,7 +1,10 @@
 //! The command line: options shared by several subcommands; the others are beside their subcommands. Defaults come from
 //! the typed configurations that the options are converted to, so that each default has one place.
 
-use clap::{Parser, Subcommand, value_parser};
+use std::ffi::OsString;
+
+use anyhow::{Result, anyhow};
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand, value_parser};
 use serde::{Deserialize, Serialize};
 use splat_model::capture::{Capture, Split};
 
@@ -9,17 +12,15 @@ use crate::blocks::BlocksArgs;
 use crate::clean::CleanArgs;
 use crate::convert::ConvertArgs;
 use crate::demo::DemoArgs;
-use crate::effects_bench::EffectsBenchArgs;
 use crate::eval::EvalArgs;
 use crate::export::ExportArgs;
 use crate::hard_cases::HardCasesArgs;
-use crate::info::InfoArgs;
 use crate::inspect::InspectArgs;
 use crate::manual::{CompletionsArgs, ManArgs};
 use crate::pareto::ParetoArgs;
 use crate::reconstruct::ReconstructArgs;
 use crate::render::RenderArgs;
-use crate::train::{ResumeArgs, TrainArgs};
+use crate::train::{self, ResumeArgs, TrainArgs};
 use crate::view::ViewArgs;
 
 /// The exit codes, at the end of `--help`.
@@ -40,48 +41,91 @@ pub struct Cli {
     pub command: Command,
 }
 
-/// The subcommands.
+/// The subcommands, in the order of a user's day. Those of no group are hidden.
 #[derive(Clone, Debug, Subcommand)]
 #[allow(clippy::large_enum_variant, reason = "a process has one")]
 pub enum Command {
-    /// Train a scene on a capture, then score it on the held-out photographs
+    /// Train a scene on a capture, photographs or a video, then score it
     Train(TrainArgs),
-    /// Resume a training run that was stopped or killed, with its original options
+    /// Go on with a run that was stopped or killed, with its own options
     Resume(ResumeArgs),
-    /// Find the cameras of photographs or a video with the installed COLMAP
-    Reconstruct(ReconstructArgs),
-    /// Score a scene on the held-out photographs of a capture
-    Eval(EvalArgs),
-    /// Render a scene from the cameras of a capture
-    Render(RenderArgs),
     /// Show a scene in the browser, served to this machine only
     View(ViewArgs),
-    /// Convert a scene to another format and report the loss
-    Convert(ConvertArgs),
     /// Write a scene as one page with the viewer, which needs no server
     Export(ExportArgs),
-    /// Remove splats that float, that no view shows, or that lie outside a region, and report the cost
+    /// Convert a scene to another format and report the loss
+    Convert(ConvertArgs),
+    /// Remove floaters and what no view shows, and report the cost
     Clean(CleanArgs),
-    /// Describe a scene or a capture: counts, bounds, memory, and what is odd about it
-    Info(InfoArgs),
-    /// Report what a capture shows, which effects it calls for, and what they would cost
+    /// Describe a scene or a capture, and the effects that it calls for
+    #[command(alias = "info")]
     Inspect(InspectArgs),
-    /// Train a capture in blocks, on any number of machines: plan, status, merge
-    Blocks(BlocksArgs),
-    /// Write the demo capture: a small ray-traced scene as a COLMAP folder
-    Demo(DemoArgs),
-    /// Measure the gain and the cost of each effect on demo captures, and write the page
-    Effects(EffectsBenchArgs),
-    /// Run the battery of hard cases and write the table of results
-    HardCases(HardCasesArgs),
-    /// Measure the time and the error of every accuracy dial on a scene, and plot the Pareto frontier
+    /// Score a scene on the held-out photographs of a capture
+    Eval(EvalArgs),
+    /// Render a scene from the cameras of a capture, or along a path to a video
+    Render(RenderArgs),
+    /// Measure the time and the error of every accuracy dial on a scene
     Pareto(ParetoArgs),
+    /// Find the cameras of photographs or a video with the installed COLMAP
+    Reconstruct(ReconstructArgs),
+    /// Train a capture in blocks, on any number of machines
+    Blocks(BlocksArgs),
     /// List the devices to compute on, by the names that `--device` accepts
     Devices,
+    /// Run the battery of hard cases and write the table of results
+    HardCases(HardCasesArgs),
+    /// Write the demo capture: a small ray-traced scene as a COLMAP folder
+    #[command(hide = true)]
+    Demo(DemoArgs),
     /// Write completions of the command line for a shell
+    #[command(hide = true)]
     Completions(CompletionsArgs),
     /// Write the manual pages
+    #[command(hide = true)]
     Man(ManArgs),
+}
+
+/// The first subcommand of each group in the help, and the group's title.
+const GROUPS: [(&str, &str); 4] =
+    [("train", "Scenes"), ("inspect", "Measurements"), ("reconstruct", "Captures"), ("devices", "Machine")];
+
+/// The command line as it is parsed and shown: subcommands in groups, and short help without the options below a heading.
+pub fn command() -> clap::Command {
+    let mut command = Cli::command();
+    let mut groups = String::new();
+    for shown in command.get_subcommands().filter(|command| !command.is_hide_set()) {
+        let (name, about) = (shown.get_name(), shown.get_about().map(ToString::to_string).unwrap_or_default());
+        if let Some((_, title)) = GROUPS.iter().find(|(first, _)| *first == name) {
+            groups += &format!("\n{title}:\n");
+        }
+        groups += &format!("  {name:11}  {about}\n");
+    }
+    let names: Vec<String> = command.get_subcommands().map(|command| command.get_name().to_owned()).collect();
+    for name in names {
+        command = command.mut_subcommand(&name, |command| {
+            // Options of `--config` come first, and those of the command line replace them.
+            let command = command.args_override_self(name == "train");
+            command.mut_args(|arg| if arg.get_help_heading().is_some() { arg.hide_short_help(true) } else { arg })
+        });
+    }
+    command.help_template(format!(
+        "{{about-with-newline}}\n{{usage-heading}} {{usage}}\n{groups}\nOptions:\n{{options}}{{after-help}}"
+    ))
+}
+
+/// Parses a command line, the first word of which is the program. `splat train --config FILE` takes the options of the file too.
+///
+/// # Errors
+/// A [`clap::Error`] for an invalid command line, also for a request for help; and if the file cannot be read.
+pub fn parse(words: impl IntoIterator<Item = OsString>) -> Result<Cli> {
+    let parsed = |words: &[OsString]| Cli::from_arg_matches(&command().try_get_matches_from(words)?);
+    let mut words: Vec<OsString> = words.into_iter().collect();
+    let cli = parsed(&words)?;
+    let Command::Train(given @ TrainArgs { config: Some(path), .. }) = &cli.command else { return Ok(cli) };
+    let command = command();
+    let train = command.find_subcommand("train").unwrap_or(&command);
+    words.splice(2..2, train::config::words(path, train, given)?.into_iter().map(OsString::from));
+    parsed(&words).map_err(|error| anyhow!("{}: {}", path.display(), error.render()))
 }
 
 /// Selection and size of the photographs.
@@ -92,42 +136,152 @@ pub struct PhotoArgs {
         "Hold out every Kth photograph in name order for testing, beginning with the first; 0 holds out none [default: the \
          capture's own split if its files have one, otherwise {}]", Split::USUAL
     ))]
+    pub test_every: Option<usize>,
+    /// The name of `--test-every` until version 0.1, which elsewhere is an interval between evaluations
+    #[arg(long, hide = true, value_name = "K", value_parser = renamed)]
+    #[serde(skip)]
     pub eval_every: Option<usize>,
     /// Downsize photographs whose longer side exceeds this, px
     #[arg(long, value_name = "PX", value_parser = value_parser!(u32).range(1..))]
     pub max_side: Option<u32>,
 }
 
+fn renamed(_: &str) -> Result<usize, String> {
+    Err("the split is `--test-every K` now; `--eval-during N` scores the scene every N steps".into())
+}
+
 impl PhotoArgs {
     /// Returns the split of a capture, and these options as reported: with the number that was used, or none if the
     /// capture's own split applies.
     pub fn split(&self, capture: &Capture) -> (Split, Self) {
-        let counted = self.eval_every.or_else(|| capture.split.is_none().then_some(Split::USUAL));
-        (Split::of(capture, counted), Self { eval_every: counted, ..self.clone() })
+        let counted = self.test_every.or_else(|| capture.split.is_none().then_some(Split::USUAL));
+        (Split::of(capture, counted), Self { test_every: counted, ..self.clone() })
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use clap::CommandFactory;
+    use std::fs;
 
     use super::*;
 
+    fn parsed(words: &[&str]) -> Result<Cli> {
+        parse(["splat"].iter().chain(words).map(OsString::from))
+    }
+
+    fn train(words: &[&str]) -> TrainArgs {
+        let Command::Train(args) = parsed(words).unwrap().command else { panic!("asked for train") };
+        args
+    }
+
     #[test]
     fn the_command_line_is_consistent() {
-        Cli::command().debug_assert();
+        command().debug_assert();
+    }
+
+    /// Short help fits a screen of 40 lines; long help has everything, below headings.
+    #[test]
+    fn short_help_fits_a_screen_and_names_what_people_use() {
+        let mut command = command();
+        command.build();
+        let short = command.render_help().to_string();
+        assert!(short.lines().count() <= 40, "{short}");
+        let groups = [
+            "Scenes:",
+            "  train ",
+            "  resume ",
+            "  view ",
+            "  clean ",
+            "Measurements:",
+            "Captures:",
+            "Machine:",
+            "Options:",
+        ];
+        let at: Vec<usize> =
+            groups.iter().map(|part| short.find(part).unwrap_or_else(|| panic!("{part}: {short}"))).collect();
+        assert!(at.is_sorted() && !short.contains("completions"), "{short}");
+        let train = command.find_subcommand_mut("train").unwrap();
+        let (short, long) = (train.render_help().to_string(), train.render_long_help().to_string());
+        assert!(short.lines().count() <= 40, "{} lines: {short}", short.lines().count());
+        let options = |help: &str| help.lines().filter(|line| line.trim_start().starts_with("--")).count();
+        assert_eq!(options(&short), 15, "{short}");
+        let (people, headings) = long.split_once("\nCapture:").unwrap();
+        assert_eq!(options(people), 15, "{people}");
+        for heading in ["Density:", "Optimiser:", "Accuracy:", "Memory:", "Output:"] {
+            assert!(headings.contains(&format!("\n{heading}\n")), "{heading}: {long}");
+        }
+        assert!(headings.contains("--lr-means") && headings.contains("--frames") && options(headings) > 20, "{long}");
+    }
+
+    #[test]
+    fn a_file_of_options_is_read_and_the_command_line_comes_first() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("my.toml");
+        let path = file.to_str().unwrap();
+        let given = train(&[
+            "train",
+            "c",
+            "--antialias",
+            "--background",
+            "0.1,0.2,0.3",
+            "--effects=auto,-masks",
+            "--lr-means",
+            "0.01",
+            "--scale-from",
+            "gps",
+            "--for",
+            "1h",
+            "--strategy",
+            "mcmc",
+            "--device",
+            "ndarray",
+            "--lpips",
+            "w",
+            "--moment-bits",
+            "8",
+        ]);
+        fs::write(&file, train::config::to_toml(&given).unwrap()).unwrap();
+        assert_eq!(format!("{:?}", train::config::read(&file).unwrap()), format!("{given:?}"));
+        let changed = train(&["train", "--config", path, "--steps", "7", "--strategy=adaptive", "d"]);
+        assert_eq!((changed.steps, changed.time, changed.lr.lr_means), (Some(7), None, Some(0.01)));
+        assert_eq!((changed.strategy, changed.capture), (crate::strategy::StrategyName::Adaptive, Some("d".into())));
+
+        fs::write(&file, "steps = 9\nmax-side = 64\nquiet = true\n[anything]\nssim_weight = 0.5\n").unwrap();
+        let args = train(&["train", "--config", path]);
+        assert_eq!((args.steps, args.photos.max_side, args.voice.quiet, args.ssim_weight), (Some(9), Some(64), true, 0.5));
+        for (text, part) in [
+            ("step = 9", "`step` is no option"),
+            ("steps = -9", "--steps"),
+            ("quiet = 3", "expected true or false"),
+            ("steps 9", "is not TOML"),
+            ("config = \"other.toml\"", "`config` is no option"),
+            ("eval-every = 8", "--test-every"),
+        ] {
+            fs::write(&file, text).unwrap();
+            let error = format!("{:#}", parsed(&["train", "--config", path]).unwrap_err());
+            assert!(error.contains(path) && error.contains(part), "{text}: {error}");
+        }
+        fs::remove_file(&file).unwrap();
+        assert!(parsed(&["train", "--config", path]).unwrap_err().to_string().contains(path));
+    }
+
+    #[test]
+    fn old_names_point_to_the_new() {
+        let error = parsed(&["train", "--eval-every", "8"]).unwrap_err().to_string();
+        assert!(error.contains("`--test-every K`"), "{error}");
     }
 
     #[test]
     fn a_run_that_goes_on_takes_no_options_of_a_new_one() {
-        let resume = |option: &str| Cli::try_parse_from(["splat", "resume", "out", option]);
         for option in ["--steps=7", "--seed=1", "--out=other", "--device=cpu", "capture"] {
-            assert!(resume(option).is_err(), "{option}");
+            assert!(parsed(&["resume", "out", option]).is_err(), "{option}");
         }
         for option in ["--quiet", "--json"] {
-            let Command::Resume(args) = resume(option).unwrap().command else { panic!("asked for resume") };
+            let Command::Resume(args) = parsed(&["resume", "out", option]).unwrap().command else {
+                panic!("asked for resume")
+            };
             assert_eq!((args.voice.quiet, args.voice.json), (option == "--quiet", option == "--json"));
         }
-        assert!(Cli::try_parse_from(["splat", "resume"]).is_err(), "of which run?");
+        assert!(parsed(&["resume"]).is_err(), "of which run?");
     }
 }

@@ -87,9 +87,17 @@ impl OutputFolder {
     /// # Errors
     /// The errors of [`write()`], and if the file is an input.
     pub fn write(&self, name: impl AsRef<Path>, fill: impl FnOnce(&mut BufWriter<File>) -> Result<()>) -> Result<()> {
+        write(&self.spared(name)?, fill)
+    }
+
+    /// Returns the path of a file to be written in it.
+    ///
+    /// # Errors
+    /// If the file is an input.
+    pub fn spared(&self, name: impl AsRef<Path>) -> Result<PathBuf> {
         let path = self.join(name);
         self.inputs.spare([&path])?;
-        write(&path, fill)
+        Ok(path)
     }
 }
 

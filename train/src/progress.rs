@@ -32,7 +32,7 @@ pub struct VoiceArgs {
     pub quiet: bool,
     /// Print a line of JSON to standard output for every interval and evaluation, and one with the metrics at the end,
     /// instead of text (see docs/COMMAND_LINE.md); with --quiet, print nothing else
-    #[arg(long)]
+    #[arg(long, help_heading = "Output")]
     pub json: bool,
 }
 

@@ -6,6 +6,7 @@ use splat_model::density::{AdaptiveConfig, DensityConfig, GRADUAL_OPACITY_WEIGHT
 
 /// Density strategies by name. All but `gradual` have their published settings.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum StrategyName {
     /// From early on, split a tenth of the splats at a time, those with the largest gradients, in two halves across their
     /// longest axis (after Improved-GS, Deng et al. 2025), and remove faint ones

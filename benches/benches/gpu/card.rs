@@ -150,8 +150,8 @@ fn parts(options: &Options, folders: &Folders) -> Result<Vec<Part>, Box<dyn Erro
         part.with("SPLAT_GPU", "require").with("CARGO_MANIFEST_DIR", &folder)
     };
     // Each runtime compiles the kernels to a language of its own.
-    let runtimes: Vec<Runtime> =
-        [Runtime::Wgpu, Runtime::Vulkan].into_iter().filter(|runtime| runtime.is_built()).collect();
+    let mut runtimes = Runtime::built();
+    runtimes.retain(|runtime| [Runtime::Wgpu, Runtime::Vulkan].contains(runtime));
     let side = options.side.to_string();
     let (height, steps) = ((options.side * 3 / 4).to_string(), options.steps.to_string());
     let train = |device: &'static str, out: &str, limit| {

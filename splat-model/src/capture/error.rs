@@ -169,7 +169,7 @@ pub enum CaptureError {
     /// A split that leaves nothing to test on.
     #[error(
         "{} for training and none is held out for testing, expected at least one. {}", all(*.views),
-        if *.views > 1 { "Set `--eval-every` to 8, say, to hold out every eighth" } else { "Add photographs" }
+        if *.views > 1 { "Set `--test-every` to 8, say, to hold out every eighth" } else { "Add photographs" }
     )]
     NoTestViews {
         /// Number of views in the split.
@@ -177,7 +177,7 @@ pub enum CaptureError {
     },
     /// A split that leaves nothing to train on.
     #[error(
-        "{} held out for testing and none is for training, expected at least one. Set `--eval-every 0` to train on {}, or \
+        "{} held out for testing and none is for training, expected at least one. Set `--test-every 0` to train on {}, or \
          add photographs", all(*.views), if *.views > 1 { "all, or 8 to hold out every eighth" } else { "it" }
     )]
     NoTrainingViews {

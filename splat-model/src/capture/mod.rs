@@ -147,7 +147,8 @@ impl Capture {
 
     /// What a file of a scene in this capture's world states about it.
     pub fn world_frame(&self) -> WorldFrame {
-        WorldFrame { origin: self.origin, metres_per_unit: self.scale.as_ref().map(|scale| scale.metres_per_unit) }
+        let metres_per_unit = self.scale.as_ref().map(|scale| scale.metres_per_unit);
+        WorldFrame { metres_per_unit, ..self.origin.into() }
     }
 
     /// The position of a sparse point, world frame.

@@ -95,7 +95,7 @@ mod tests {
         let split = Split::every(&views(&["a", "b"]), 0);
         assert_eq!(split.require_train().unwrap(), [0, 1]);
         let message = split.require_test().unwrap_err().to_string();
-        assert!(message.contains("--eval-every") && message.contains("2 views"), "{message}");
+        assert!(message.contains("--test-every") && message.contains("2 views"), "{message}");
     }
 
     #[test]
@@ -103,14 +103,14 @@ mod tests {
         let split = Split::every(&views(&["a", "b"]), 1);
         assert_eq!(split.require_test().unwrap(), [0, 1]);
         let message = split.require_train().unwrap_err().to_string();
-        assert!(message.contains("--eval-every") && message.contains("2 views"), "{message}");
+        assert!(message.contains("--test-every") && message.contains("2 views"), "{message}");
     }
 
     #[test]
     fn one_photograph_is_told_what_helps() {
         let split = Split::every(&views(&["a"]), 8);
         let message = split.require_train().unwrap_err().to_string();
-        assert!(message.contains("the 1 view is held out") && message.contains("`--eval-every 0`"), "{message}");
+        assert!(message.contains("the 1 view is held out") && message.contains("`--test-every 0`"), "{message}");
         assert!(!message.contains("8"), "{message}");
     }
 

@@ -64,7 +64,7 @@ pub use spz::{SpzOptions, SpzVersion};
 
 use crate::density::morton_order;
 use crate::gaussians::GaussianRows;
-use crate::ply::{self, PlyError, PlyReader, WorldFrame};
+use crate::ply::{self, PlyError, PlyReader, TrainedAs, WorldFrame};
 
 /// The spherical harmonic of degree 0, `1 / (2 √π)`.
 pub(crate) const DC: f64 = 0.282_094_791_773_878_14;
@@ -134,11 +134,6 @@ impl Format {
         self != Self::Spz
     }
 
-    /// Whether the format records training with antialiasing.
-    pub fn holds_antialiasing(self) -> bool {
-        !matches!(self, Self::Ply | Self::CompressedPly)
-    }
-
     /// Whether the format holds every number without loss.
     pub fn is_exact(self) -> bool {
         self == Self::Ply
@@ -168,13 +163,16 @@ pub struct SceneFile {
     /// Metres per scene unit, finite and positive, where the size is known. All formats but SPZ hold it.
     pub metres_per_unit: Option<f64>,
     /// Whether the file states that the scene was trained with antialiasing (Mip-Splatting's filter), and so should be rendered
-    /// with it. PLY, compressed or not, does not record this.
+    /// with it. All formats hold it.
     pub antialiased: bool,
+    /// What else the file states about its training, beside [`Self::antialiased`]. All formats but SPZ hold it.
+    pub trained: TrainedAs,
 }
 
 impl SceneFile {
     fn world(&self) -> WorldFrame {
-        WorldFrame { origin: self.origin, metres_per_unit: self.metres_per_unit }
+        let trained = TrainedAs { antialias: self.antialiased, ..self.trained };
+        WorldFrame { origin: self.origin, metres_per_unit: self.metres_per_unit, trained }
     }
 }
 

@@ -156,12 +156,16 @@ fn the_size_of_a_unit_stays_where_there_is_a_place_for_it() {
 }
 
 #[test]
-fn the_mark_of_antialiasing_stays_where_there_is_a_place_for_it() {
-    let scene = SceneFile { antialiased: true, ..scene(one()) };
+fn a_file_says_how_its_scene_was_trained() {
+    let trained = TrainedAs { ray_max: true, background: [1.0, 0.1, 0.0], environment: true, ..TrainedAs::default() };
+    let scene = SceneFile { antialiased: true, trained, ..scene(one()) };
     for format in Format::READ {
         let (_folder, path) = folder_and_file(format);
         write(&path, &scene, format).unwrap();
-        assert_eq!(read(&path).unwrap().0.antialiased, format.holds_antialiasing(), "{format}");
+        let found = read(&path).unwrap().0;
+        assert!(found.antialiased, "{format}");
+        let expected = if format == Format::Spz { TrainedAs::default() } else { trained };
+        assert_eq!(TrainedAs { antialias: false, ..found.trained }, expected, "{format}");
     }
 }
 
@@ -342,7 +346,13 @@ fn handful() -> SceneFile {
     for (i, mean) in rows.means.iter_mut().enumerate() {
         mean[0] += i as f32;
     }
-    SceneFile { rows, origin: DVec3::new(1e6, 0.0, 0.0), metres_per_unit: Some(0.125), antialiased: true }
+    SceneFile {
+        rows,
+        origin: DVec3::new(1e6, 0.0, 0.0),
+        metres_per_unit: Some(0.125),
+        antialiased: true,
+        ..SceneFile::default()
+    }
 }
 
 #[test]

@@ -9,7 +9,8 @@
 //! [`read_points`] reads plain points with positions and colours, as in files of sparse reconstructions.
 //!
 //! The comment `splat origin X Y Z` holds the origin that positions are relative to: `position_file_world = position + origin`.
-//! The comment `splat metres per unit M` holds the size of a scene unit, where it is known. [`WorldFrame`] is both.
+//! The comment `splat metres per unit M` holds the size of a scene unit, where it is known, and `splat trained as {…}` how the scene was
+//! trained, in JSON, where that differs from [`TrainedAs::default`]. [`WorldFrame`] is all three.
 
 mod frame;
 mod points;
@@ -24,7 +25,7 @@ use std::path::PathBuf;
 
 use thiserror::Error;
 
-pub use frame::WorldFrame;
+pub use frame::{TrainedAs, WorldFrame};
 pub use points::read_points;
 pub use rows::read;
 pub use write::{write, write_parts, write_to};
@@ -88,7 +89,7 @@ pub enum PlyError {
     /// A scene to be written has no Gaussian that can be rendered: none at all, or each has a parameter without meaning.
     #[error(
         "{path}: not written: no splat is left, {of} of {of} cannot be rendered; a file of that name stays as it was. Write a scene that \
-         has splats (`splat info` describes one)",
+         has splats (`splat inspect` describes one)",
         path = path.display()
     )]
     Empty {

@@ -9,7 +9,7 @@ use glam::DVec3;
 use ply_rs_bw::ply::{Addable, DefaultElement, ElementDef, Encoding, Header, PropertyDef, PropertyType, ScalarType};
 use ply_rs_bw::writer::Writer;
 
-use super::frame::{ORIGIN_COMMENT, SCALE_COMMENT};
+use super::frame::{ORIGIN_COMMENT, SCALE_COMMENT, TRAINED_COMMENT, TrainedAs};
 use super::row::{MAX_DEGREE, names, values_of_row};
 use super::{PlyError, VERTEX, WorldFrame};
 use crate::capture::scale::is_scale;
@@ -88,6 +88,9 @@ pub(crate) fn check(path: &Path, rows: &GaussianRows, world: WorldFrame) -> Resu
     if let Some(metres) = world.metres_per_unit.filter(|&metres| !is_scale(metres)) {
         return refuse("metres_per_unit", metres.to_string(), "a positive number".into());
     }
+    if world.trained.background.iter().any(|value| !value.is_finite()) {
+        return refuse("trained.background", format!("{:?}", world.trained.background), "three finite numbers".into());
+    }
     rows.check().or_else(|RowsError { field, found, expected, count, sh_degree }| {
         refuse(field, format!("{found} long"), format!("{expected} long ({count} means, degree {sh_degree})"))
     })
@@ -136,7 +139,7 @@ pub(crate) fn element<S: Into<String>>(
     element
 }
 
-/// The header of a binary file, with comments for an origin that is not zero and a known size.
+/// The header of a binary file, with comments for an origin that is not zero, a known size, and training other than the usual one.
 pub(crate) fn file_header(world: WorldFrame, elements: impl IntoIterator<Item = ElementDef>) -> Header {
     let mut header = Header::new();
     header.encoding = Encoding::BinaryLittleEndian;
@@ -148,6 +151,10 @@ pub(crate) fn file_header(world: WorldFrame, elements: impl IntoIterator<Item = 
     }
     if let Some(metres) = world.metres_per_unit {
         header.comments.push(format!("{SCALE_COMMENT}{metres:?}"));
+    }
+    // JSON has no numbers that are not finite: `check` has refused them.
+    if let Some(text) = serde_json::to_string(&world.trained).ok().filter(|_| world.trained != TrainedAs::default()) {
+        header.comments.push(format!("{TRAINED_COMMENT}{text}"));
     }
     elements.into_iter().for_each(|element| header.elements.add(element));
     header

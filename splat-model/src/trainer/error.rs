@@ -15,7 +15,7 @@ use crate::state::StateError;
 #[non_exhaustive]
 pub enum TrainError {
     /// No photographs.
-    #[error("there are no photographs to train on: with every photograph in the test split, raise `--eval-every`")]
+    #[error("there are no photographs to train on: with every photograph in the test split, raise `--test-every`")]
     NoViews,
     /// `steps` is zero.
     #[error("`steps` is 0, expected at least 1: give `--steps N`")]

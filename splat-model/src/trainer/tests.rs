@@ -136,7 +136,7 @@ fn what_cannot_start_says_what_to_do() {
     };
     fails(photos([0.0; 3]), config(0), &["`steps` is 0", "--steps N"]);
     fails(photos([0.0; 3]), TrainConfig { batch: 0, ..config(1) }, &["`batch` is 0", "--batch N"]);
-    fails(vec![], config(1), &["no photographs", "--eval-every"]);
+    fails(vec![], config(1), &["no photographs", "--test-every"]);
     fails(photos([0.0; 3]), TrainConfig { sh_degree: 5, ..config(1) }, &["`sh_degree` is 5", "0 to 4"]);
     let resolution = Resolution { coarsest_divisor: 3, full_from: 0.5 };
     fails(photos([0.0; 3]), TrainConfig { resolution, ..config(1) }, &["3 from 0.5", "power of two", "--coarsest"]);

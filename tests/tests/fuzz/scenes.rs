@@ -133,7 +133,7 @@ impl FuzzTarget for Scenes {
 
     fn read(&mut self) -> Result<String, String> {
         match formats::read(&self.path()) {
-            Ok((SceneFile { rows, origin, metres_per_unit, antialiased }, format)) => {
+            Ok((SceneFile { rows, origin, metres_per_unit, antialiased, .. }, format)) => {
                 rows.check().map_err(|error| error.to_string())?;
                 let sized = metres_per_unit.is_none_or(|metres| metres.is_finite() && metres > 0.0);
                 if !sized

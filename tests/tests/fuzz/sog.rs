@@ -22,7 +22,7 @@ impl Sog {
         let folder = folder(name);
         let path = folder.join("scene.sog");
         let scene =
-            SceneFile { rows: rows(3, 3), origin: [1.0, 2.0, 3.0].into(), metres_per_unit: None, antialiased: true };
+            SceneFile { rows: rows(3, 3), origin: [1.0, 2.0, 3.0].into(), antialiased: true, ..SceneFile::default() };
         formats::write(&path, &scene, Format::Sog).expect("the folder can be written to");
         let file = fs::File::open(&path).expect("written above");
         let mut archive = zip::ZipArchive::new(file).expect("written above");

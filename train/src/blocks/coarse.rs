@@ -38,9 +38,9 @@ pub fn run_of(
     run.out = Some(out.join(COARSE));
     (run.steps, run.time) = (Some(steps), None);
     run.max_splats = ((Focus::BEYOND_SHARE * splats as f64) as usize).max(1);
-    run.photos.eval_every = training.photos.eval_every;
+    run.photos.test_every = training.photos.test_every;
     run.photos.max_side = Some((side / 2).max(SMALLEST_SIDE));
-    (run.eval_during, run.snapshots, run.lpips) = (None, false, LpipsArgs::default());
+    (run.eval_during, run.export_every, run.lpips) = (Some(0), None, LpipsArgs::default());
     Ok(run)
 }
 

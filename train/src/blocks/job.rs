@@ -11,7 +11,7 @@ use crate::strategy::StrategyName;
 use crate::train::TrainArgs;
 
 /// Options of `splat train` that a plan replaces by its own.
-pub const REPLACED: [&str; 4] = ["--effects", "--sh-degree", "--max-splats", "--eval-every"];
+pub const REPLACED: [&str; 4] = ["--effects", "--sh-degree", "--max-splats", "--test-every"];
 
 /// Reads options of `splat train`, as they follow `--`.
 ///
@@ -27,8 +27,8 @@ pub fn training(capture: &Path, options: &[String]) -> Result<TrainArgs> {
         Err(error) => bail!("the options after `--` are for `splat train`, which refuses them: {}", error.render()),
     };
     ensure!(
-        args.out.is_none() && !args.resume && args.start.is_none(),
-        "after `--`: the plan sets `--out`, `--resume` and `--start` itself: leave them out"
+        args.out.is_none() && args.start.is_none() && args.config.is_none(),
+        "after `--`: the plan sets `--out` and `--start` itself, and takes no `--config`: leave them out"
     );
     ensure!(
         args.strategy != StrategyName::Mcmc,

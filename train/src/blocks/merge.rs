@@ -8,8 +8,8 @@ use splat_model::capture::Capture;
 use splat_model::capture::blocks::{BlockFile, Bounds, keep};
 use splat_model::formats::{self, Format, SceneFile};
 use splat_model::gaussians::GaussianRows;
+use splat_model::ply::TrainedAs;
 
-use super::job;
 use super::planned::PlanFolder;
 use super::seams::Seams;
 use crate::device::{self, DeviceName};
@@ -60,20 +60,19 @@ pub fn merge(args: &MergeArgs) -> Result<()> {
     let files = folder.files()?;
     let capture = folder.capture(&files)?;
     prepare_file(&args.out, &Inputs::of(folder.files_of_runs()).and_capture(&capture))?;
-    let merged = merged(&folder, &files, &capture)?;
+    let (merged, trained) = merged(&folder, &files, &capture)?;
     ensure!(!merged.is_empty(), "no block has a splat in its cell: train the blocks again");
     ensure!(
         format.holds_origin() || capture.origin == glam::DVec3::ZERO,
         "{}: the format holds no origin, and the capture lies far from zero: merge to .ply",
         args.out.display()
     );
-    let antialiased = job::training(&capture.folder, &folder.plan.options)?.model.antialias
-        || folder.plan.options.iter().any(|option| option.starts_with("--effects=") && option.contains("antialias"));
     let scene = SceneFile {
         rows: merged,
         origin: capture.origin,
         metres_per_unit: capture.world_frame().metres_per_unit,
-        antialiased,
+        antialiased: trained.antialias,
+        trained,
     };
     formats::write(&args.out, &scene, format)?;
     progress::say(&format!("scene: {} ({} splats)", args.out.display(), scene.rows.len()));
@@ -81,15 +80,16 @@ pub fn merge(args: &MergeArgs) -> Result<()> {
         return Ok(());
     }
     let (device, _) = args.device.resolve()?;
-    let seams = Seams::new(&capture, &folder.plan.options, &scene.rows, antialiased, &device)?;
+    let seams = Seams::new(&capture, &folder.plan.options, &scene.rows, &trained, &device)?;
     seams.check(&folder, &files, args.views)
 }
 
-/// The rows of all blocks in their cells, block by block, relative to the capture's origin.
-fn merged(folder: &PlanFolder, files: &[BlockFile], capture: &Capture) -> Result<GaussianRows> {
-    let mut merged: Option<GaussianRows> = None;
+/// The rows of all blocks in their cells, block by block, relative to the capture's origin, and how they were trained.
+fn merged(folder: &PlanFolder, files: &[BlockFile], capture: &Capture) -> Result<(GaussianRows, TrainedAs)> {
+    let (mut merged, mut trained_as) = (None::<GaussianRows>, TrainedAs::default());
     for (name, file) in folder.plan.blocks.iter().zip(files) {
-        let rows = input::rows(&folder.run(name).join(SCENE), capture)?;
+        let (rows, trained) = input::rows("--scene", &folder.run(name).join(SCENE), capture)?;
+        trained_as = trained;
         let all = merged.get_or_insert_with(|| GaussianRows { sh_degree: rows.sh_degree, ..GaussianRows::default() });
         ensure!(
             rows.sh_degree == all.sh_degree,
@@ -101,7 +101,7 @@ fn merged(folder: &PlanFolder, files: &[BlockFile], capture: &Capture) -> Result
         keep(&file.cell, &rows, all);
         progress::note(&format!("{name}: {} of {} splats lie in its cell", all.len() - before, rows.len()));
     }
-    Ok(merged.unwrap_or_default())
+    Ok((merged.unwrap_or_default(), trained_as))
 }
 
 /// Whether a row's centre lies in a cell.

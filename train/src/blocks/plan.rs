@@ -2,6 +2,7 @@
 
 use std::env;
 use std::fs;
+use std::io::Write;
 use std::path::{Component, Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
@@ -11,10 +12,11 @@ use splat_model::effects::EffectKind;
 
 use super::coarse;
 use super::job;
-use super::planned::{JOBS, PLAN, BlockPlan, PlanFolder};
-use crate::input;
+use super::planned::{BlockPlan, JOBS, PLAN, PlanFolder};
 use crate::progress::{self, VoiceArgs};
 use crate::train::TrainArgs;
+use crate::train::config::{self, CONFIG};
+use crate::{input, output};
 
 /// The splats that a block may have, relative to its share of the scene's: some of them lie in its margin or beyond, and are not
 /// kept.
@@ -100,12 +102,14 @@ pub fn plan(args: &PlanArgs) -> Result<()> {
     let planned_folder = PlanFolder { path: folder.clone(), plan };
     for (name, block) in names.iter().zip(&planned) {
         let (path, run) = (folder.join(name), planned_folder.run(name));
-        let own = [job::utf8(&program)?, "train", job::utf8(&path)?, "--out", job::utf8(&run)?, "--resume"];
-        let held_out = if block.test.is_empty() { &["--eval-every", "0"][..] } else { &[] };
-        let start = start.as_deref().map(job::utf8).transpose()?;
-        let common = planned_folder.plan.options.iter().map(String::as_str);
-        let words = own.into_iter().chain(start.iter().flat_map(|start| ["--start", start]));
-        lines.push(job::line(&words.chain(held_out.iter().copied()).chain(common).collect::<Vec<_>>())?);
+        let mut options = TrainArgs { start: start.clone(), ..job::training(&path, &planned_folder.plan.options)? };
+        options.lpips = options.lpips.from_anywhere();
+        if block.test.is_empty() {
+            options.photos.test_every = Some(0);
+        }
+        let text = config::to_toml(&options)?;
+        output::write(&run.join(CONFIG), |file| Ok(file.write_all(text.as_bytes())?))?;
+        lines.push(job::line(&[job::utf8(&program)?, "resume", job::utf8(&run)?])?);
     }
     planned_folder.write(&lines)?;
     say(&names, &planned);
@@ -132,7 +136,12 @@ fn common_options(
     splats: usize,
 ) -> Result<Vec<String>> {
     let (split, _) = training.photos.split(capture);
-    let chosen = training.effects.choose(capture, &split.train, training.model.antialias, training.photos.max_side)?;
+    let chosen = training.effects.choose(
+        capture,
+        &split.train,
+        training.model.antialias.unwrap_or_default(),
+        training.photos.max_side,
+    )?;
     let apart = [EffectKind::Environment, EffectKind::PoseRefinement];
     for effect in apart.iter().filter(|effect| chosen.has(**effect)) {
         progress::note(&format!(

@@ -7,12 +7,13 @@ use burn::tensor::{Device, Tensor};
 use splat_model::capture::blocks::BlockFile;
 use splat_model::capture::{Capture, Photo};
 use splat_model::gaussians::{GaussianRows, Gaussians, values_of};
+use splat_model::ply::TrainedAs;
+use splat_model::trainer::TrainConfig;
 use splat_op::{Camera, Extras, RenderOptions, Splats, render_view};
 
 use super::job;
 use super::merge::holds;
 use super::planned::PlanFolder;
-use crate::background::TrainBackground;
 use crate::report::SCENE;
 use crate::{input, progress};
 
@@ -53,21 +54,16 @@ impl<'a> Seams<'a> {
         capture: &'a Capture,
         options: &[String],
         rows: &GaussianRows,
-        antialiased: bool,
+        trained: &TrainedAs,
         device: &'a Device,
     ) -> Result<Self> {
         let training = job::training(&capture.folder, options)?;
-        let mut config = training.config()?;
-        config.antialias |= antialiased;
-        let background = match training.background {
-            Some(TrainBackground::Colour(colour)) => colour,
-            _ => [0.0; 3],
-        };
+        let config = TrainConfig { antialias: trained.antialias, ..training.config()? };
         Ok(Self {
             capture,
             merged: Gaussians::from_rows(rows, device)?.splats(),
             options: config.render_options(input::extent(capture)),
-            background,
+            background: trained.background,
             max_side: training.photos.max_side,
             masked: options.iter().any(|option| option.starts_with("--effects=") && option.contains("masks")),
             device,
@@ -88,7 +84,7 @@ impl<'a> Seams<'a> {
             let test: Vec<usize> =
                 file.test.iter().step_by(step).filter_map(|name| by_name.get(name.as_str()).copied()).collect();
             let photos = input::photographs(self.capture, &test, self.max_side, self.masked)?;
-            let rows = input::rows(&folder.run(name).join(SCENE), self.capture)?;
+            let (rows, _) = input::rows("--scene", &folder.run(name).join(SCENE), self.capture)?;
             let own = Gaussians::from_rows(&rows, self.device)?.splats();
             let cell = Gaussians::from_rows(&painted(&rows, file), self.device)?.splats();
             let mut sums = Sums::default();

@@ -1,17 +1,16 @@
 //! Adapters of this machine.
 
-use anyhow::{Result, anyhow, bail};
+use anyhow::{Result, anyhow};
 use burn::backend::{CubeDevice, DispatchDevice};
 use burn::tensor::{Device, DeviceType};
 use splat_op::Abilities;
 
-use super::{Adapter, AdapterDevice, AdapterKind, Facts, Runtime};
+use super::{Adapter, AdapterKind, Facts, Runtime};
 
 /// Lists the adapters of some runtimes, in the order of the runtimes and then by index. Empty without a driver.
-pub fn list(runtimes: &[Runtime]) -> Vec<AdapterDevice> {
+pub fn list(runtimes: &[Runtime]) -> Vec<Adapter> {
     let of = |&runtime| {
-        let found =
-            move |(index, device)| AdapterDevice { adapter: Adapter { runtime, index, kind: kind(&device) }, device };
+        let found = move |(index, device)| Adapter { runtime, index, kind: kind(&device), device };
         enumerate(runtime).into_iter().enumerate().map(found)
     };
     runtimes.iter().flat_map(of).collect()
@@ -58,21 +57,18 @@ fn kind(device: &Device) -> AdapterKind {
 ///
 /// # Errors
 /// If its driver refuses.
-pub fn open(found: &AdapterDevice) -> Result<Facts> {
-    let name = found.adapter.name();
+pub fn open(adapter: &Adapter) -> Result<Facts> {
+    let name = adapter.name();
     let refused =
         |why: &str| anyhow!("cannot open the adapter `{name}`: {why}. Check its driver, or pass `--device cpu`");
-    let DispatchDevice::Cube(device) = found.device.as_dispatch() else {
-        bail!("`{name}` is not an adapter");
-    };
+    let DispatchDevice::Cube(device) = adapter.device.as_dispatch() else { return Err(refused("it is no adapter")) };
     let interface = open_through_wgpu(device).map_err(|error| refused(&error))?;
     let client = device.client();
-    let abilities = Abilities::of(&found.device).ok_or_else(|| refused("there are no kernels for it"))?;
-    let language = language(client.name());
+    let abilities = Abilities::of(&adapter.device).ok_or_else(|| refused("there are no kernels for it"))?;
     Ok(Facts {
         name: client.properties().identity.name.clone(),
-        kind: found.adapter.kind,
-        runtime: interface.map_or(language.to_owned(), |interface| format!("{interface}, {language}")),
+        kind: adapter.kind,
+        runtime: [interface.as_deref(), Some(client.name())].into_iter().flatten().collect::<Vec<_>>().join(", "),
         buffer_limit: client.properties().memory.max_page_size,
         float_atomics: abilities.float_atomics,
     })
@@ -81,38 +77,20 @@ pub fn open(found: &AdapterDevice) -> Result<Facts> {
 /// Opens an adapter of wgpu by the call that reports a failure instead of panicking. Returns the name of the graphics
 /// interface; `None` for other runtimes and for an adapter that was open already.
 #[cfg(feature = "wgpu")]
-fn open_through_wgpu(device: &CubeDevice) -> Result<Option<&'static str>, String> {
+fn open_through_wgpu(device: &CubeDevice) -> Result<Option<String>, String> {
     use burn::backend::wgpu::graphics::AutoGraphicsApi;
     use burn::backend::wgpu::{RuntimeOptions, WgpuInitError, try_init_setup};
 
     let CubeDevice::Wgpu(device) = device else { return Ok(None) };
     let options = RuntimeOptions::try_default().map_err(|error| error.to_string())?;
     match try_init_setup::<AutoGraphicsApi>(device, options) {
-        Ok(setup) => Ok(Some(match setup.backend.to_str() {
-            "vulkan" => "Vulkan",
-            "metal" => "Metal",
-            "dx12" => "DirectX 12",
-            "gl" => "OpenGL",
-            other => other,
-        })),
+        Ok(setup) => Ok(Some(setup.backend.to_str().to_owned())),
         Err(WgpuInitError::Registration { .. }) => Ok(None),
         Err(error) => Err(error.to_string()),
     }
 }
 
 #[cfg(not(feature = "wgpu"))]
-fn open_through_wgpu(_: &CubeDevice) -> Result<Option<&'static str>, String> {
+fn open_through_wgpu(_: &CubeDevice) -> Result<Option<String>, String> {
     Ok(None)
-}
-
-/// The language that kernels are compiled to, from CubeCL's name of the runtime.
-fn language(runtime: &str) -> &str {
-    match runtime {
-        "wgpu<wgsl>" => "WGSL",
-        "wgpu<spirv>" => "SPIR-V",
-        "wgpu<msl>" => "MSL",
-        "cuda" => "CUDA",
-        "hip" => "ROCm",
-        other => other,
-    }
 }

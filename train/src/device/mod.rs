@@ -1,46 +1,193 @@
-//! Devices by name: the names that the command line accepts, the adapters of the machine, and the choice among them.
-
-mod choice;
-mod name;
+//! `--device`: devices by name, the adapters of the machine, and the choice among them.
 
 #[cfg(feature = "cube")]
 mod gpu;
-
 #[cfg(not(feature = "cube"))]
 mod gpu {
-    //! Lists no adapters: this program is built for the CPU only.
+    use super::{Adapter, Facts, Runtime};
 
-    use anyhow::{Result, bail};
-
-    use super::{AdapterDevice, Facts, Runtime};
-
-    pub fn list(_: &[Runtime]) -> Vec<AdapterDevice> {
+    pub fn list(_: &[Runtime]) -> Vec<Adapter> {
         Vec::new()
     }
 
-    pub fn open(found: &AdapterDevice) -> Result<Facts> {
-        bail!("`{}` is not supported: this program is built for the CPU only", found.adapter.name())
+    pub fn open(adapter: &Adapter) -> anyhow::Result<Facts> {
+        anyhow::bail!("`{}` is not supported: this program is built for the CPU only", adapter.name())
     }
 }
 
 use std::fmt::{self, Display};
+use std::str::FromStr;
 
-use anyhow::{Context, Result};
+use anyhow::{Result, anyhow};
 use burn::tensor::Device;
 
-pub use choice::{Adapter, AdapterKind, choose, choose_and_open};
-pub use gpu::{list, open};
-pub use name::{DeviceName, Runtime, help};
-
+pub use self::gpu::{list, open};
 use crate::progress;
 
-/// An adapter with Burn's handle, which opens it at the first use.
+/// Device to compute on, as named on the command line.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum DeviceName {
+    /// A GPU if there is one, otherwise the CPU. A driver in software does not count: the CPU is faster without it.
+    #[default]
+    Auto,
+    /// Burn's CPU backend, also named `cpu`.
+    Flex,
+    /// Burn's older CPU backend, deprecated by Burn.
+    Ndarray,
+    /// The best adapter of any runtime; a driver in software only if there is no other.
+    Gpu,
+    /// An adapter of one runtime, by its index in `splat devices`; without an index, the best of them.
+    Adapter(Runtime, Option<usize>),
+}
+
+/// Runtime that drives a GPU. Ordered by preference where several reach the same card: a runtime for one maker's cards is built in
+/// only on request.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Runtime {
+    /// NVIDIA's CUDA.
+    Cuda,
+    /// AMD's ROCm.
+    Rocm,
+    /// Metal through wgpu, with kernels in Metal's language.
+    Metal,
+    /// Vulkan through wgpu, with kernels in SPIR-V.
+    Vulkan,
+    /// Any graphics interface that the system offers, through wgpu.
+    Wgpu,
+}
+
+impl Runtime {
+    /// All runtimes, whether this build has them or not.
+    pub const ALL: [Self; 5] = [Self::Wgpu, Self::Vulkan, Self::Metal, Self::Cuda, Self::Rocm];
+
+    /// The cargo feature that builds it in, whether the program was built with it, and the driver that it needs.
+    fn facts(self) -> (&'static str, bool, &'static str) {
+        let driver = match cfg!(target_os = "linux") {
+            true => {
+                "the GPU's Vulkan driver and loader (Debian and Ubuntu: `libvulkan1` with `mesa-vulkan-drivers`, or NVIDIA's driver)"
+            }
+            false => "the GPU's driver",
+        };
+        match self {
+            Self::Wgpu => ("wgpu", cfg!(feature = "wgpu"), driver),
+            Self::Vulkan => ("vulkan", cfg!(feature = "vulkan"), driver),
+            Self::Metal => ("metal", cfg!(feature = "metal"), "macOS, the only system with Metal"),
+            Self::Cuda => ("cuda", cfg!(feature = "cuda"), "NVIDIA's driver"),
+            Self::Rocm => ("rocm", cfg!(feature = "rocm"), "AMD's ROCm"),
+        }
+    }
+
+    /// The cargo feature that builds it in.
+    pub fn feature(self) -> &'static str {
+        self.facts().0
+    }
+
+    /// The runtimes that the program was built with.
+    pub fn built() -> Vec<Self> {
+        Self::ALL.into_iter().filter(|runtime| runtime.facts().1).collect()
+    }
+
+    /// Prefix of its adapters on the command line, before the index.
+    pub fn prefix(self) -> &'static str {
+        if self == Self::Wgpu { "gpu" } else { self.feature() }
+    }
+}
+
+impl Display for DeviceName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Auto => f.write_str("auto"),
+            Self::Flex => f.write_str("flex"),
+            Self::Ndarray => f.write_str("ndarray"),
+            Self::Gpu => f.write_str("gpu"),
+            Self::Adapter(runtime, None) => f.write_str(runtime.prefix()),
+            Self::Adapter(runtime, Some(index)) => write!(f, "{}:{index}", runtime.prefix()),
+        }
+    }
+}
+
+impl FromStr for DeviceName {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let (name, index) = text.split_once(':').map_or((text, None), |(name, index)| (name, Some(index)));
+        let whole = match name {
+            "auto" => Some(Self::Auto),
+            "cpu" | "flex" => Some(Self::Flex),
+            "ndarray" => Some(Self::Ndarray),
+            "gpu" if index.is_none() && !Runtime::built().is_empty() => Some(Self::Gpu),
+            _ => None,
+        };
+        if let Some(device) = whole {
+            return index.map_or(Ok(device), |_| Err(format!("only adapters have numbers: pass `{name}`")));
+        }
+        let runtime = Runtime::ALL.into_iter().find(|runtime| runtime.prefix() == name);
+        let runtime = runtime.ok_or_else(|| format!("there is no such device: pass {}", names()))?;
+        let (feature, is_built, _) = runtime.facts();
+        if !is_built {
+            let other = names();
+            return Err(format!(
+                "this program was built without `{feature}`: build it with `--features {feature}`, or pass {other}"
+            ));
+        }
+        let number = |index: &str| index.parse().map_err(|_| format!("{index:?} is not a number, as in `{name}:0`"));
+        Ok(Self::Adapter(runtime, index.map(number).transpose()?))
+    }
+}
+
+/// Returns the help text of `--device`.
+pub fn help() -> String {
+    format!("Device to compute on: {}; `splat devices` lists them", names())
+}
+
+/// The values that this build accepts, as a list in a sentence.
+fn names() -> String {
+    let mut names = ["auto", "cpu", "flex", "ndarray"].map(String::from).to_vec();
+    let built = Runtime::built();
+    names.extend((!built.is_empty()).then(|| "gpu".into()));
+    names.extend(built.iter().map(|runtime| match runtime {
+        Runtime::Wgpu => "gpu:N".into(),
+        runtime => format!("{}[:N]", runtime.prefix()),
+    }));
+    let last = names.pop().unwrap_or_default();
+    format!("{} or {last}", names.join(", "))
+}
+
+/// Kind of an adapter, best first. `Unknown`: its driver does not report one. `Software`: its driver renders on the CPU.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[allow(missing_docs, reason = "the words of the drivers")]
+pub enum AdapterKind {
+    Discrete,
+    Integrated,
+    Virtual,
+    Unknown,
+    Software,
+}
+
+impl Display for AdapterKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}", format!("{self:?}").to_lowercase())
+    }
+}
+
+/// An adapter, one line of `splat devices`. A card that two runtimes reach is two adapters.
 #[derive(Clone, Debug)]
-pub struct AdapterDevice {
-    /// Properties known without opening it.
-    pub adapter: Adapter,
-    /// Burn's device, for tensors.
+pub struct Adapter {
+    /// Runtime that reaches it.
+    pub runtime: Runtime,
+    /// Index among the adapters of its runtime.
+    pub index: usize,
+    /// Kind of the adapter.
+    pub kind: AdapterKind,
+    /// Burn's handle, which opens it at the first use.
     pub device: Device,
+}
+
+impl Adapter {
+    /// The value of `--device` that selects this adapter.
+    pub fn name(&self) -> DeviceName {
+        DeviceName::Adapter(self.runtime, Some(self.index))
+    }
 }
 
 /// Properties of an open adapter. `Display` prints the name, kind and runtime on one line.
@@ -64,54 +211,103 @@ impl Display for Facts {
     }
 }
 
+/// Returns the adapter that a name selects; `None` for the CPU.
+///
+/// # Errors
+/// If a GPU is asked for and no adapter matches; the message names the drivers that were looked for and the remedy.
+pub fn choose(name: DeviceName, adapters: &[Adapter]) -> Result<Option<&Adapter>> {
+    let best = |admitted: &dyn Fn(&Adapter) -> bool| {
+        let admitted = adapters.iter().filter(|adapter| admitted(adapter));
+        admitted.min_by_key(|adapter| (adapter.kind, adapter.runtime, adapter.index))
+    };
+    let (found, runtimes) = match name {
+        DeviceName::Flex | DeviceName::Ndarray => return Ok(None),
+        DeviceName::Auto => return Ok(best(&|adapter| adapter.kind <= AdapterKind::Virtual)),
+        DeviceName::Gpu => (best(&|_| true), Runtime::built()),
+        DeviceName::Adapter(runtime, index) => (
+            best(&|adapter| adapter.runtime == runtime && index.is_none_or(|index| adapter.index == index)),
+            vec![runtime],
+        ),
+    };
+    let count = adapters.iter().filter(|adapter| runtimes.contains(&adapter.runtime)).count();
+    match (found, runtimes.first()) {
+        (Some(_), _) => Ok(found),
+        (None, None) => Err(anyhow!(
+            "this program is built for the CPU only: build it with its default features, or pass `--device cpu`"
+        )),
+        (None, Some(_)) if count > 0 => Err(anyhow!(
+            "there is no adapter `{name}`: the last has the number {}; `splat devices` lists all devices",
+            count - 1
+        )),
+        (None, Some(first)) => Err(anyhow!(
+            "`--device {name}` finds no adapter: looked for those of {}. Install {}; or pass `--device cpu`",
+            runtimes.iter().map(|runtime| runtime.feature()).collect::<Vec<_>>().join(", "),
+            first.facts().2
+        )),
+    }
+}
+
+/// Opens the adapter that a name selects; `None` for the CPU. Where `auto` selects one that does not open, the next best is tried, then the
+/// CPU, and `say` receives a line about each.
+fn choose_and_open<T>(
+    name: DeviceName,
+    mut adapters: Vec<Adapter>,
+    mut open: impl FnMut(&Adapter) -> Result<T>,
+    mut say: impl FnMut(&str),
+) -> Result<Option<T>> {
+    while let Some(adapter) = choose(name, &adapters)? {
+        match open(adapter) {
+            Err(error) if name == DeviceName::Auto => {
+                let (why, refused) = (format!("{error:#}").replace('\n', " "), adapter.name());
+                adapters.retain(|other| other.name() != refused);
+                let next = choose(name, &adapters)?.map_or("the CPU".into(), |next| format!("`{}`", next.name()));
+                say(&format!("going on with {next}: {why}"));
+            }
+            opened => return opened.map(Some),
+        }
+    }
+    Ok(None)
+}
+
 impl DeviceName {
     /// Returns the device and its name in `metrics.json`, and prints the name to standard error.
     ///
     /// # Errors
     /// If the adapter asked for does not exist, or its driver refuses.
     pub fn resolve(self) -> Result<(Device, String)> {
-        let found = list(&self.runtimes());
-        let adapters: Vec<Adapter> = found.iter().map(|found| found.adapter).collect();
-        let device_of = |adapter| found.iter().find(|found| found.adapter == adapter).context("it was listed");
-        let (open, mut refused) = (|adapter| Ok((device_of(adapter)?, open(device_of(adapter)?)?)), false);
-        let opened = choose_and_open(self, &adapters, open, |line| {
+        let adapters = list(&self.runtimes());
+        let (why, mut refused) = (why_cpu(&adapters), false);
+        let open = |adapter: &Adapter| Ok((adapter.device.clone(), open(adapter)?.to_string()));
+        let opened = choose_and_open(self, adapters, open, |line| {
             refused = true;
             progress::note(line);
         })?;
-        let Some((found, facts)) = opened else {
-            let (device, backend) = self.cpu();
-            let said = self == Self::Auto && !refused;
-            let why = if said { format!(": {}", why_cpu(&adapters)) } else { String::new() };
+        let Some((device, name)) = opened else {
+            let (device, backend) =
+                if self == Self::Ndarray { (ndarray(), "ndarray") } else { (Device::flex(), "flex") };
+            let why = if self == Self::Auto && !refused { format!(": {why}") } else { String::new() };
             progress::note(&format!("computing on the CPU, {backend}{why}"));
             return Ok((device, backend.into()));
         };
-        progress::note(&format!("computing on {facts}"));
-        Ok((found.device.clone(), facts.to_string()))
+        progress::note(&format!("computing on {name}"));
+        Ok((device, name))
     }
 
-    /// Returns the adapter that a name selects on this machine, `None` for the CPU, and all adapters considered.
+    /// Returns the adapter that a name selects on this machine, `None` for the CPU.
     ///
     /// # Errors
     /// If the adapter asked for does not exist.
-    pub fn find(self) -> Result<(Option<AdapterDevice>, Vec<Adapter>)> {
-        let found = list(&self.runtimes());
-        let adapters: Vec<Adapter> = found.iter().map(|found| found.adapter).collect();
-        let chosen = choose(self, &adapters)?;
-        Ok((found.into_iter().find(|found| Some(found.adapter) == chosen), adapters))
+    pub fn find(self) -> Result<Option<Adapter>> {
+        Ok(choose(self, &list(&self.runtimes()))?.cloned())
     }
 
     /// The runtimes to query for adapters. A GPU's driver takes a while to start, so none is queried without need.
     fn runtimes(self) -> Vec<Runtime> {
         match self {
-            Self::Cpu | Self::Flex | Self::Ndarray => Vec::new(),
+            Self::Flex | Self::Ndarray => Vec::new(),
             Self::Auto | Self::Gpu => Runtime::built(),
             Self::Adapter(runtime, _) => vec![runtime],
         }
-    }
-
-    /// The CPU backend of a name that selects no adapter.
-    fn cpu(self) -> (Device, &'static str) {
-        if self == Self::Ndarray { (ndarray(), "ndarray") } else { (Device::flex(), "flex") }
     }
 }
 
@@ -128,3 +324,6 @@ pub fn why_cpu(adapters: &[Adapter]) -> String {
 fn ndarray() -> Device {
     Device::ndarray()
 }
+
+#[cfg(test)]
+mod tests;

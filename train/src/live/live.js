@@ -16,7 +16,7 @@
 
   const showWorst = async (state) => {
     if (!state.worst || state.worst.step === worst) return;
-    const answer = await fetch("/worst.jpg");
+    const answer = await fetch("worst.jpg");
     if (!answer.ok) return;
     worst = state.worst.step;
     const picture = at("live-worst-picture");
@@ -42,14 +42,14 @@
     }
     if (state.scene !== scene) {
       scene = state.scene;
-      dispatchEvent(new CustomEvent("splat-scene", { detail: `/scene.ply?step=${scene}` }));
+      dispatchEvent(new CustomEvent("splat-scene", { detail: `scene.ply?step=${scene}` }));
     }
   };
 
   at("live-stop").onclick = async () => {
     at("live-stop").disabled = true;
     say("live-note", "The run stops after this step and writes its results.");
-    const ask = () => fetch("/stop", { method: "POST" });
+    const ask = () => fetch("stop", { method: "POST" });
     await ask().catch(ask).catch(gone);
   };
 
@@ -62,7 +62,7 @@
   const tick = async () => {
     let state = null;
     try {
-      state = await (await fetch("/status.json")).json();
+      state = await (await fetch("status.json")).json();
       if (state !== null) await showWorst(state);
       failures = 0;
     } catch {

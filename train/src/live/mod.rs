@@ -27,7 +27,7 @@ use crate::report::metrics::Metrics;
 use crate::report::page::SCENE_BYTES;
 use crate::report::pictures;
 use crate::view::scene::{ShownScene, Viewpoint};
-use crate::view::server::Server;
+use crate::view::server::{LOCALHOST, Server};
 
 /// Shortest time between two updates of the same kind.
 const BETWEEN: Duration = Duration::from_secs(1);
@@ -39,12 +39,25 @@ const SHARE: f64 = 0.005;
 const FAREWELL: Duration = Duration::from_secs(10);
 
 /// Options of a run that is shown while it trains.
-#[derive(Clone, Copy, Debug, Default, clap::Args)]
+#[derive(Clone, Debug, Default, clap::Args)]
 pub struct LiveArgs {
-    /// Show the run in the browser while it trains, served to this machine only: the scene, the curves, the time left, the
-    /// worst test view, and a button that stops the run and keeps its results. Without a port, one that is free
-    #[arg(long, value_name = "PORT", num_args = 0..=1, require_equals = true, default_missing_value = "0")]
-    pub live: Option<u16>,
+    /// Show the run in the browser while it trains
+    ///
+    /// Show the run in the browser while it trains: the scene, the curves, the time left, the worst test view, and a button that stops the
+    /// run and keeps its results. Without a port, one that is free. Served to this machine only, unless a host is given: `--live=0.0.0.0:7007`
+    /// serves to all who have the address that is printed, which holds a secret; it is not encrypted
+    #[arg(long, value_name = "[HOST:]PORT", num_args = 0..=1, require_equals = true, default_missing_value = "0", value_parser = address)]
+    pub live: Option<(String, u16)>,
+}
+
+/// Parses `PORT` or `HOST:PORT`.
+fn address(text: &str) -> Result<(String, u16), String> {
+    let (host, port) = text.rsplit_once(':').unwrap_or((LOCALHOST, text));
+    let host = host.trim_start_matches('[').trim_end_matches(']');
+    match port.parse() {
+        Ok(port) if !host.is_empty() => Ok((host.to_owned(), port)),
+        _ => Err("expected a port such as 7007, or a host and a port such as 0.0.0.0:7007".into()),
+    }
 }
 
 impl LiveArgs {
@@ -52,8 +65,8 @@ impl LiveArgs {
     ///
     /// # Errors
     /// If the port is not available.
-    pub fn listen(self) -> Result<Option<Server>> {
-        self.live.map(|port| Server::bind(port, "--live=PORT")).transpose()
+    pub fn listen(&self) -> Result<Option<Server>> {
+        self.live.as_ref().map(|(host, port)| Server::bind(host, *port, "--live=[HOST:]PORT")).transpose()
     }
 }
 

@@ -33,7 +33,13 @@ impl LivePage<'_> {
     /// If the viewer's setup cannot be written as JSON; no such case is known.
     pub fn html(&self) -> Result<String> {
         let Self { out, scene, viewpoints, background, antialias } = *self;
-        let viewer = Viewer { scene, source: SceneSource::Live(SCENE), viewpoints, background, antialias };
+        let viewer = Viewer {
+            scene,
+            source: SceneSource::Live(SCENE.trim_start_matches('/')),
+            viewpoints,
+            background,
+            antialias,
+        };
         let name = escape(&last_name(out));
         Ok(format!(
             "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\

@@ -65,3 +65,16 @@ fn an_update_is_a_small_share_of_the_time() {
     pace.done(Duration::from_millis(100));
     assert!(pace.due.unwrap() > Instant::now() + Duration::from_secs(9));
 }
+
+#[test]
+fn a_run_is_served_to_this_machine_unless_a_host_is_named() {
+    let of = |text: &str| address(text).map(|(host, port)| format!("{host} {port}"));
+    for (text, expected) in
+        [("0", "127.0.0.1 0"), ("7007", "127.0.0.1 7007"), ("0.0.0.0:1", "0.0.0.0 1"), ("[::1]:80", "::1 80")]
+    {
+        assert_eq!(of(text).unwrap(), expected);
+    }
+    for text in ["", "host", ":80", "host:", "70000", "host:-1"] {
+        assert!(of(text).unwrap_err().contains("0.0.0.0:7007"), "{text}");
+    }
+}

@@ -79,9 +79,10 @@ pub struct ParetoArgs {
     /// Model choices.
     #[command(flatten)]
     pub model: ModelArgs,
-    /// Background behind the scene: black, white, R,G,B from 0 to 1, or the background.json of a training run
-    #[arg(long, value_name = "WHAT", default_value_t)]
-    pub background: ShownBackground,
+    /// Background behind the scene: black, white, R,G,B from 0 to 1, or the background.json of a training run [default: that of the
+    /// scene's training]
+    #[arg(long, value_name = "WHAT")]
+    pub background: Option<ShownBackground>,
     /// Ignore the pixels that the capture's masks exclude; for scenes trained with the effect `masks`
     #[arg(long)]
     pub masks: bool,
@@ -99,16 +100,16 @@ pub struct ParetoArgs {
 /// If the capture or the scene cannot be read, no photograph is held out, a setting is broken, or the results cannot be written.
 pub fn run(args: &ParetoArgs) -> Result<()> {
     let (device, device_name) = args.device.resolve()?;
-    let background = args.background.read()?;
     let capture = input::capture(&args.capture)?;
     let (split, _) = args.photos.split(&capture);
     let views = spread(split.require_test()?, args.views);
-    let rows = input::rows(&args.scene, &capture)?;
+    let (rows, trained) = input::rows("--scene", &args.scene, &capture)?;
+    let background = ShownBackground::read(args.background.as_ref(), &args.scene, &trained)?;
     let out = prepare(args, &capture)?;
     let photos = input::photographs(&capture, &views, args.photos.max_side, args.masks)?;
     let shots: Vec<MeasuredView> = photos.iter().map(MeasuredView::from).collect();
     let extent = input::extent(&capture);
-    let base = args.model.config().render_options(extent);
+    let base = args.model.or(&trained).config().render_options(extent);
     let bench = Bench::new(&rows, shots, background.colour(), base, &device)?;
     let all = candidates(&base, splat_op::is_gpu(&device));
     progress::note(&format!("{} settings, {} views of {} splats", all.len(), photos.len(), rows.len()));
@@ -145,7 +146,10 @@ fn spread(views: &[usize], count: usize) -> Vec<usize> {
 fn prepare(args: &ParetoArgs, capture: &Capture) -> Result<OutputFolder> {
     let mut files = [&[TABLE, PAGE], &PLOT[..], &FORMATS_PLOT].concat();
     files.extend(args.train.then_some(TRAIN_PLOT).into_iter().flatten());
-    let inputs = Inputs::default().and_scene(&args.scene).and_capture(capture).and(args.background.file());
+    let inputs = Inputs::default()
+        .and_scene(&args.scene)
+        .and_capture(capture)
+        .and(args.background.as_ref().and_then(ShownBackground::file));
     OutputFolder::prepare(&args.out, inputs, &files, &[])
 }
 

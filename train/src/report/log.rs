@@ -14,10 +14,9 @@ use splat_model::trainer::{StepReport, Trainer};
 use super::history::{History, HistoryPoint, HistoryScore, Recorder};
 use super::metrics::Metrics;
 use crate::progress::{self, StepProgress};
-use crate::snapshots::Snapshots;
 
 /// Largest number of views scored during a run, spread evenly over the held-out views.
-const FEW: usize = 4;
+pub const FEW: usize = 4;
 
 /// A line of `--json`. Fields are added over time, and never renamed.
 #[derive(Serialize)]
@@ -40,13 +39,15 @@ pub struct RunLog {
     /// `[1]`: sum of the losses that were not read yet, and their number. Kept on the device, because each read would
     /// wait.
     losses: Option<(Tensor<1>, usize)>,
+    /// Time that scores have taken since the run began or was resumed, s.
+    scoring_s: f64,
 }
 
 impl RunLog {
     /// Begins the log before the next step of a run. `history` holds the earlier ones, which took `seconds`.
     pub fn new(trainer: &Trainer, history: History, seconds: f64) -> Self {
         let bar = StepProgress::new(trainer, &history);
-        Self { recorder: Recorder::new(trainer.config().steps, history, seconds), bar, losses: None }
+        Self { recorder: Recorder::new(trainer.config().steps, history, seconds), bar, losses: None, scoring_s: 0.0 }
     }
 
     /// Logs a step that the trainer has just done.
@@ -81,7 +82,6 @@ impl RunLog {
         trainer: &Trainer,
         (test, device): (&[Photograph], &Device),
         lpips: Option<&Lpips>,
-        snapshots: Option<&Snapshots>,
     ) -> Result<()> {
         let start = Instant::now();
         // The rows include the effect of smoothing, the parameters do not.
@@ -90,13 +90,8 @@ impl RunLog {
         let (background, options) = (trainer.background(), trainer.render_options());
         let every = test.len().div_ceil(FEW).max(1);
         let photos = test.iter().step_by(every).map(|photo| Ok::<_, anyhow::Error>(photo.pixels()?));
-        let taken = snapshots.map(|snapshots| snapshots.after(trainer.steps_done()));
-        let scores = evaluate_each(&splats, photos, &background, &options, lpips, |comparison, _| {
-            if let Some(taken) = &taken {
-                taken.look(comparison);
-            }
-        })?;
-        let kept = taken.map(|taken| taken.keep(&rows, &scores));
+        let scores = evaluate_each(&splats, photos, &background, &options, lpips, |_, _| {})?;
+        self.scoring_s += start.elapsed().as_secs_f64();
         let score = self.recorder.keep_score(trainer.steps_done(), &scores, start.elapsed());
         let perceived = score.lpips.map(|lpips| format!(", {lpips:.4} LPIPS")).unwrap_or_default();
         progress::note(&format!(
@@ -104,15 +99,12 @@ impl RunLog {
             score.step, score.psnr, score.ssim, score.views
         ));
         progress::line(&LogLine::Evaluation(score));
-        // A failed snapshot does not end the run: a disk that is full now may have room later.
-        let kept = kept.unwrap_or(Ok(())).and_then(|()| match snapshots {
-            Some(snapshots) => snapshots.keep_history(&self.recorder.history),
-            None => Ok(()),
-        });
-        if let Err(error) = kept {
-            progress::note(&format!("the snapshot after step {} was not saved: {error:#}", score.step));
-        }
         Ok(())
+    }
+
+    /// Returns the time that scores have taken, relative to the time of training.
+    pub fn scoring_share(&self) -> f64 {
+        self.scoring_s / self.recorder.elapsed_s()
     }
 
     /// Predicts the time that the run has left, s.

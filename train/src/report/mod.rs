@@ -99,7 +99,7 @@ pub fn say(metrics: &Metrics, scene: &str, out: &OutputFolder) {
             progress::say(&format!("after colour correction: {psnr:.2} dB PSNR, {ssim:.4} SSIM"));
             progress::say(&format!("LPIPS: {}", perceived(test)));
         }
-        None => progress::say("test: none, because `--eval-every 0` holds out no photograph"),
+        None => progress::say("test: none, because `--test-every 0` holds out no photograph"),
     }
     let seconds = &metrics.seconds;
     let train = seconds.train.map(|train| format!("training {train:.1} s, ")).unwrap_or_default();

@@ -8,12 +8,13 @@ use anyhow::Result;
 use splat_demo::DemoOptions;
 use splat_model::capture::{Capture, Split};
 
+use super::config::CONFIG;
 use super::{OUT, TrainArgs, checkpoints};
 use crate::inputs::Inputs;
 use crate::options::PhotoArgs;
 use crate::output::{self, OutputFolder};
 use crate::report::{self, BACKGROUND, METRICS, POSES, REPORT, SCENE, VIEWS};
-use crate::{demo, input, progress, reconstruct, snapshots};
+use crate::{demo, input, progress, reconstruct};
 
 /// Folder of the demo capture, below the output folder.
 const DEMO_CAPTURE: &str = "demo-capture";
@@ -51,8 +52,7 @@ pub fn open(args: &TrainArgs) -> Result<(PathBuf, Capture, Instant)> {
 /// Everything that a run reads: `source` as it was named, the capture, and the files of options. A resumed run has its own scene and does
 /// not read that of `--start`.
 pub fn inputs_of(source: Inputs, args: &TrainArgs, capture: &Capture, begins: bool) -> Inputs {
-    let inputs =
-        source.and_capture(capture).and(&args.lpips.lpips);
+    let inputs = source.and_capture(capture).and(&args.config).and(&args.lpips.lpips);
     args.start.iter().filter(|_| begins).fold(inputs, |inputs, scene| inputs.and_scene(scene))
 }
 
@@ -62,10 +62,10 @@ pub fn prepare(
     inputs: Inputs,
     (capture, split, photos): (&Capture, &Split, &PhotoArgs),
 ) -> Result<OutputFolder> {
-    let test = if photos.eval_every == Some(0) { &[][..] } else { &split.test };
+    let test = if photos.test_every == Some(0) { &[][..] } else { &split.test };
     let views = report::view_files(test.iter().map(|&view| capture.views[view].name.as_str()));
-    let files = [SCENE, METRICS, REPORT, BACKGROUND, POSES].map(PathBuf::from).into_iter().chain(views);
-    OutputFolder::prepare(out, inputs, files, &[VIEWS, checkpoints::FOLDER, snapshots::FOLDER])
+    let files = [CONFIG, SCENE, METRICS, REPORT, BACKGROUND, POSES].map(PathBuf::from).into_iter().chain(views);
+    OutputFolder::prepare(out, inputs, files, &[VIEWS, checkpoints::FOLDER])
 }
 
 /// Returns the default output folder: an empty one with the name of the capture, so that no run replaces the results of

@@ -9,20 +9,37 @@ use anyhow::{Result, anyhow};
 use glam::DAffine3;
 use splat_model::capture::Capture;
 use splat_model::effects::background::{Backdrop, Background};
-use splat_model::ply::{self, PlyError};
+use splat_model::ply::{self, PlyError, TrainedAs, WorldFrame};
 use splat_model::trainer::{TrainConfig, TrainError, Trainer};
+use splat_op::Projection;
 
 use crate::output::OutputFolder;
+use crate::progress;
 use crate::report::{BACKGROUND, METRICS, POSES, SCENE, metrics};
-use crate::snapshots::matrix_rows;
 
 /// Writes the trained scene. Returns the number of its Gaussians that cannot be rendered.
 pub fn write_scene(trainer: &Trainer, capture: &Capture, path: &Path) -> Result<usize, PlyError> {
     let scene = (trainer.gaussians().len(), trainer.gaussians().sh_degree());
     let mut unusable = 0;
     let parts = trainer.parts_of_rows().inspect(|part| unusable += part.unusable());
-    ply::write_parts(path, scene, parts, capture.world_frame())?;
+    let config = trainer.config();
+    let trained = TrainedAs {
+        antialias: config.antialias,
+        ray_max: trainer.render_options().projection == Projection::RayMax,
+        background: trainer.background().colour(),
+        environment: matches!(config.backdrop, Backdrop::Environment { .. }),
+    };
+    ply::write_parts(path, scene, parts, WorldFrame { trained, ..capture.world_frame() })?;
     Ok(unusable)
+}
+
+/// Writes the scene after a step beside the final one. A failure does not end the run: a disk that is full now may have room later.
+pub fn export(trainer: &Trainer, capture: &Capture, out: &OutputFolder) {
+    let name = format!("scene-{:06}.ply", trainer.steps_done());
+    let written = out.spared(&name).and_then(|path| Ok(write_scene(trainer, capture, &path)?));
+    if let Err(error) = written {
+        progress::note(&format!("{name} was not written: {error:#}"));
+    }
 }
 
 /// Writes what was learned beside the scene, and removes such files of an earlier run: those that hold what this function writes, where
@@ -54,7 +71,10 @@ fn read_poses(path: &Path) -> Option<BTreeMap<String, [[f64; 4]; 3]>> {
 /// the capture's file.
 fn poses_json(poses: &[(String, DAffine3)], capture: &Capture) -> serde_json::Result<String> {
     let local_from_world = DAffine3::from_translation(-capture.origin);
-    let rows = |pose: &DAffine3| matrix_rows(&(*pose * local_from_world));
+    let rows = |pose: &DAffine3| {
+        let pose = *pose * local_from_world;
+        [0, 1, 2].map(|i| [pose.x_axis[i], pose.y_axis[i], pose.z_axis[i], pose.translation[i]])
+    };
     let by_name: BTreeMap<&str, [[f64; 4]; 3]> = poses.iter().map(|(name, pose)| (name.as_str(), rows(pose))).collect();
     serde_json::to_string_pretty(&by_name)
 }

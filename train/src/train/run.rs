@@ -1,6 +1,7 @@
 //! A run, from its options or its last checkpoint to its results.
 
 use std::collections::BTreeMap;
+use std::io::Write;
 use std::path::Path;
 use std::rc::Rc;
 use std::sync::Arc;
@@ -17,6 +18,7 @@ use splat_model::trainer::{TrainConfig, Trainer};
 
 use super::budget::{self, MemoryEstimate};
 use super::checkpoints::{self, Checkpoints, RunState, SavedRun, SoFar};
+use super::config::{self, CONFIG};
 use super::folders::{inputs_of, open, prepare};
 use super::results::{write_learnt, write_scene};
 use super::start::{start_points, started};
@@ -34,7 +36,6 @@ use crate::report::log::LogLine;
 use crate::report::metrics::{Metrics, Seconds, peak_rss_mib, seconds_since};
 use crate::report::page::{self, ReportPage};
 use crate::report::{self, SCENE};
-use crate::snapshots::{Described, Snapshots};
 use crate::view::scene::{ShownScene, Viewpoint};
 use crate::{input, reconstruct};
 
@@ -67,31 +68,15 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
     to_the_end(args.clone(), None, Rc::new(Alone), change)
 }
 
-/// Runs as [`run`] does, on all ranks that were started together. With `--resume`, an unfinished run of the output folder is resumed
-/// instead, and a finished one is left alone.
+/// Runs as [`run`] does, on all ranks that were started together.
 ///
 /// # Errors
-/// Those of [`run`] and [`resume`], and if the ranks differ in version or options.
-pub fn run_or_resume(args: &TrainArgs) -> Result<()> {
+/// Those of [`run`], and if the ranks differ in version or options.
+pub fn run_together(args: &TrainArgs) -> Result<()> {
     let ranks = ranks::join()?;
     ranks::agree_on_start(&*ranks, args)?;
     if ranks.rank() > 0 {
         return ranks::follow(&ranks);
-    }
-    if let Some(out) = args.out.as_ref().filter(|_| args.resume) {
-        match checkpoints::state_of(out) {
-            RunState::Finished => {
-                progress::note(&format!("the run in {} is finished", out.display()));
-                ranks::tell::<Option<RunSetup>>(&*ranks, Some(None))?;
-                return Ok(());
-            }
-            RunState::Stopped { .. } => {
-                return resume_on(&ResumeArgs { out: out.clone(), voice: args.voice, live: args.live }, ranks)
-                    .map(drop);
-            }
-            // A run that is under way is refused by its lock.
-            RunState::New | RunState::Running { .. } => {}
-        }
     }
     to_the_end(args.clone(), None, ranks, |trainer| trainer).map(drop)
 }
@@ -104,7 +89,8 @@ pub fn resume(args: &ResumeArgs) -> Result<Metrics> {
     resume_on(args, Rc::new(Alone))
 }
 
-/// Resumes as [`resume`] does, on all ranks that were started together.
+/// Resumes as [`resume`] does, on all ranks that were started together. A run of which there is nothing but its options begins, and a
+/// finished one is left alone, so that the same line can be run again and again.
 ///
 /// # Errors
 /// Those of [`resume`], and if the ranks differ in version or options.
@@ -114,12 +100,27 @@ pub fn resume_together(args: &ResumeArgs) -> Result<()> {
     if ranks.rank() > 0 {
         return ranks::follow(&ranks);
     }
-    resume_on(args, ranks).map(drop)
+    let options = args.out.join(CONFIG);
+    match checkpoints::state_of(&args.out) {
+        RunState::Finished => {
+            progress::note(&format!("the run in {} is finished", args.out.display()));
+            ranks::tell::<Option<RunSetup>>(&*ranks, Some(None))?;
+            Ok(())
+        }
+        RunState::New if options.is_file() => {
+            let (out, voice, live) = (Some(args.out.clone()), args.voice, args.live.clone());
+            let args = TrainArgs { out, voice, live, ..config::read(&options)? };
+            to_the_end(args, None, ranks, |trainer| trainer).map(drop)
+        }
+        // A run that is under way is refused by its lock.
+        _ => resume_on(args, ranks).map(drop),
+    }
 }
 
 fn resume_on(args: &ResumeArgs, ranks: Rc<dyn Ranks>) -> Result<Metrics> {
     let kept = checkpoints::newest(&args.out)?;
-    let of_the_run = TrainArgs { out: Some(args.out.clone()), voice: args.voice, live: args.live, ..kept.args.clone() };
+    let of_the_run =
+        TrainArgs { out: Some(args.out.clone()), voice: args.voice, live: args.live.clone(), ..kept.args.clone() };
     to_the_end(of_the_run, Some(kept), ranks, |trainer| trainer)
 }
 
@@ -152,7 +153,7 @@ fn to_the_end(
     args.lpips = args.lpips.from_anywhere();
     args.start = args.start.map(std::path::absolute).transpose()?;
     let (seen, max_side) = (split.require_train()?, args.photos.max_side);
-    let mut effects = args.effects.choose(&capture, seen, args.model.antialias, max_side)?;
+    let mut effects = args.effects.choose(&capture, seen, args.model.antialias.unwrap_or_default(), max_side)?;
     effects.configure(&mut config, args.background, args.sh_degree);
     config.density = config.density.focused(capture.focus.map(Focus::on));
     if capture.points.positions.is_empty() {
@@ -174,19 +175,24 @@ fn to_the_end(
         ranks::tell(&*ranks, Some(Some(setup)))?;
         ranks::agree_on_files(&*ranks, &capture, seen)?;
     }
-    // `--eval-every 0` asks for no test; any other number that holds out no photograph is a mistake.
-    let test = if photo_args.eval_every == Some(0) { &[] } else { split.require_test()? };
+    let resolved = TrainArgs {
+        steps: args.time.is_none().then_some(config.steps),
+        sh_degree: Some(config.sh_degree),
+        effects: effects.asked_again(),
+        ..args.clone()
+    };
+    // `--test-every 0` asks for no test; any other number that holds out no photograph is a mistake.
+    let test = if photo_args.test_every == Some(0) { &[] } else { split.require_test()? };
     let (train, test) = photographs(&capture, (seen, test), &photo_args, (&effects, cache), &*ranks)?;
     ensure!(
-        args.eval_during.is_none() || !test.is_empty(),
-        "`--eval-during` scores test views, and `--eval-every 0` holds out none: leave out one of them"
+        args.eval_during.unwrap_or(0) == 0 || !test.is_empty(),
+        "`--eval-during` scores test views, and `--test-every 0` holds out none: leave out one of them"
     );
     ensure!(
         lpips.is_none() || !test.is_empty(),
-        "`--lpips` is measured on test views, and `--eval-every 0` holds out none: leave out one of them"
+        "`--lpips` is measured on test views, and `--test-every 0` holds out none: leave out one of them"
     );
     let train_views = views_of(&capture, &train);
-    let described = args.snapshots.then(|| Described::new(config.steps, &capture, &train, &test));
     progress::note(&format!(
         "{}: {} photographs to train on, {} to test on, {} points",
         capture.folder.display(),
@@ -206,7 +212,12 @@ fn to_the_end(
     // All errors in the capture have been found by now: a run that does not begin leaves no files.
     let checkpoints = Checkpoints::open(out.path())?;
     out.sweep();
-    let snapshots = described.map(|described| Snapshots::open(&out, &described, kept.is_none())).transpose()?;
+    // Without the file a run is as good.
+    let kept_options =
+        config::to_toml(&resolved).and_then(|text| out.write(CONFIG, |file| Ok(file.write_all(text.as_bytes())?)));
+    if let Err(error) = kept_options {
+        progress::note(&format!("{CONFIG} was not written: {error:#}"));
+    }
     let so_far = match kept {
         None => {
             checkpoints.begin()?;
@@ -235,7 +246,6 @@ fn to_the_end(
         test: &test,
         device: &device,
         lpips: lpips.as_ref(),
-        snapshots: snapshots.as_ref(),
         checkpoints,
         live,
         ranks,

@@ -16,7 +16,7 @@ use crate::{input, progress};
 /// If the scene cannot be read, or has more splats than the run may have.
 pub(crate) fn started(trainer: Trainer, args: &TrainArgs, capture: &Capture) -> Result<Trainer> {
     let Some(path) = &args.start else { return Ok(trainer) };
-    let (rows, _) = input::rows_of("--start", path, capture)?;
+    let (rows, _) = input::rows("--start", path, capture)?;
     ensure!(
         rows.len() <= args.max_splats,
         "{} has {} splats, and `--max-splats` is {}: name a smaller scene with `--start`, or raise `--max-splats`",

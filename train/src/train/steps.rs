@@ -1,6 +1,7 @@
 //! The steps of a run, and the work between them: taking scores, writing checkpoints, and stopping on request.
 
 use std::rc::Rc;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
 use burn::tensor::Device;
@@ -11,7 +12,7 @@ use splat_model::trainer::{TrainConfig, Trainer};
 
 use super::TrainArgs;
 use super::checkpoints::{Checkpoints, SoFar};
-use super::results::keep_scene;
+use super::results::{export, keep_scene};
 use super::stop::{Interrupted, Stop};
 use super::time_limit::{TimeLimit, set_steps};
 use crate::live::Live;
@@ -19,8 +20,30 @@ use crate::output::OutputFolder;
 use crate::progress;
 use crate::ranks::{self, Order};
 use crate::report::history::History;
-use crate::report::log::RunLog;
-use crate::snapshots::Snapshots;
+use crate::report::log::{FEW, RunLog};
+
+/// Longest time between checkpoints.
+const BETWEEN_CHECKPOINTS: Duration = Duration::from_secs(120);
+
+/// Number of scores that are taken without being asked for, and the largest share of the training time that they take.
+const SCORES: usize = 10;
+const SCORING_SHARE: f64 = 0.02;
+
+/// Whether a checkpoint is due after a step, and `since` the last one. `every` is `--checkpoint-every`.
+fn is_checkpoint_due(every: Option<usize>, step: usize, since: Duration) -> bool {
+    match every {
+        Some(0) => false,
+        every => since >= BETWEEN_CHECKPOINTS || every.is_some_and(|every| step.is_multiple_of(every)),
+    }
+}
+
+/// Whether a run that was not told when takes scores at a step: ten times, where a view that costs as much as a step keeps below the share,
+/// and as long as the measured share does.
+fn scores_by_itself((step, steps): (usize, usize), views: usize, share: f64) -> bool {
+    let cost = (SCORES * views.min(FEW)) as f64;
+    let is_turn = step * SCORES / steps > (step - 1) * SCORES / steps;
+    is_turn && views > 0 && cost <= SCORING_SHARE * steps as f64 && share <= SCORING_SHARE
+}
 
 /// Inputs of the steps.
 pub struct Steps<'a> {
@@ -31,8 +54,6 @@ pub struct Steps<'a> {
     pub device: &'a Device,
     /// LPIPS for scores during the run, if asked for.
     pub lpips: Option<&'a Lpips>,
-    /// Snapshots of the evaluations, if asked for.
-    pub snapshots: Option<&'a Snapshots<'a>>,
     pub checkpoints: Checkpoints,
     /// View in the browser, if asked for.
     pub live: Option<Live<'a>>,
@@ -60,9 +81,10 @@ impl<'a> Steps<'a> {
         let mut time_limit = self.args.time.map(TimeLimit::new);
         // The first checkpoint comes before the first step: a run killed at once can be resumed too, and an unwritable
         // folder is found now.
-        if trainer.steps_done() == 0 && self.args.checkpoint_every > 0 {
+        if trainer.steps_done() == 0 && self.args.checkpoint_every != Some(0) {
             self.checkpoints.write(trainer, self.args, &so_far)?;
         }
+        let mut written = Instant::now();
         let mut log = RunLog::new(trainer, so_far.history, so_far.seconds);
         let mut stopped_at = None;
         let mut told = trainer.config().clone();
@@ -75,8 +97,12 @@ impl<'a> Steps<'a> {
             self.order_step(trainer, &mut told)?;
             let mut evaluated = Ok(());
             let step = trainer.step_and_look(|trainer| {
-                if self.args.eval_during.is_some_and(|every| trainer.steps_done().is_multiple_of(every)) {
-                    evaluated = log.evaluate(trainer, (self.test, self.device), self.lpips, self.snapshots);
+                let (step, steps) = (trainer.steps_done(), trainer.config().steps);
+                if match self.args.eval_during {
+                    Some(every) => every > 0 && step.is_multiple_of(every),
+                    None => scores_by_itself((step, steps), self.test.len(), log.scoring_share()),
+                } {
+                    evaluated = log.evaluate(trainer, (self.test, self.device), self.lpips);
                 }
             });
             match step {
@@ -101,17 +127,17 @@ impl<'a> Steps<'a> {
             if let Some(limit) = &mut time_limit {
                 limit.adjust(trainer, self.args, &mut log)?;
             }
-            // At least one step is done, and no such number is a multiple of 0.
-            if trainer.steps_done().is_multiple_of(self.args.checkpoint_every) {
+            if self.args.export_every.is_some_and(|every| trainer.steps_done().is_multiple_of(every)) {
+                export(trainer, self.capture, self.out);
+            }
+            if is_checkpoint_due(self.args.checkpoint_every, trainer.steps_done(), written.elapsed()) {
+                written = Instant::now();
                 let (seconds, history) = (log.recorder.seconds(), log.recorder.history.clone());
                 self.checkpoints.try_write(trainer, self.args, &self.so_far(trainer, seconds, history));
             }
         }
         self.order(Order::End)?;
         let (seconds, history) = (log.recorder.seconds(), log.finish());
-        if let Some(Err(error)) = self.snapshots.map(|snapshots| snapshots.keep_history(&history)) {
-            progress::note(&format!("the last curves of the snapshots were not saved: {error:#}"));
-        }
         Ok(Done { seconds, history, checkpoints: self.checkpoints, live: self.live, stopped_at })
     }
 
@@ -153,6 +179,33 @@ impl<'a> Steps<'a> {
                 Interrupted { signal, message }.into()
             }
             Err(error) => error.context(format!("stopped after step {step}, which could not be saved")),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn checkpoints_are_due_by_steps_and_by_time() {
+        let (short, long) = (Duration::from_secs(119), Duration::from_secs(120));
+        let due =
+            |every| [(6, short), (7, short), (6, long)].map(|(step, since)| is_checkpoint_due(every, step, since));
+        assert_eq!(due(None), [false, false, true]);
+        assert_eq!(due(Some(7)), [false, true, true]);
+        assert_eq!(due(Some(0)), [false; 3]);
+    }
+
+    #[test]
+    fn ten_scores_are_taken_where_they_cost_little() {
+        let steps = |steps: usize, views: usize, share: f64| {
+            (1..=steps).filter(|&step| scores_by_itself((step, steps), views, share)).collect::<Vec<_>>()
+        };
+        assert_eq!(steps(2_000, 9, 0.0), (1..=10).map(|tenth| 200 * tenth).collect::<Vec<_>>());
+        assert_eq!(steps(505, 1, 0.02), [51, 101, 152, 202, 253, 303, 354, 404, 455, 505]);
+        for (count, views, share) in [(1_999, 4, 0.0), (499, 1, 0.0), (30_000, 0, 0.0), (30_000, 4, 0.021)] {
+            assert!(steps(count, views, share).is_empty(), "{count} {views} {share}");
         }
     }
 }

@@ -11,8 +11,8 @@ use splat_model::formats;
 
 use self::page::{SceneSource, Viewer};
 use self::scene::ShownScene;
-use self::server::{ServedFile, Server};
-use crate::{input, output, progress};
+use self::server::{LOCALHOST, ServedFile, Server};
+use crate::{output, progress};
 
 /// Options of `splat view`.
 #[derive(Clone, Debug, clap::Args)]
@@ -22,9 +22,6 @@ pub struct ViewArgs {
     /// Port of 127.0.0.1 to serve on; 0 chooses a free one
     #[arg(long, value_name = "P", default_value_t = 0)]
     pub port: u16,
-    /// Show the scene as trained with --antialias
-    #[arg(long)]
-    pub antialias: bool,
 }
 
 /// Reads the scene, prints its address, and serves it until the process is ended (Ctrl-C).
@@ -33,7 +30,7 @@ pub struct ViewArgs {
 /// If the file is missing or is not a scene, or the port is not available.
 pub fn run(args: &ViewArgs) -> Result<()> {
     // An unavailable port is found before the scene is read, which may take long.
-    let server = Server::bind(args.port, "--port")?;
+    let server = Server::bind(LOCALHOST, args.port, "--port")?;
     let pages = pages(args)?;
     progress::say(&server.url());
     progress::note(&format!("serving {} on this machine only; Ctrl-C ends it", args.scene.display()));
@@ -44,19 +41,13 @@ pub fn run(args: &ViewArgs) -> Result<()> {
 fn pages(args: &ViewArgs) -> Result<[ServedFile; 2]> {
     const SCENE: &str = "/scene.ply";
     let (scene, _) = formats::read(&args.scene).context("cannot read the scene")?;
-    input::note_antialiased(&args.scene, scene.antialiased && !args.antialias);
+    let (antialias, background) = (scene.antialiased, scene.trained.background);
     let rows = scene.rows;
     progress::note_unusable(&args.scene, rows.unusable(), rows.len());
     let scene = ShownScene::new(&rows, usize::MAX)
         .with_context(|| format!("{} cannot be shown: name another scene", args.scene.display()))?;
     drop(rows);
-    let viewer = Viewer {
-        scene: &scene,
-        source: SceneSource::Url(SCENE),
-        viewpoints: &[],
-        background: [0.0; 3],
-        antialias: args.antialias,
-    };
+    let viewer = Viewer { scene: &scene, source: SceneSource::Url(SCENE), viewpoints: &[], background, antialias };
     let name = output::last_name(&args.scene);
     let html = viewer.page(&name)?;
     Ok([

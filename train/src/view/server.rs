@@ -1,8 +1,7 @@
-//! HTTP server of fixed paths, for this machine only.
+//! HTTP server of fixed paths: for this machine only, or for those who have the token in its address.
 
 use std::borrow::Cow;
 use std::io::ErrorKind;
-use std::net::Ipv4Addr;
 
 use anyhow::{Result, anyhow};
 use tiny_http::{Header, Method, Request, Response};
@@ -36,27 +35,39 @@ impl Site for [ServedFile] {
     }
 }
 
-/// A server that listens on 127.0.0.1.
+/// A server that listens on 127.0.0.1, or on another address with a token at the beginning of every path.
 pub struct Server {
     http: tiny_http::Server,
+    host: String,
     port: u16,
+    /// Empty on 127.0.0.1.
+    token: String,
 }
 
+/// Address of this machine alone.
+pub const LOCALHOST: &str = "127.0.0.1";
+
 impl Server {
-    /// Begins to listen on a port; 0 chooses a free one. `option` is the option that names the port.
+    /// Begins to listen on a port of an address; 0 chooses a free one. `option` is the option that names them.
     ///
     /// # Errors
-    /// If the port is taken, or this user may not use it.
-    pub fn bind(port: u16, option: &str) -> Result<Self> {
-        let http =
-            tiny_http::Server::http((Ipv4Addr::LOCALHOST, port)).map_err(|error| refused(port, &*error, option))?;
+    /// If the port is taken, this user may not use it, or this machine does not have the address.
+    pub fn bind(host: &str, port: u16, option: &str) -> Result<Self> {
+        let http = tiny_http::Server::http((host, port)).map_err(|error| refused((host, port), &*error, option))?;
         let port = http.server_addr().to_ip().map_or(port, |address| address.port());
-        Ok(Self { http, port })
+        let token = if host == LOCALHOST { String::new() } else { format!("{:032x}", rand::random::<u128>()) };
+        Ok(Self { http, host: host.to_owned(), port, token })
     }
 
-    /// Returns the URL of the server.
+    /// Returns the URL of the server. Where it listens on all addresses, it has the name of this machine.
     pub fn url(&self) -> String {
-        format!("http://127.0.0.1:{}/", self.port)
+        let host = match self.host.as_str() {
+            "0.0.0.0" | "::" => sysinfo::System::host_name().unwrap_or_else(|| self.host.clone()),
+            host if host.contains(':') => format!("[{host}]"),
+            host => host.to_owned(),
+        };
+        let token = if self.token.is_empty() { String::new() } else { format!("{}/", self.token) };
+        format!("http://{host}:{}/{token}", self.port)
     }
 
     /// Answers requests until the process ends, or [`Self::close`] is called.
@@ -76,17 +87,24 @@ impl Server {
     }
 
     fn respond(&self, request: Request, site: &(impl Site + ?Sized)) {
-        let path = request.url().split(['?', '#']).next().unwrap_or_default();
+        let asked = request.url().split(['?', '#']).next().unwrap_or_default();
+        let path = match self.token.as_str() {
+            "" => Some(asked),
+            token => asked.strip_prefix('/').and_then(|asked| asked.strip_prefix(token)),
+        };
+        let path = path.filter(|path| path.starts_with('/'));
         let text = |status, text: &'static str| (status, "text/plain", Cow::Borrowed(text.as_bytes()));
         let (status, kind, content) = match request.method() {
             // A page elsewhere may let its own host name resolve to this address, to read the content here.
-            _ if !self.is_for_us(&request) => text(403, "this server answers to 127.0.0.1 only\n"),
-            Method::Get | Method::Head => match site.get(path) {
+            _ if self.token.is_empty() && !self.is_for_us(&request) => {
+                text(403, "this server answers to 127.0.0.1 only\n")
+            }
+            Method::Get | Method::Head => match path.and_then(|path| site.get(path)) {
                 Some((kind, content)) => (200, kind, content),
                 None => text(404, "there is no such page\n"),
             },
             // A page elsewhere can send a request without reading its answer.
-            Method::Post if self.is_from_us(&request) && site.act(path) => text(200, "done\n"),
+            Method::Post if self.is_from_us(&request) && path.is_some_and(|path| site.act(path)) => text(200, "done\n"),
             _ => text(405, "only GET\n"),
         };
         let headers = [
@@ -107,14 +125,16 @@ impl Server {
         headers(request, "Host").all(|host| self.is_own_host(host))
     }
 
-    /// Whether the page that sent a request is one of this server; programs that are no browsers name no origin.
+    /// Whether the page that sent a request is one of this server: it has the token, or else its origin; programs that are no browsers name
+    /// no origin.
     fn is_from_us(&self, request: &Request) -> bool {
-        headers(request, "Origin")
-            .all(|origin| origin.strip_prefix("http://").is_some_and(|host| self.is_own_host(host)))
+        !self.token.is_empty()
+            || headers(request, "Origin")
+                .all(|origin| origin.strip_prefix("http://").is_some_and(|host| self.is_own_host(host)))
     }
 
     fn is_own_host(&self, host: &str) -> bool {
-        ["127.0.0.1", "localhost"].iter().any(|name| {
+        [LOCALHOST, "localhost"].iter().any(|name| {
             // The default port of HTTP is omitted.
             host == format!("{name}:{}", self.port) || (self.port == 80 && host == *name)
         })
@@ -127,15 +147,18 @@ fn headers<'a>(request: &'a Request, name: &'static str) -> impl Iterator<Item =
 }
 
 /// Describes why a port is not available.
-fn refused(port: u16, error: &(dyn std::error::Error + Send + Sync + 'static), option: &str) -> anyhow::Error {
+fn refused(
+    (host, port): (&str, u16),
+    error: &(dyn std::error::Error + Send + Sync + 'static),
+    option: &str,
+) -> anyhow::Error {
     let why = match error.downcast_ref::<std::io::Error>().map(std::io::Error::kind) {
         Some(ErrorKind::AddrInUse) => "another program has it".to_owned(),
+        Some(ErrorKind::AddrNotAvailable) => "this machine does not have that address".to_owned(),
         Some(ErrorKind::PermissionDenied) => "this user may not have it".to_owned(),
         _ => error.to_string(),
     };
-    anyhow!(
-        "cannot listen on port {port} of 127.0.0.1: {why}: choose another with `{option}`, or 0 for any that is free"
-    )
+    anyhow!("cannot listen on port {port} of {host}: {why}: choose another with `{option}`, or 0 for any that is free")
 }
 
 #[cfg(test)]

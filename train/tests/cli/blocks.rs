@@ -113,9 +113,6 @@ fn blocks_start_from_a_coarse_scene_of_the_whole() {
     assert_eq!(scored["options"]["max_side"], 32);
     let capture = Capture::load(&TOWN).unwrap();
     assert_eq!(scored["test"]["views"].as_array().unwrap().len(), Split::of(&capture, None).test.len());
-    let jobs = fs::read_to_string(IN_TURN.join("jobs.txt")).unwrap();
-    let start = format!(" --start '{}' ", text(&scene));
-    assert!(jobs.lines().all(|line| line.contains(&start)), "{jobs}");
     assert_eq!(json(&IN_TURN.join("block-1/run/metrics.json"))["options"]["start"], text(&scene));
 
     let after_one_step = |start: &[&str]| {
@@ -187,8 +184,8 @@ fn blocks_run_under_gnu_parallel_and_survive_a_kill() {
     };
     let mut running = parallel().spawn().unwrap();
     let start = Instant::now();
-    let killed = out.join("block-1").canonicalize().unwrap();
-    let begun = || fs::read_dir(killed.join("run/checkpoints")).is_ok_and(|entries| entries.count() > 1);
+    let killed = out.join("block-1/run").canonicalize().unwrap();
+    let begun = || fs::read_dir(killed.join("checkpoints")).is_ok_and(|entries| entries.count() > 1);
     while !begun() {
         assert!(start.elapsed() < Duration::from_secs(120) && running.try_wait().unwrap().is_none(), "no checkpoint");
         std::thread::sleep(Duration::from_millis(5));
@@ -241,7 +238,12 @@ fn the_splats_of_a_block_decide_the_number_of_blocks() {
     // 1.3 times 2,000 splats in blocks of 900.
     let jobs = fs::read_to_string(out.join("jobs.txt")).unwrap();
     assert_eq!(jobs.lines().count(), 3);
-    assert!(jobs.lines().all(|line| line.contains("--max-splats=900") && line.contains(" --resume ")), "{jobs}");
-    assert!(!jobs.contains("--start") && !out.join("coarse").exists(), "{jobs}");
+    for (block, line) in jobs.lines().enumerate() {
+        let run = out.canonicalize().unwrap().join(format!("block-{block}/run"));
+        assert!(line.contains(&format!(" resume '{}'", text(&run))), "{line}");
+        let options = fs::read_to_string(run.join("run.toml")).unwrap();
+        assert!(options.contains("\nmax_splats = 900\n") && !options.contains("start ="), "{options}");
+    }
+    assert!(!out.join("coarse").exists());
     assert_eq!(status(&out).matches("waiting").count(), 3);
 }

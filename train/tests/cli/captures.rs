@@ -45,7 +45,7 @@ fn what_is_not_used_is_said_by_every_command_that_reads_a_capture() {
     let said = [
         trained(capture.path(), &[]),
         succeed(&mut splat(&["inspect", text(capture.path())])).stderr,
-        succeed(&mut splat(&["info", text(capture.path())])).stdout,
+        succeed(&mut splat(&["inspect", text(capture.path())])).stdout,
     ];
     for said in said {
         for part in [masks, "not used: stereo/"] {
@@ -128,7 +128,7 @@ fn scenes_in_archives_and_of_other_programs_are_named() {
         (packed("scene.ksplat", &[0; 4096]), ["a scene in the format .ksplat", "SuperSplat"]),
     ] {
         refuse(&mut splat(&["convert", text(&path), text(&folder.path().join("out.ply"))]), &parts);
-        refuse(&mut splat(&["info", text(&path)]), &parts);
+        refuse(&mut splat(&["inspect", text(&path)]), &parts);
     }
     // What a name says does not matter where the content is a scene.
     let path = packed("scene.jpg", &scene);

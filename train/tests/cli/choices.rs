@@ -50,11 +50,13 @@ fn one_evaluates_and_renders_as_one_trained() {
         succeed(&mut splat(&[&always[..], options].concat()));
         psnr(&out)
     };
-    assert!((eval(&CHOICES) - psnr(&ALONG_RAYS)).abs() < 1e-4);
+    // The scene's file states the projection.
+    assert!((eval(&CHOICES[2..]) - psnr(&ALONG_RAYS)).abs() < 1e-4);
     let dials = &json(&out.join("metrics.json"))["options"]["dials"];
     assert_eq!(*dials, serde_json::json!({"order": "per-pixel-sort", "projection": "ray-max"}));
-    assert!((eval(&[]) - psnr(&ALONG_RAYS)).abs() > 1e-3, "the choices make no difference");
-    assert!((eval(&CHOICES[..2]) - psnr(&ALONG_RAYS)).abs() > 1e-4, "the order makes none");
+    let affine = ["--projection", "affine"];
+    assert!((eval(&affine) - psnr(&ALONG_RAYS)).abs() > 1e-3, "the choices make no difference");
+    assert!((eval(&[]) - psnr(&ALONG_RAYS)).abs() > 1e-4, "the order makes none");
     let picture = |options: &[&str], name: &str| {
         let out = folder.path().join(name);
         let always =
@@ -62,7 +64,8 @@ fn one_evaluates_and_renders_as_one_trained() {
         succeed(&mut splat(&[&always[..], options].concat()));
         fs::read(out.join("0000.png")).unwrap()
     };
-    assert_ne!(picture(&CHOICES, "rays"), picture(&[], "plain"));
+    assert_eq!(picture(&CHOICES, "rays"), picture(&CHOICES[2..], "stated"));
+    assert_ne!(picture(&[], "rays"), picture(&affine, "plain"));
 }
 
 #[test]
@@ -78,7 +81,7 @@ fn rays_go_through_a_lens() {
         succeed(&mut splat(&[&eval[..], choice].concat()));
         let chosen = psnr(&again);
         assert!((chosen - psnr(&out)).abs() < 1e-4, "{choice:?}");
-        succeed(&mut splat(&eval));
+        succeed(splat(&eval).args(["--projection", "affine", "--order", "centre-depth"]));
         assert!((psnr(&again) - chosen).abs() > 1e-6, "{choice:?} makes no difference");
     }
 }
@@ -88,4 +91,39 @@ fn rays_do_not_go_with_what_changes_ellipses() {
     let folder = tempfile::tempdir().unwrap();
     let train = ["train", text(&DEMO), "--steps", "3", "--out", text(folder.path()), "--effects", "motion-blur"];
     refuse(&mut splat(&[&train[..], &CHOICES].concat()), &["motion blur", "--projection ray-max", "--effects=-NAME"]);
+}
+
+/// Nothing is said twice: the scene's file states the background, antialiasing and the projection of its training.
+#[test]
+fn a_scene_is_shown_as_it_was_trained() {
+    let (folder, trained) =
+        (tempfile::tempdir().unwrap(), train("stated", &["--antialias", "--background", "0.5,0.1,1"]));
+    let scene = trained.join("scene.ply");
+    let psnr_of = |scene: &Path, options: &[&str]| {
+        let out = folder.path().join("eval");
+        let eval = ["eval", text(&DEMO), "--scene", text(scene), "--max-side", "48", "--out", text(&out)];
+        succeed(splat(&eval).args(options));
+        psnr(&out)
+    };
+    assert!((psnr_of(&scene, &[]) - psnr(&trained)).abs() < 1e-4);
+    for other in [&["--antialias=false"][..], &["--background", "white"]] {
+        assert!((psnr_of(&scene, other) - psnr(&trained)).abs() > 1e-3, "{other:?} makes no difference");
+    }
+    let header = String::from_utf8_lossy(&fs::read(&scene).unwrap()[..600]).into_owned();
+    let stated =
+        r#"splat trained as {"antialias":true,"ray_max":false,"background":[0.5,0.1,1.0],"environment":false}"#;
+    assert!(header.contains(stated), "{header}");
+    let said = succeed(&mut splat(&["inspect", text(&scene)])).stdout;
+    assert!(said.contains(r#""background":[0.5,0.1,1.0]"#), "{said}");
+    let other = folder.path().join("scene.compressed.ply");
+    succeed(&mut splat(&["convert", text(&scene), text(&other)]));
+    assert!(String::from_utf8_lossy(&fs::read(&other).unwrap()[..600]).contains(stated));
+    // What no run wrote is named.
+    let broken = folder.path().join("broken.ply");
+    let text_of = fs::read(&scene).unwrap();
+    let at = text_of.windows(5).position(|bytes| bytes == b"0.5,0").unwrap();
+    let mut bytes = text_of;
+    bytes[at..at + 3].copy_from_slice(b"0,5");
+    fs::write(&broken, bytes).unwrap();
+    refuse(&mut splat(&["inspect", text(&broken)]), &["broken.ply", "splat trained as", "remove that line"]);
 }

@@ -72,7 +72,7 @@ fn effects_are_adjusted_recorded_and_measured() {
     let evaluated = folder.path().join("evaluated");
     let arguments = ["eval", text(&capture), "--scene", text(&scene), "--out", text(&evaluated)];
     let psnr = |arguments: &[&str]| {
-        succeed(splat(arguments).args(["--eval-every", "8"]));
+        succeed(splat(arguments).args(["--test-every", "8"]));
         json(&evaluated.join("metrics.json"))["test"]["psnr"].as_f64().unwrap()
     };
     let trained = metrics["test"]["psnr"].as_f64().unwrap();
@@ -142,7 +142,7 @@ fn what_is_learnt_beside_the_scene_lies_beside_it() {
     let scores = out.join("scores");
     let scene = out.join("scene.ply");
     let eval = ["eval", text(&DEMO), "--scene", text(&scene), "--out", text(&scores)];
-    succeed(splat(&eval).args(["--background", text(&background)]));
+    succeed(&mut splat(&eval));
     let psnr = |metrics: &Value| metrics["test"]["psnr"].as_f64().unwrap();
     let (found, expected) = (psnr(&json(&scores.join("metrics.json"))), psnr(&metrics));
     assert!((found - expected).abs() < 1e-3, "{found} instead of {expected} dB");
@@ -153,39 +153,6 @@ fn what_is_learnt_beside_the_scene_lies_beside_it() {
     // Files that a run did not write are not left over from the run before it.
     train(&["--effects", "none"]);
     assert!(!background.exists() && !out.join("poses.json").exists());
-}
-
-#[test]
-fn effects_are_measured_on_captures_that_show_them() {
-    let out = tempfile::tempdir().unwrap();
-    let said = succeed(&mut splat(&["effects", "--quick", "--case", "masks", "--out", text(out.path())])).stdout;
-    assert!(said.contains("| `--masks` | masks |"), "{said}");
-    let page = std::fs::read_to_string(out.path().join("EFFECTS.md")).unwrap();
-    assert!(page.contains("| `--masks` | masks |"), "{page}");
-    refuse(splat(&["effects", "--case", "fog", "--out", text(out.path())]).arg("--quick"), &["\"fog\"", "masks"]);
-    std::fs::write(out.path().join("EFFECTS.md"), "Mine.").unwrap();
-    let again = ["effects", "--quick", "--case", "masks", "--out", text(out.path())];
-    refuse(&mut splat(&again), &["EFFECTS.md", "no marks"]);
-}
-
-/// Text around the figures of the documentation stays when they are measured again.
-#[test]
-fn the_page_of_the_documentation_can_take_new_figures() {
-    let folder = tempfile::tempdir().unwrap();
-    let page = concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/EFFECTS.md");
-    let copy = folder.path().join("EFFECTS.md");
-    let old = std::fs::read_to_string(page).unwrap();
-    std::fs::write(&copy, &old).unwrap();
-    succeed(&mut splat(&["effects", "--quick", "--case", "masks", "--out", text(folder.path())]));
-    let new = std::fs::read_to_string(&copy).unwrap();
-    let prose = |page: &str| {
-        let (before, rest) = page.split_once("begin -->").unwrap();
-        let (figures, after) = rest.split_once("<!-- measured").unwrap();
-        (before.to_owned(), after.to_owned(), figures.lines().filter(|line| line.starts_with('|')).count())
-    };
-    let ((before, after, lines), (before_new, after_new, lines_new)) = (prose(&old), prose(&new));
-    assert!(before == before_new && after == after_new);
-    assert_eq!((lines > 10, lines_new), (true, 3), "a head, a rule and one case");
 }
 
 #[test]

@@ -157,9 +157,9 @@ fn no_views_to_test_or_train_on() {
     let folder = tempfile::tempdir().unwrap();
     let scene = TRAINED.join("scene.ply");
     let arguments = ["eval", text(&DEMO), "--scene", text(&scene), "--out", text(folder.path())];
-    refuse(splat(&arguments).args(["--eval-every", "0"]), &["8 views", "--eval-every"]);
+    refuse(splat(&arguments).args(["--test-every", "0"]), &["8 views", "--test-every"]);
     let arguments = ["train", text(&DEMO), "--steps", "1", "--out", text(folder.path())];
-    refuse(splat(&arguments).args(["--eval-every", "1"]), &["8 views", "--eval-every"]);
+    refuse(splat(&arguments).args(["--test-every", "1"]), &["8 views", "--test-every"]);
 }
 
 #[test]
@@ -169,7 +169,7 @@ fn a_single_photograph_cannot_be_split() {
     let capture = copy();
     let read = Capture::load(capture.path()).unwrap();
     write_binary(capture.path(), &read.views[..1], &read.points).unwrap();
-    refuse_capture(capture.path(), &["the 1 view is held out", "`--eval-every 0`", "add photographs"]);
+    refuse_capture(capture.path(), &["the 1 view is held out", "`--test-every 0`", "add photographs"]);
 }
 
 #[test]

@@ -40,7 +40,7 @@ const fn case(line: &'static str, input: &'static str, folder: Option<&'static s
     Case { line, input, folder }
 }
 
-const TRAIN: &str = "train cap --out OUT --steps 2 --eval-every 8 --effects none --device cpu";
+const TRAIN: &str = "train cap --out OUT --steps 2 --test-every 8 --effects none --device cpu";
 
 /// Every subcommand that reads and writes.
 fn cases() -> Vec<Case> {
@@ -48,7 +48,13 @@ fn cases() -> Vec<Case> {
         case(TRAIN, "cap/scene.ply", Some("cap")),
         case("train colmap --out OUT --steps 2 --effects none --device cpu", "colmap/views/0000.png", Some("colmap")),
         case("train colmap --start given/scene.ply --out OUT --steps 2 --device cpu", "given/scene.ply", Some("given")),
+        case("train colmap --config given/run.toml --out OUT --device cpu", "given/run.toml", Some("given")),
         case("resume OUT", "cap/scene.ply", Some("cap")),
+        case(
+            "render --scene given/scene.ply --capture cap --path orbit --video OUT --device cpu",
+            "given/scene.ply",
+            None,
+        ),
         case(
             "render --scene given/scene.ply --capture colmap --view all --out OUT --device cpu",
             "colmap/views/0000.png",
@@ -92,7 +98,7 @@ fn cases() -> Vec<Case> {
 }
 
 /// Subcommands that write no file, or read none beside the one that they renew.
-const OTHERS: [&str; 9] = ["view", "info", "inspect", "effects", "hard-cases", "devices", "completions", "man", "help"];
+const OTHERS: [&str; 7] = ["view", "inspect", "hard-cases", "devices", "completions", "man", "help"];
 
 /// The inputs of all commands, below one folder.
 fn inputs() -> TempDir {
@@ -112,11 +118,11 @@ fn inputs() -> TempDir {
     for name in ["scene.ply", "metrics.json", "pareto.csv"] {
         fs::copy(TRAINED.join("scene.ply"), path("given").join(name)).unwrap();
     }
+    fs::write(path("given/run.toml"), "steps = 2").unwrap();
     fs::write(path("given/pareto.md"), "{\"colour\": [0, 0, 0]}").unwrap();
     let plan = "blocks plan cap --out blocks --blocks 2 --coarse-steps 0 -- --steps 4 --effects none";
     succeed(splat(&plan.split(' ').collect::<Vec<_>>()).current_dir(root.path()));
     for block in ["blocks/block-0/run", "blocks/block-1/run"] {
-        fs::create_dir(path(block)).unwrap();
         fs::write(path(block).join("metrics.json"), "{}").unwrap();
         fs::copy(TRAINED.join("scene.ply"), path(block).join("scene.ply")).unwrap();
     }
@@ -159,7 +165,7 @@ fn write_json(folder: &Path, demo: &Capture) {
 
 /// A checkpoint of step 0: that run failed in the next step.
 fn checkpoint(root: &Path) -> PathBuf {
-    let line = "train cap --out failed --steps 16 --opacity-weight 1e300 --eval-every 8 --effects none";
+    let line = "train cap --out failed --steps 16 --opacity-weight 1e300 --test-every 8 --effects none";
     let ended = end(splat(&line.split(' ').collect::<Vec<_>>()).current_dir(root));
     assert!(ended.code == Some(1) && ended.stderr.contains("not finite"), "{}", ended.stderr);
     root.join("failed/checkpoints")

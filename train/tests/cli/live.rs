@@ -98,7 +98,7 @@ fn a_port_that_is_taken_is_named() {
     let out = fresh("live-taken");
     refuse(
         &mut splat(&["train", &format!("--live={port}"), text(&DEMO), "--out", text(&out)]),
-        &[&port, "another program has it", "--live=PORT"],
+        &[&port, "another program has it", "--live=[HOST:]PORT"],
     );
     assert!(!out.exists());
 }

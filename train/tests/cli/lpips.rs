@@ -98,8 +98,8 @@ fn weights_that_are_none_are_refused_before_anything_is_written() {
     let run = ["--lpips", text(&weights), "--out", text(&out)];
     refuse(splat(&TRAIN).arg(DEMO.as_path()).args(run), &["weights.safetensors", "docs/METRICS.md"]);
     refuse(
-        splat(&["train", "--eval-every", "0", "--lpips", text(&WEIGHTS), "--out", text(&out)]).arg(DEMO.as_path()),
-        &["--lpips", "--eval-every"],
+        splat(&["train", "--test-every", "0", "--lpips", text(&WEIGHTS), "--out", text(&out)]).arg(DEMO.as_path()),
+        &["--lpips", "--test-every"],
     );
     assert_eq!(files(folder.path()), ["weights.safetensors".to_owned()].into());
 }

@@ -10,9 +10,9 @@ mod effects;
 mod errors;
 mod export;
 mod hard_cases;
-mod info;
 #[cfg(unix)]
 mod inputs;
+mod inspect;
 mod live;
 mod lpips;
 mod memory;
@@ -36,7 +36,7 @@ use std::path::Path;
 use image::GenericImageView;
 use serde_json::Value;
 
-use run::{DEMO, TRAIN, TRAINED, refuse, splat, succeed};
+use run::{DEMO, TRAIN, TRAINED, end, refuse, splat, succeed};
 
 /// The first and only test view of eight: every eighth by name, beginning with the first.
 const TEST_VIEW: &str = "0000.png";
@@ -69,7 +69,10 @@ fn text(path: &Path) -> &str {
 #[test]
 fn training_writes_the_scene_its_scores_and_its_pictures() {
     let out = TRAINED.as_path();
-    assert_eq!(files(out), ["metrics.json", "report.html", "scene.ply", "views/0000.png"].map(String::from).into());
+    assert_eq!(
+        files(out),
+        ["metrics.json", "report.html", "run.toml", "scene.ply", "views/0000.png"].map(String::from).into()
+    );
     let metrics = json(&out.join("metrics.json"));
     let expected = ["test", "splats", "culled_non_finite", "steps", "seconds", "peak_rss_mib", "device", "seed"];
     assert_eq!(keys(&metrics), expected.into_iter().chain(["effects", "options", "version"]).collect());
@@ -85,7 +88,7 @@ fn training_writes_the_scene_its_scores_and_its_pictures() {
     assert_eq!((&metrics["steps"], &metrics["seed"]), (&16.into(), &7.into()));
     assert_eq!(metrics["device"], "flex");
     assert_eq!(metrics["version"], env!("CARGO_PKG_VERSION"));
-    assert_eq!(metrics["options"]["eval_every"], 8);
+    assert_eq!(metrics["options"]["test_every"], 8);
     assert_eq!(metrics["options"]["max_side"], 64);
     assert_eq!(metrics["options"]["density"]["max_splats"], 1_000_000);
     assert_eq!(metrics["options"]["capture"], text(&DEMO));
@@ -148,16 +151,16 @@ fn auto_says_what_it_takes() {
 fn a_second_run_replaces_the_first() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path();
-    succeed(splat(&TRAIN).args(["--eval-every", "2", "--out", text(out)]).arg(DEMO.as_path()));
+    succeed(splat(&TRAIN).args(["--test-every", "2", "--out", text(out)]).arg(DEMO.as_path()));
     let views = ["0000", "0002", "0004", "0006"].map(|name| format!("views/{name}.png"));
-    let others = ["metrics.json", "report.html", "scene.ply"].map(String::from);
+    let others = ["metrics.json", "report.html", "run.toml", "scene.ply"].map(String::from);
     assert_eq!(files(out), views.into_iter().chain(others).collect());
     // None of these is as this program writes it.
     let mine = ["views/mine.png", "views/0002.png", "poses.json", "background.json", ".mine.tmp-aB3dE9"];
     mine.iter().for_each(|name| fs::write(out.join(name), "kept").unwrap());
 
     succeed(splat(&TRAIN).args(["--out", text(out)]).arg(DEMO.as_path()));
-    let expected = ["metrics.json", "report.html", "scene.ply", "views/0000.png"];
+    let expected = ["metrics.json", "report.html", "run.toml", "scene.ply", "views/0000.png"];
     assert_eq!(files(out), expected.into_iter().chain(mine).map(String::from).collect());
     assert!(mine.iter().all(|name| fs::read_to_string(out.join(name)).is_ok_and(|text| text == "kept")));
     // The same seed gives the same scene, to the last bit.
@@ -169,7 +172,7 @@ fn without_a_folder_no_run_replaces_another() {
     let folder = tempfile::tempdir().unwrap();
     let train = |arguments: &[&str], said: &str| {
         let ended = succeed(
-            splat(&[&["train", "--steps", "1", "--eval-every", "0"], arguments].concat()).current_dir(folder.path()),
+            splat(&[&["train", "--steps", "1", "--test-every", "0"], arguments].concat()).current_dir(folder.path()),
         );
         assert!(ended.stderr.contains(said), "{said:?} is not in: {}", ended.stderr);
     };
@@ -185,7 +188,7 @@ fn without_a_folder_no_run_replaces_another() {
     assert!(folder.path().join("out/demo-4/demo-capture").is_dir());
     assert!(scene("demo") == first && scene("demo-3") != scene("demo-4"), "a run has replaced another");
     assert_eq!(files(&folder.path().join("out/demo-2")), [].into());
-    let mut inside = splat(&["train", ".", "--steps", "1", "--eval-every", "0"]);
+    let mut inside = splat(&["train", ".", "--steps", "1", "--test-every", "0"]);
     fs::create_dir_all(folder.path().join("mine")).unwrap();
     succeed(
         splat(&["demo", "--views", "4", "--width", "40", "--height", "40", "--out"])
@@ -198,9 +201,9 @@ fn without_a_folder_no_run_replaces_another() {
 #[test]
 fn zero_holds_out_no_view_and_measures_none() {
     let folder = tempfile::tempdir().unwrap();
-    succeed(splat(&TRAIN).args(["--eval-every", "0", "--out", text(folder.path())]).arg(DEMO.as_path()));
+    succeed(splat(&TRAIN).args(["--test-every", "0", "--out", text(folder.path())]).arg(DEMO.as_path()));
     assert_eq!(json(&folder.path().join("metrics.json"))["test"], Value::Null);
-    assert_eq!(files(folder.path()), ["metrics.json", "report.html", "scene.ply"].map(String::from).into());
+    assert_eq!(files(folder.path()), ["metrics.json", "report.html", "run.toml", "scene.ply"].map(String::from).into());
 }
 
 #[test]
@@ -218,7 +221,7 @@ fn evaluation_repeats_the_scores_of_training() {
     }
     let mut expected = files(TRAINED.as_path());
     // The report describes the training, of which `eval` knows nothing.
-    assert!(expected.remove("report.html"));
+    assert!(expected.remove("report.html") && expected.remove("run.toml"));
     assert_eq!(files(folder.path()), expected);
     assert_eq!(fs::read(folder.path().join("scene.ply")).unwrap(), fs::read(&scene).unwrap());
 }
@@ -263,6 +266,54 @@ fn every_format_of_a_render_holds_the_same_picture() {
     }
 }
 
+/// A program with the name of ffmpeg that runs these lines of a shell, first on the PATH.
+#[cfg(unix)]
+fn with_ffmpeg(command: &mut std::process::Command, folder: &Path, script: &str) {
+    use std::os::unix::fs::PermissionsExt;
+    let program = folder.join("ffmpeg");
+    fs::write(&program, format!("#!/bin/sh\nfor last; do :; done\n{script}\n")).unwrap();
+    fs::set_permissions(&program, fs::Permissions::from_mode(0o755)).unwrap();
+    command.env("PATH", format!("{}:/usr/bin:/bin", folder.display()));
+}
+
+#[cfg(unix)]
+#[test]
+fn a_path_becomes_a_video_by_ffmpeg() {
+    let folder = tempfile::tempdir().unwrap();
+    let (scene, video) = (TRAINED.join("scene.ply"), folder.path().join("out/orbit.mp4"));
+    let orbit = ["render", "--scene", text(&scene), "--capture", text(&DEMO), "--path", "orbit", "--frames", "3"];
+    let to_video = || {
+        let mut command = splat(&orbit);
+        command.args(["--fps", "24", "--video", text(&video)]);
+        command
+    };
+    let mut command = to_video();
+    with_ffmpeg(&mut command, folder.path(), "echo \"$@\" > \"$0.said\"; cat > \"$last\"");
+    assert_eq!(succeed(&mut command).stdout.trim(), text(&video));
+    let said = fs::read_to_string(folder.path().join("ffmpeg.said")).unwrap();
+    assert!(said.contains("-s 64x48 -r 24") && said.trim().ends_with(".partial-orbit.mp4"), "{said}");
+    // The same pictures, in files.
+    let pictures = folder.path().join("pictures");
+    succeed(splat(&orbit).args(["--out", text(&pictures)]));
+    assert_eq!(files(&pictures), ["0000.png", "0001.png", "0002.png"].map(String::from).into());
+    let picture = |name: &str| image::open(pictures.join(name)).unwrap().into_rgb8().into_raw();
+    assert!(fs::read(&video).unwrap() == [picture("0000.png"), picture("0001.png"), picture("0002.png")].concat());
+    assert!(picture("0000.png") != picture("0001.png"));
+    // What goes wrong leaves the file that was there, and nothing else.
+    for (script, part) in [("echo no encoder >&2; exit 3", "no encoder"), ("cat > \"$last\"; exit 1", "exit status: 1")]
+    {
+        let mut command = to_video();
+        with_ffmpeg(&mut command, folder.path(), script);
+        refuse(&mut command, &["cannot encode", "orbit.mp4", part]);
+        assert_eq!(files(&folder.path().join("out")), ["orbit.mp4".to_owned()].into());
+    }
+    refuse(
+        to_video().env("PATH", folder.path().join("pictures")),
+        &["`--video` needs ffmpeg", "apt install", "--out DIR"],
+    );
+    assert_eq!(end(splat(&orbit).args(["--view", "all", "--out", "x"])).code, Some(2));
+}
+
 #[test]
 fn without_a_capture_the_demo_is_made_once_and_trained_on() {
     let folder = tempfile::tempdir().unwrap();
@@ -280,7 +331,7 @@ fn without_a_capture_the_demo_is_made_once_and_trained_on() {
 #[test]
 fn help_names_every_subcommand_and_default() {
     let help = succeed(&mut splat(&["--help"])).stdout;
-    for name in ["train", "resume", "eval", "render", "demo", "devices"] {
+    for name in ["train", "resume", "eval", "render", "inspect", "devices"] {
         assert!(help.contains(name), "{help}");
     }
     // Lines may be wrapped anywhere.

@@ -165,7 +165,7 @@ fn what_cannot_be_measured_is_refused() {
     };
     let missing = folder.path().join("none.ply");
     refuse(&mut pareto(&missing, &[]), &[text(&missing), "--scene"]);
-    refuse(&mut pareto(&scene, &["--eval-every", "0"]), &["8 views", "--eval-every"]);
+    refuse(&mut pareto(&scene, &["--test-every", "0"]), &["8 views", "--test-every"]);
     assert!(!out.exists(), "no folder is made for a run that cannot start");
     let unknown = end(&mut splat(&["pareto", "capture", "--scene", "a", "--out", "b", "--device", "abacus"]));
     assert!(unknown.code == Some(2) && unknown.stderr.contains("abacus"), "{unknown:?}");

@@ -74,8 +74,13 @@ fn three_and_the_validator_of_khronos_accept_our_gltf() {
     let Some(folder) = readers() else { return };
     let scratch = tempfile::tempdir().unwrap();
     let path = scratch.path().join("scene.glb");
-    let scene =
-        SceneFile { rows: scene(), origin: [1e6, 0.0, 0.0].into(), metres_per_unit: Some(0.5), antialiased: true };
+    let scene = SceneFile {
+        rows: scene(),
+        origin: [1e6, 0.0, 0.0].into(),
+        metres_per_unit: Some(0.5),
+        antialiased: true,
+        ..SceneFile::default()
+    };
     formats::write(&path, &scene, Format::Glb).unwrap();
     let found: Value = serde_json::from_str(&node(&folder, &["glb.mjs", text(&path)])).unwrap();
     assert_eq!((&found["splats"], &found["problems"]), (&scene.rows.len().into(), &Value::Array(Vec::new())));

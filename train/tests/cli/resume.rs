@@ -171,7 +171,29 @@ fn options_are_those_of_the_run() {
     let ended = succeed(resuming(&moved).current_dir("/"));
     assert!(ended.stderr.contains("resuming from step"), "{}", ended.stderr);
     assert_as_whole(&moved);
-    refuse(&mut resuming(&moved), &["finished", text(&moved)]);
+    // The same line can be run again and again.
+    let ended = succeed(&mut resuming(&moved));
+    assert!(ended.stderr.contains("is finished"), "{}", ended.stderr);
+    assert_as_whole(&moved);
+}
+
+/// A run of which there is nothing but its options begins.
+#[test]
+fn a_run_is_repeated_from_its_options() {
+    let (again, begun) = (fresh("again"), fresh("begun"));
+    let options = WHOLE.0.join("run.toml");
+    succeed(splat(&["train", "--config", text(&options), "--out"]).arg(&again));
+    assert_as_whole(&again);
+    let text_of = |out: &Path| fs::read_to_string(out.join("run.toml")).unwrap();
+    assert_eq!(text_of(&again), fs::read_to_string(&options).unwrap());
+    for part in ["steps = 60", "effects = \"none\"", "sh_degree = ", "max_side = 64", "checkpoint_every = 7"] {
+        assert!(text_of(&again).contains(part), "{part}: {}", text_of(&again));
+    }
+    fs::create_dir_all(&begun).unwrap();
+    fs::copy(&options, begun.join("run.toml")).unwrap();
+    succeed(&mut resuming(&begun));
+    assert_as_whole(&begun);
+    refuse(splat(&["train", "--config", text(&options), "--out"]).arg(&WHOLE.0), &["run.toml is an input"]);
 }
 
 #[test]

@@ -59,7 +59,5 @@ fn a_time_and_a_number_of_steps_are_not_both_given() {
     for more in [["--steps", "9"], ["--for", "0s"], ["--for", "60"]] {
         assert_eq!(end(splat(&["train", "--for", "3s"]).args(more)).code, Some(2), "{more:?}");
     }
-    let snapshots = end(&mut splat(&["train", "--for", "3s", "--eval-during", "5", "--snapshots"]));
-    assert_eq!(snapshots.code, Some(2));
     refuse(&mut splat(&["train", "no-capture", "--for", "3s"]), &["no-capture"]);
 }

@@ -46,59 +46,19 @@ fn a_run_tells_programs_how_it_goes() {
 }
 
 #[test]
-fn snapshots_hold_what_evaluations_saw() {
+fn scenes_are_exported_on_the_way() {
     let folder = tempfile::tempdir().unwrap();
-    let out = folder.path();
-    // Files of an earlier run, with a surplus picture, and files of others.
-    let old = out.join("snapshots/000004");
-    fs::create_dir_all(&old).unwrap();
-    fs::write(old.join("0.png"), "").unwrap();
-    let seen = r#"{"name": "a", "picture": "0.png", "psnr": 1.0, "ssim": 0.5, "lpips": null}"#;
-    fs::write(old.join("snapshot.json"), format!(r#"{{"step": 4, "splats": 1, "shown": 1, "views": [{seen}]}}"#))
-        .unwrap();
-    fs::write(out.join("snapshots/mine.txt"), "kept").unwrap();
-    let run = ["--quiet", "--eval-during", "8", "--snapshots", "--out", text(out)];
-    assert_eq!(succeed(splat(&TRAIN).arg(DEMO.as_path()).args(run)).stderr, "");
-    let steps = [
-        "000008/0.png",
-        "000008/scene.ply",
-        "000008/snapshot.json",
-        "000016/0.png",
-        "000016/scene.ply",
-        "000016/snapshot.json",
-    ];
-    let mut found = std::collections::BTreeSet::new();
-    for step in ["000008", "000016"] {
-        found.extend(files(&out.join("snapshots").join(step)).iter().map(|name| format!("{step}/{name}")));
-    }
-    assert_eq!(found, steps.map(String::from).into());
-    assert!(!old.exists() && out.join("snapshots/mine.txt").exists());
-    let run = json(&out.join("snapshots/run.json"));
-    assert_eq!(keys(&run), ["steps", "origin", "views"].into());
-    let views = run["views"].as_array().unwrap();
-    assert_eq!((&run["steps"], views.len()), (&16.into(), 8));
-    let camera = ["model", "width", "height", "fx", "fy", "cx", "cy", "cam_from_world"];
-    assert_eq!(keys(&views[0]), camera.into_iter().chain(["name", "is_test"]).collect());
-    assert_eq!(views.iter().filter(|view| view["is_test"] == true).count(), 1);
-    let history = json(&out.join("snapshots/history.json"));
-    assert_eq!((history["points"].as_array().unwrap().len(), history["scores"].as_array().unwrap().len()), (16, 2));
-    let snapshot = json(&out.join("snapshots/000016/snapshot.json"));
-    assert_eq!(keys(&snapshot), ["step", "splats", "shown", "views"].into());
-    assert_eq!((&snapshot["step"], &snapshot["shown"]), (&16.into(), &snapshot["splats"]));
-    assert_eq!(
-        (&snapshot["views"][0]["name"], &snapshot["views"][0]["picture"]),
-        (&"0000.png".into(), &"0.png".into())
-    );
-    let scene = fs::read(out.join("snapshots/000016/scene.ply")).unwrap();
-    let header = String::from_utf8_lossy(&scene[..200]);
-    assert!(header.contains(&format!("element vertex {}", snapshot["splats"])), "{header}");
-    let render = image::open(out.join("snapshots/000016/0.png")).unwrap().into_rgb8();
-    let panels = image::open(out.join("views/0000.png")).unwrap().into_rgb8();
-    let middle = |x: u32, y: u32| panels.get_pixel(x + render.width(), y);
-    // The final scene, rendered once more; a level may differ by 1 through rounding.
-    let near = |(x, y, pixel): (u32, u32, &image::Rgb<u8>)| (0..3).all(|c| pixel.0[c].abs_diff(middle(x, y).0[c]) <= 1);
-    assert!(render.enumerate_pixels().all(near));
-    assert_eq!(end(splat(&TRAIN).arg(DEMO.as_path()).args(["--snapshots", "--out", "out"])).code, Some(2));
+    succeed(splat(&TRAIN).arg(DEMO.as_path()).args(["--export-every", "7", "--out", text(folder.path())]));
+    let scenes: Vec<String> = files(folder.path()).into_iter().filter(|name| name.starts_with("scene")).collect();
+    assert_eq!(scenes, ["scene-000007.ply", "scene-000014.ply", "scene.ply"]);
+    let rows = |name: &str| splat_model::ply::read(&folder.path().join(name)).unwrap().0;
+    assert!(rows("scene-000007.ply") != rows("scene-000014.ply"));
+    // No export replaces what the run started from.
+    let start = folder.path().join("scene-000007.ply");
+    let before = fs::read(&start).unwrap();
+    let again = ["--start", text(&start), "--export-every", "7", "--out", text(folder.path())];
+    let said = succeed(splat(&TRAIN).arg(DEMO.as_path()).args(again)).stderr;
+    assert!(said.contains("scene-000007.ply was not written") && fs::read(&start).unwrap() == before, "{said}");
 }
 
 #[test]

@@ -128,8 +128,8 @@ fn scene(json: &[u8], bytes: u64, load: &mut dyn FnMut(&str) -> Result<Vec<u8>, 
     if let Some(harmonics) = &meta.sh_n {
         higher(harmonics, &mut rows, &mut picture)?;
     }
-    let WorldFrame { origin, metres_per_unit } = extras::world(&meta.extras.into());
-    Ok(SceneFile { rows, origin, metres_per_unit, antialiased: meta.antialias })
+    let WorldFrame { origin, metres_per_unit, trained } = extras::world(&meta.extras.into());
+    Ok(SceneFile { rows, origin, metres_per_unit, antialiased: meta.antialias, trained })
 }
 
 /// Reads the higher harmonics.

@@ -44,7 +44,7 @@ fn duration(seconds: f64) -> String {
 /// Table of the scores by view, the worst first, and pictures to compare.
 pub fn views(scores: Option<&Scores>, comparisons: &Comparisons) -> String {
     let Some(scores) = scores else {
-        return "<section>\n<h2>Test views</h2>\n<p>None: <code>--eval-every 0</code> holds out no photograph.</p>\n</section>\n".into();
+        return "<section>\n<h2>Test views</h2>\n<p>None: <code>--test-every 0</code> holds out no photograph.</p>\n</section>\n".into();
     };
     let titles = [
         ("view", ""),

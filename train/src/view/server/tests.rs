@@ -6,7 +6,11 @@ use super::*;
 
 /// Starts a server with one page, on a thread that runs until the process ends.
 fn started() -> Arc<Server> {
-    let server = Arc::new(Server::bind(0, "--port").unwrap());
+    started_on(LOCALHOST)
+}
+
+fn started_on(host: &str) -> Arc<Server> {
+    let server = Arc::new(Server::bind(host, 0, "--port").unwrap());
     let serving = Arc::clone(&server);
     std::thread::spawn(move || {
         serving.serve(&[ServedFile { path: "/", kind: "text/html", content: b"hello".to_vec() }][..]).unwrap();
@@ -51,16 +55,35 @@ fn pages_of_others_cannot_read_what_is_served() {
     assert!(answer.starts_with("HTTP/1.1 200"), "{answer}");
 }
 
+/// Whoever has the address may read and act, from any host; nobody else learns what is served.
+#[test]
+fn on_other_addresses_a_token_is_needed() {
+    let (server, other) = (started_on("0.0.0.0"), started_on("0.0.0.0"));
+    assert!(
+        server.token.len() == 32
+            && server.token != other.token
+            && server.url().ends_with(&format!("/{}/", server.token))
+    );
+    let get = |path: &str| ask(&server, &format!("GET {path}"), "machine.example:7007");
+    assert!(get(&format!("/{}/?reload=1", server.token)).ends_with("\r\n\r\nhello"));
+    for path in
+        ["/", "//", &format!("/{}", server.token), &format!("/{}/", other.token), &format!("/{}/", &server.token[1..])]
+    {
+        assert!(get(path).starts_with("HTTP/1.1 404"), "{path}");
+    }
+    assert!(Server::bind("192.0.2.1", 0, "--live").err().unwrap().to_string().contains("--live"));
+}
+
 #[test]
 fn it_listens_on_this_machine_alone() {
-    let server = Server::bind(0, "--port").unwrap();
+    let server = Server::bind(LOCALHOST, 0, "--port").unwrap();
     assert!(server.http.server_addr().to_ip().unwrap().ip().is_loopback());
 }
 
 #[test]
 fn a_port_that_is_taken_is_named() {
-    let server = Server::bind(0, "--port").unwrap();
-    let error = Server::bind(server.port, "--port").err().unwrap().to_string();
+    let server = Server::bind(LOCALHOST, 0, "--port").unwrap();
+    let error = Server::bind(LOCALHOST, server.port, "--port").err().unwrap().to_string();
     for part in [&server.port.to_string(), "another program has it", "--port"] {
         assert!(error.contains(part), "{error}");
     }

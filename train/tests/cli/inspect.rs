@@ -1,4 +1,4 @@
-//! `splat info` on scenes and captures.
+//! `splat inspect` on scenes and captures.
 
 use std::fs;
 
@@ -9,8 +9,8 @@ use crate::run::{DEMO, TRAINED, refuse, splat, succeed};
 use crate::text;
 
 fn info(path: &std::path::Path) -> (String, Value) {
-    let said = succeed(&mut splat(&["info", text(path)])).stdout;
-    let json = succeed(&mut splat(&["info", text(path), "--json"])).stdout;
+    let said = succeed(&mut splat(&["inspect", text(path)])).stdout;
+    let json = succeed(&mut splat(&["inspect", text(path), "--json"])).stdout;
     (said, serde_json::from_str(&json).unwrap())
 }
 
@@ -84,10 +84,10 @@ fn missing_photographs_are_named() {
 #[test]
 fn what_is_neither_is_refused() {
     let folder = tempfile::tempdir().unwrap();
-    refuse(&mut splat(&["info", text(folder.path())]), &["sparse"]);
-    refuse(&mut splat(&["info", text(&folder.path().join("none.ply"))]), &["none.ply"]);
+    refuse(&mut splat(&["inspect", text(folder.path())]), &["sparse"]);
+    refuse(&mut splat(&["inspect", text(&folder.path().join("none.ply"))]), &["none.ply"]);
     let path = folder.path().join("half.ply");
     let bytes = fs::read(TRAINED.join("scene.ply")).unwrap();
     fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
-    refuse(&mut splat(&["info", text(&path)]), &["half.ply"]);
+    refuse(&mut splat(&["inspect", text(&path)]), &["half.ply"]);
 }

@@ -1,4 +1,4 @@
-//! `splat info`: describes a scene file or a capture in numbers, and says what is odd about it.
+//! Scenes and captures in numbers, and what is odd about them.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -9,19 +9,10 @@ use splat_model::capture::{Capture, Split};
 use splat_model::cleanup::Bulk;
 use splat_model::effects::masks;
 use splat_model::formats;
+use splat_model::ply::TrainedAs;
 use splat_op::RenderOptions;
 
-use crate::{input, progress};
-
-/// Options of `splat info`.
-#[derive(Clone, Debug, clap::Args)]
-pub struct InfoArgs {
-    /// Scene file, or folder of a capture
-    pub path: PathBuf,
-    /// Print the description as one JSON object
-    #[arg(long)]
-    pub json: bool,
-}
+use crate::input;
 
 /// Smallest and largest of some positions, in the coordinates of the file, scene units.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -34,8 +25,9 @@ struct Bounds {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 struct Quantiles([f64; 3]);
 
+/// A scene in numbers.
 #[derive(Debug, Serialize)]
-struct SceneInfo {
+pub struct SceneInfo {
     kind: &'static str,
     format: String,
     bytes: u64,
@@ -43,7 +35,7 @@ struct SceneInfo {
     sh_degree: usize,
     /// Origin that positions are relative to.
     origin: [f64; 3],
-    antialiased: bool,
+    trained: TrainedAs,
     /// Bounds of all centres, and of 90% of them along each axis; null without splats that can be rendered.
     bounds: Option<Bounds>,
     bulk: Option<Bounds>,
@@ -58,8 +50,9 @@ struct SceneInfo {
     warnings: Vec<String>,
 }
 
+/// A capture in numbers.
 #[derive(Debug, Serialize)]
-struct CaptureInfo {
+pub struct CaptureInfo {
     kind: &'static str,
     format: &'static str,
     views: usize,
@@ -92,24 +85,11 @@ struct CameraInfo {
     views: usize,
 }
 
-/// Describes a scene or a capture on standard output.
+/// Describes a scene file.
 ///
 /// # Errors
-/// If the file is no scene, or the folder no capture.
-pub fn run(args: &InfoArgs) -> Result<()> {
-    let shown = args.path.display();
-    let (text, json) = if args.path.is_dir() || Capture::is_in(&args.path) {
-        let info = of_capture(&Capture::load(&args.path)?);
-        (capture_text(&info), serde_json::to_string_pretty(&info)?)
-    } else {
-        let info = of_scene(&args.path)?;
-        (scene_text(&info), serde_json::to_string_pretty(&info)?)
-    };
-    progress::say(&if args.json { json } else { format!("{shown}: {text}") });
-    Ok(())
-}
-
-fn of_scene(path: &Path) -> Result<SceneInfo> {
+/// If the file is no scene.
+pub fn of_scene(path: &Path) -> Result<SceneInfo> {
     let (scene, format) = formats::read(path).context("cannot read the scene")?;
     let rows = &scene.rows;
     rows.check()?;
@@ -141,9 +121,6 @@ fn of_scene(path: &Path) -> Result<SceneInfo> {
     if rows.sh_degree > 3 {
         warnings.push("many readers support harmonics to degree 3 only: `splat convert --sh-degree 3`".into());
     }
-    if scene.antialiased {
-        warnings.push("trained with antialiasing, according to the file: show it with `--antialias`".into());
-    }
     let parameters_mib = (4 * rows.len() * (14 + rows.rest_per_row())) as f64 / f64::from(1 << 20);
     Ok(SceneInfo {
         kind: "scene",
@@ -152,7 +129,7 @@ fn of_scene(path: &Path) -> Result<SceneInfo> {
         splats: rows.len(),
         sh_degree: rows.sh_degree,
         origin: scene.origin.to_array(),
-        antialiased: scene.antialiased,
+        trained: TrainedAs { antialias: scene.antialiased, ..scene.trained },
         bounds: bounds(means.iter().map(|mean| mean.map(f64::from))),
         bulk: bulk.map(|bulk| Bounds { low: bulk.low, high: bulk.high }),
         sigma: of(&|row| f64::from(longest(row)).exp()),
@@ -164,7 +141,8 @@ fn of_scene(path: &Path) -> Result<SceneInfo> {
     })
 }
 
-fn of_capture(capture: &Capture) -> CaptureInfo {
+/// Describes a capture.
+pub fn of_capture(capture: &Capture) -> CaptureInfo {
     let mut cameras: Vec<CameraInfo> = Vec::new();
     for view in &capture.views {
         let lens = &view.intrinsics;
@@ -221,12 +199,16 @@ fn quantiles(mut values: Vec<f64>) -> Quantiles {
     Quantiles([0.05, 0.5, 0.95].map(|share| values[(share * last as f64).round() as usize]))
 }
 
-fn scene_text(info: &SceneInfo) -> String {
+/// Formats a scene for people.
+pub fn scene_text(info: &SceneInfo) -> String {
     let SceneInfo { format, splats, sh_degree, bytes, .. } = info;
     let mut lines = vec![format!("{format}, {splats} splats of degree {sh_degree}, {bytes} bytes")];
     lines.extend(info.bounds.map(|bounds| line("centres", &bounds.to_string())));
     lines.extend(info.bulk.map(|bounds| line("90% of centres", &bounds.to_string())));
     lines.push(line("origin", &position(&info.origin)));
+    if info.trained != TrainedAs::default() {
+        lines.extend(serde_json::to_string(&info.trained).ok().map(|trained| line("trained as", &trained)));
+    }
     lines.push(line("", "5%, 50% and 95% of the splats are below"));
     lines.push(line("sigma", &format!("{} scene units, the longest", info.sigma)));
     lines.push(line("longest / shortest", &info.needle.to_string()));
@@ -236,7 +218,8 @@ fn scene_text(info: &SceneInfo) -> String {
     with_warnings(lines, &info.warnings)
 }
 
-fn capture_text(info: &CaptureInfo) -> String {
+/// Formats a capture for people.
+pub fn capture_text(info: &CaptureInfo) -> String {
     let CaptureInfo { format, views, held_out, points, .. } = info;
     let own = if info.own_split { ", as its files say" } else { "" };
     let mut lines = vec![format!("{format}, {views} photographs ({held_out} held out{own}), {points} points")];

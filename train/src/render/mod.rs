@@ -1,4 +1,6 @@
-//! `splat render`: renders a scene from the cameras of a capture.
+//! `splat render`: renders a scene from the cameras of a capture, or along a path.
+
+mod path;
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -6,18 +8,21 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result, anyhow};
 use burn::tensor::{Device, Tensor};
-use clap::ValueEnum;
+use clap::builder::RangedU64ValueParser;
+use clap::{ValueEnum, value_parser};
+use glam::DAffine3;
 use image::{ImageFormat, RgbImage, Rgba32FImage};
 use splat_model::capture::{Capture, View};
 use splat_model::effects::background::Background;
 use splat_model::gaussians::{Gaussians, values_of};
 use splat_op::{Camera, Extras, RenderOptions, Splats};
 
+use self::path::{CameraPath, Video};
 use crate::accuracy::{AccuracyArgs, ModelArgs};
 use crate::background::ShownBackground;
 use crate::device::{self, DeviceName};
 use crate::inputs::Inputs;
-use crate::output::OutputFolder;
+use crate::output::{OutputFolder, prepare_file};
 use crate::report::pictures::{self, level};
 use crate::{input, progress};
 
@@ -37,11 +42,23 @@ pub struct RenderArgs {
     #[arg(long, value_name = "CAPTURE")]
     pub capture: PathBuf,
     /// Name of a photograph in the capture, or `all`
-    #[arg(long, value_name = "NAME")]
-    pub view: String,
+    #[arg(long, value_name = "NAME", required_unless_present = "path")]
+    pub view: Option<String>,
+    /// Render along a path instead, by cameras that are no photographs'
+    #[arg(long, value_enum, value_name = "PATH", conflicts_with = "view")]
+    pub path: Option<CameraPath>,
+    /// Number of pictures of `--path`
+    #[arg(long, value_name = "N", default_value_t = 240, value_parser = RangedU64ValueParser::<usize>::new().range(1..=100_000))]
+    pub frames: usize,
+    /// Pictures a second of `--video`
+    #[arg(long, value_name = "N", default_value_t = 30, value_parser = value_parser!(u32).range(1..=1000))]
+    pub fps: u32,
     /// Folder for the pictures, which are named after the photographs
-    #[arg(long, value_name = "DIR")]
-    pub out: PathBuf,
+    #[arg(long, value_name = "DIR", required_unless_present = "video")]
+    pub out: Option<PathBuf>,
+    /// Write the pictures of `--path` as a video such as orbit.mp4 with the installed ffmpeg
+    #[arg(long, value_name = "FILE", requires = "path", conflicts_with_all = ["out", "format"])]
+    pub video: Option<PathBuf>,
     /// File format of the pictures
     #[arg(long, value_enum, default_value_t)]
     pub format: PictureFormat,
@@ -54,9 +71,10 @@ pub struct RenderArgs {
     /// Accuracy of the renders.
     #[command(flatten)]
     pub accuracy: AccuracyArgs,
-    /// Background behind the scene: black, white, R,G,B from 0 to 1, or the background.json of a training run
-    #[arg(long, value_name = "WHAT", default_value_t)]
-    pub background: ShownBackground,
+    /// Background behind the scene: black, white, R,G,B from 0 to 1, or the background.json of a training run [default: that of the
+    /// scene's training]
+    #[arg(long, value_name = "WHAT")]
+    pub background: Option<ShownBackground>,
 }
 
 /// File format of a picture. Values are display-referred in all formats, as in photographs, and composited over
@@ -88,36 +106,63 @@ impl PictureFormat {
 /// If the capture or the scene cannot be read, the view does not exist, or a picture is one of the files that are read or cannot be written.
 pub fn run(args: &RenderArgs) -> Result<Vec<PathBuf>> {
     let (device, _) = args.device.resolve()?;
-    let background = args.background.read()?;
     let capture = input::capture(&args.capture)?;
-    let views = chosen(&capture, &args.view)?;
-    let rows = input::rows(&args.scene, &capture)?;
+    let views = views(args, &capture)?;
+    let (rows, trained) = input::rows("--scene", &args.scene, &capture)?;
+    let background = ShownBackground::read(args.background.as_ref(), &args.scene, &trained)?;
     let names = pictures::names(views.iter().map(|view| view.name.as_str()), args.format.extension());
-    let inputs = Inputs::default().and_scene(&args.scene).and_capture(&capture).and(args.background.file());
-    let out = OutputFolder::prepare(&args.out, inputs, &names, &[])?;
-    let base = args.model.config().render_options(input::extent(&capture));
+    let inputs = Inputs::default().and_scene(&args.scene).and_capture(&capture);
+    let inputs = inputs.and(args.background.as_ref().and_then(ShownBackground::file));
+    let mut video = match &args.video {
+        Some(path) => {
+            prepare_file(path, &inputs)?;
+            Some(Video::begin(path, &views[0].intrinsics, args.fps)?)
+        }
+        None => None,
+    };
+    let out = args.out.as_ref().map(|out| OutputFolder::prepare(out, inputs, &names, &[])).transpose()?;
+    let base = args.model.or(&trained).config().render_options(input::extent(&capture));
     let options = args.accuracy.accuracy.setting().apply(base);
     let splats = Gaussians::from_own_rows(rows, &device)?.splats().stored(&options)?;
     let counter = progress::counter("rendering", views.len());
     for (view, name) in views.iter().zip(&names) {
         let picture = Rgba::render(&splats, view, &background, &options, &device)
             .with_context(|| format!("cannot render the view {:?}", view.name))?;
-        out.write(name, |file| picture.write(args.format, file))?;
+        if let Some(video) = &mut video {
+            video.add(&picture.levels())?;
+        }
+        if let Some(out) = &out {
+            out.write(name, |file| picture.write(args.format, file))?;
+        }
         counter.inc(1);
     }
     counter.finish_and_clear();
-    let paths: Vec<PathBuf> = names.iter().map(|name| out.join(name)).collect();
+    video.map_or(Ok(()), Video::finish)?;
+    let pictures = out.iter().flat_map(|out| names.iter().map(|name| out.join(name)));
+    let paths: Vec<PathBuf> = pictures.chain(args.video.clone()).collect();
     for path in &paths {
         progress::say(&path.display().to_string());
     }
     Ok(paths)
 }
 
-/// Returns the view with this name, or all views. A photograph with the name "all" takes precedence.
-fn chosen<'a>(capture: &'a Capture, name: &str) -> Result<Vec<&'a View>> {
+/// Returns the views of the path, or the view with the name that was given, or all views. A photograph with the name "all" takes precedence.
+fn views(args: &RenderArgs, capture: &Capture) -> Result<Vec<View>> {
+    if let (Some(CameraPath::Orbit), Some(first)) = (args.path, capture.views.first()) {
+        let poses: Vec<DAffine3> = capture.views.iter().map(|view| view.cam_from_world.inverse()).collect();
+        let (intrinsics, image_path) = (path::pinhole(&first.intrinsics), PathBuf::new());
+        let view = |(i, cam_from_world)| View {
+            name: format!("{i:04}"),
+            image_path: image_path.clone(),
+            intrinsics,
+            cam_from_world,
+        };
+        return Ok(path::orbit(&poses, args.frames)?.into_iter().enumerate().map(view).collect());
+    }
+    let name = args.view.as_deref().unwrap_or(ALL);
     match capture.views.iter().find(|view| view.name == name) {
-        Some(view) => Ok(vec![view]),
-        None if name == ALL => Ok(capture.views.iter().collect()),
+        Some(view) => Ok(vec![view.clone()]),
+        None if name == ALL => Ok(capture.views.clone()),
         None => {
             let some: Vec<&str> = capture.views.iter().take(NAMES_LISTED).map(|view| view.name.as_str()).collect();
             let more = if capture.views.len() > NAMES_LISTED { ", ..." } else { "" };
@@ -153,14 +198,18 @@ impl Rgba {
         Ok(Self { width: view.intrinsics.width, height: view.intrinsics.height, values })
     }
 
+    /// 8-bit RGB.
+    fn levels(&self) -> Vec<u8> {
+        self.values.as_chunks().0.iter().flat_map(|&[r, g, b, _]: &[f32; 4]| [r, g, b].map(level)).collect()
+    }
+
     fn write(self, format: PictureFormat, file: &mut BufWriter<File>) -> Result<()> {
         const LENGTH: &str = "a picture has four values per pixel";
         // The largest side of a camera fits a u32.
         let (width, height) = (self.width as u32, self.height as u32);
         match format {
             PictureFormat::Png => {
-                let levels = self.values.as_chunks().0.iter().flat_map(|&[r, g, b, _]: &[f32; 4]| [r, g, b].map(level));
-                let picture = RgbImage::from_raw(width, height, levels.collect()).context(LENGTH)?;
+                let picture = RgbImage::from_raw(width, height, self.levels()).context(LENGTH)?;
                 picture.write_to(file, ImageFormat::Png)?;
             }
             PictureFormat::Exr => {

@@ -1,4 +1,8 @@
-//! Cases of `splat effects`: a demo capture that shows one effect, and two runs on it.
+//! Gains and costs of the effects, on demo captures that show one effect each. Prints a table.
+//!
+//! `cargo bench --workspace --bench gains -- masks exposure` measures the cases named, and all of them without names. `--quick` takes small
+//! pictures and few steps, to test that effects are detected and not how much they gain. It fails where `auto` misses an effect, finds one
+//! that is absent, or the effect gains less than it must.
 
 use std::path::{Path, PathBuf};
 
@@ -8,63 +12,61 @@ use splat_demo::DemoOptions;
 use splat_model::capture::{Capture, write_binary_with_tracks};
 use splat_model::effects::{EffectKind, Plan, Survey};
 use splat_op::{CameraModel, Intrinsics};
+use splat_train::options::{Cli, Command};
+use splat_train::report::SCENE;
+use splat_train::{demo, eval, train};
 
-use crate::options::{Cli, Command};
-use crate::report::metrics::Metrics;
-use crate::report::{BACKGROUND, SCENE};
-use crate::{demo, eval, train};
+splat_train::allocator!();
 
 /// Picture sizes and lengths of runs.
 #[derive(Clone, Copy, Debug)]
-pub struct RunSize {
+struct RunSize {
     /// Width of the pictures, px; the height is three quarters of it.
-    pub width: usize,
+    width: usize,
     /// Number of photographs, unless the case sets its own.
-    pub views: usize,
+    views: usize,
     /// Steps of each run.
-    pub steps: usize,
+    steps: usize,
 }
 
 impl RunSize {
     /// The scale of published figures.
-    pub const FULL: Self = Self { width: 160, views: 40, steps: 1500 };
+    const FULL: Self = Self { width: 160, views: 40, steps: 1500 };
     /// The scale of tests.
-    pub const QUICK: Self = Self { width: 96, views: 24, steps: 300 };
+    const QUICK: Self = Self { width: 96, views: 24, steps: 300 };
 }
 
 /// A case about one effect.
 #[derive(Clone, Copy, Debug)]
-pub struct EffectCase {
-    /// Name, as in `--case`.
-    pub name: &'static str,
+struct EffectCase {
+    /// Name, as on the command line.
+    name: &'static str,
     /// Options of the demo capture, at any size.
-    pub demo: fn(DemoOptions) -> DemoOptions,
+    demo: fn(DemoOptions) -> DemoOptions,
     /// The same options on the command line.
-    pub demo_flags: &'static str,
+    demo_flags: &'static str,
     /// Effects that the plan must switch on.
-    pub expected: &'static [EffectKind],
+    expected: &'static [EffectKind],
     /// Whether the plan must find view-dependent colours. `None` where other faults of the photographs make colours vary
     /// too, so that the plan may keep the harmonics.
-    pub harmonics: Option<bool>,
+    harmonics: Option<bool>,
     /// Options of both runs.
-    pub both: &'static [&'static str],
+    both: &'static [&'static str],
     /// Options of the run without the effect. [`Self::with`] has those of the run with it.
-    pub without: &'static [&'static str],
+    without: &'static [&'static str],
     /// See [`Self::without`].
-    pub with: &'static [&'static str],
-    /// Options of `splat eval` for both scenes. [`Self::eval_with`] has those for the scene with the effect only.
-    pub eval: &'static [&'static str],
-    /// See [`Self::eval`].
-    pub eval_with: &'static [&'static str],
+    with: &'static [&'static str],
+    /// Options of `splat eval`.
+    eval: &'static [&'static str],
     /// Whether the compared PSNR is that after colour correction, because no training photograph determines the exposure
     /// of a test photograph.
-    pub corrected: bool,
+    corrected: bool,
     /// Whether the cameras of the run without the effect are declared as pinholes.
-    pub strip_lens: bool,
+    strip_lens: bool,
     /// Smallest required gain at full size, dB: the measured gain minus the variation between runs.
-    pub least_gain_db: f64,
+    least_gain_db: f64,
     /// Number of photographs of the case. `None` for the usual number.
-    pub views: Option<usize>,
+    views: Option<usize>,
 }
 
 const PLAIN: EffectCase = EffectCase {
@@ -77,7 +79,6 @@ const PLAIN: EffectCase = EffectCase {
     without: &["--effects", "none"],
     with: &["--effects", "auto"],
     eval: &[],
-    eval_with: &[],
     corrected: false,
     strip_lens: false,
     least_gain_db: 0.9,
@@ -85,7 +86,7 @@ const PLAIN: EffectCase = EffectCase {
 };
 
 /// All cases.
-pub(super) const CASES: &[EffectCase] = &[
+const CASES: &[EffectCase] = &[
     EffectCase { least_gain_db: 0.0, ..PLAIN },
     EffectCase {
         name: "exposure",
@@ -128,7 +129,6 @@ pub(super) const CASES: &[EffectCase] = &[
         demo_flags: "--zoom",
         expected: &[EffectKind::Antialias],
         eval: &["--shrink", "4"],
-        eval_with: &["--antialias"],
         harmonics: None,
         ..PLAIN
     },
@@ -168,8 +168,8 @@ pub(super) const CASES: &[EffectCase] = &[
         demo: |options| DemoOptions { depth: true, points: 150, ..options },
         demo_flags: "--depth --views 16 --points 150",
         // Half of the photographs are held out.
-        both: &["--sh-degree", "0", "--eval-every", "2"],
-        eval: &["--eval-every", "2"],
+        both: &["--sh-degree", "0", "--test-every", "2"],
+        eval: &["--test-every", "2"],
         expected: &[EffectKind::DepthSupervision],
         views: Some(16),
         harmonics: None,
@@ -212,23 +212,22 @@ pub(super) const CASES: &[EffectCase] = &[
 ];
 
 /// The results of a case.
-#[derive(Clone, Debug)]
-pub struct EffectGain {
+struct EffectGain {
     /// Effects that the plan switched on.
-    pub planned: Vec<EffectKind>,
+    planned: Vec<EffectKind>,
     /// Whether the plan found view-dependent colours.
-    pub harmonics: bool,
+    harmonics: bool,
     /// Evidence of the effect in the words of `splat inspect`.
-    pub evidence: String,
+    evidence: String,
     /// Scores without and with the effect, dB.
-    pub score_db: [f64; 2],
+    score_db: [f64; 2],
     /// Training times, s.
-    pub seconds: [f64; 2],
+    seconds: [f64; 2],
 }
 
 impl EffectCase {
     /// Creates the capture in `work`, surveys it, trains twice and measures.
-    pub fn measure(&self, scale: &RunSize, work: &Path) -> Result<EffectGain> {
+    fn measure(&self, scale: &RunSize, work: &Path) -> Result<EffectGain> {
         let folder = work.join(self.name);
         let (width, views) = (scale.width, self.views.unwrap_or(scale.views));
         let options = DemoOptions { width, height: 3 * width / 4, views, ..DemoOptions::default() };
@@ -238,49 +237,39 @@ impl EffectCase {
         let named = |name: &str| plan.decisions.iter().find(|decision| decision.name == name);
         let evidence = named(self.name).map_or(String::new(), |decision| decision.evidence.clone());
         let without = if self.strip_lens { strip_lens(&folder, &capture)? } else { folder.clone() };
-        let runs = [(&without, self.without, &[][..], "without"), (&folder, self.with, self.eval_with, "with")];
+        let runs = [(&without, self.without, "without"), (&folder, self.with, "with")];
         let mut score_db = [0.0; 2];
         let mut seconds = [0.0; 2];
-        for (i, (capture, options, eval, name)) in runs.into_iter().enumerate() {
+        for (i, (capture, options, name)) in runs.into_iter().enumerate() {
             let out = work.join(format!("{}-{name}", self.name));
-            let metrics = self.train(capture, &out, options, scale)?;
-            seconds[i] = metrics.seconds.train.unwrap_or_default();
-            score_db[i] = self.evaluate(capture, &out, eval)?;
+            seconds[i] = self.train(capture, &out, options, scale)?;
+            score_db[i] = self.evaluate(capture, &out)?;
         }
-        Ok(EffectGain {
-            planned: plan.effects(),
-            harmonics: plan.sh_degree().is_none(),
-            evidence,
-            score_db,
-            seconds,
-        })
+        Ok(EffectGain { planned: plan.effects(), harmonics: plan.sh_degree().is_none(), evidence, score_db, seconds })
     }
 
-    fn train(&self, capture: &Path, out: &Path, options: &[&str], scale: &RunSize) -> Result<Metrics> {
+    fn train(&self, capture: &Path, out: &Path, options: &[&str], scale: &RunSize) -> Result<f64> {
         let steps = scale.steps.to_string();
         let always = ["splat", "train", text(capture)?, "--out", text(out)?, "--device", "cpu", "--steps", &steps];
         let arguments = always.iter().chain(self.both).chain(options);
         match Cli::try_parse_from(arguments)?.command {
-            Command::Train(args) => train::run(&args),
+            Command::Train(args) => Ok(train::run(&args)?.seconds.train.unwrap_or_default()),
             _ => bail!("`train` is another command"),
         }
     }
 
-    fn evaluate(&self, capture: &Path, out: &Path, options: &[&str]) -> Result<f64> {
-        let (scene, to, background) = (out.join(SCENE), out.join("eval"), out.join(BACKGROUND));
+    fn evaluate(&self, capture: &Path, out: &Path) -> Result<f64> {
+        let (scene, to) = (out.join(SCENE), out.join("eval"));
         let mut arguments = vec!["splat", "eval", text(capture)?, "--scene", text(&scene)?, "--out", text(&to)?];
         arguments.extend(["--device", "cpu"]);
-        arguments.extend(self.eval.iter().chain(options));
-        if background.exists() {
-            arguments.extend(["--background", text(&background)?]);
-        }
+        arguments.extend(self.eval);
         let Command::Eval(args) = Cli::try_parse_from(arguments)?.command else { bail!("`eval` is another command") };
         let test = eval::run(&args)?.test.context("photographs were held out")?;
         Ok(if self.corrected { test.psnr_corrected } else { test.psnr })
     }
 
     /// A description of the first failed expectation. Gains are checked only if `gains` is set.
-    pub fn complaint(&self, gain: &EffectGain, gains: bool) -> Option<String> {
+    fn complaint(&self, gain: &EffectGain, gains: bool) -> Option<String> {
         let names = |effects: &[EffectKind]| effects.iter().map(|effect| effect.name()).collect::<Vec<_>>().join(", ");
         if gain.planned != self.expected {
             let (found, expected) = (names(&gain.planned), names(self.expected));
@@ -317,4 +306,40 @@ fn strip_lens(folder: &Path, capture: &Capture) -> Result<PathBuf> {
 
 fn text(path: &Path) -> Result<&str> {
     path.to_str().with_context(|| format!("{} is no UTF-8: choose another temporary folder", path.display()))
+}
+
+/// A line of the table. The cost is the difference of the training times.
+fn line(case: &EffectCase, gain: &EffectGain) -> String {
+    let mut names: Vec<&str> = gain.planned.iter().map(|effect| effect.name()).collect();
+    names.extend((case.harmonics == Some(true) && gain.harmonics).then_some("harmonics"));
+    let names = if names.is_empty() { "nothing".into() } else { names.join(", ") };
+    let ([without, with], [before, after]) = (gain.score_db, gain.seconds);
+    let cost = 100.0 * (after / before - 1.0);
+    let flags = if case.demo_flags.is_empty() { "plain".into() } else { format!("`{}`", case.demo_flags) };
+    let gained = with - without;
+    format!(
+        "| {flags} | {names} | {} | {without:.2} | {with:.2} | {gained:+.2} | {cost:+.0}% | {before:.0}, {after:.0} |",
+        gain.evidence
+    )
+}
+
+fn main() -> Result<()> {
+    // `cargo bench` adds an option of its own.
+    let words: Vec<String> = std::env::args().skip(1).filter(|word| word != "--bench").collect();
+    let (quick, names): (Vec<_>, Vec<_>) = words.iter().partition(|word| *word == "--quick");
+    if let Some(unknown) = names.iter().find(|name| !CASES.iter().any(|case| case.name == ***name)) {
+        let names: Vec<&str> = CASES.iter().map(|case| case.name).collect();
+        bail!("there is no case {unknown:?}: give some of {}", names.join(", "));
+    }
+    let scale = if quick.is_empty() { RunSize::FULL } else { RunSize::QUICK };
+    let work = tempfile::tempdir().context("cannot create a temporary folder for the captures")?;
+    println!("| demo | `auto` switches on | evidence | without, dB | with, dB | gain, dB | time | training, s |");
+    println!("|---|---|---|---|---|---|---|---|");
+    let mut wrong = Vec::new();
+    for case in CASES.iter().filter(|case| names.is_empty() || names.iter().any(|name| *name == case.name)) {
+        let gain = case.measure(&scale, work.path())?;
+        println!("{}", line(case, &gain));
+        wrong.extend(case.complaint(&gain, quick.is_empty()));
+    }
+    if wrong.is_empty() { Ok(()) } else { bail!("{}", wrong.join("\n")) }
 }

@@ -1,4 +1,6 @@
-//! `splat inspect`: reports what a capture shows, which effects it calls for, and what they would cost.
+//! `splat inspect`: describes a scene or a capture, and of a capture which effects it calls for and what they would cost.
+
+mod describe;
 
 use std::path::PathBuf;
 use std::time::Instant;
@@ -6,10 +8,11 @@ use std::time::Instant;
 use anyhow::Result;
 use clap::value_parser;
 use serde::Serialize;
-use splat_model::capture::{PointsSeen, Scale};
+use splat_model::capture::{Capture, PointsSeen, Scale};
 use splat_model::effects::plan::{self, Cost, Decision, EffectVerdict, Plan, slowness};
 use splat_model::effects::survey::{Survey, ViewExposure};
 
+use self::describe::CaptureInfo;
 use crate::reconstruct::scale_said;
 use crate::report::metrics::seconds_since;
 use crate::{input, progress};
@@ -23,9 +26,9 @@ const CHART_LINES: usize = 60;
 /// Options of `splat inspect`.
 #[derive(Clone, Debug, clap::Args)]
 pub struct InspectArgs {
-    /// Capture folder, with `images/` and COLMAP's `sparse/0/`, or with `transforms.json` or `transforms_train.json`
-    pub capture: PathBuf,
-    /// Predict costs for photographs whose longer side is at most this, px, as `splat train --max-side` has them
+    /// Scene file, or folder of a capture
+    pub path: PathBuf,
+    /// Of a capture: predict costs for photographs whose longer side is at most this, px, as `splat train --max-side` has them
     #[arg(long, value_name = "PX", value_parser = value_parser!(u32).range(1..))]
     pub max_side: Option<u32>,
     /// Print the report as JSON
@@ -33,45 +36,60 @@ pub struct InspectArgs {
     pub json: bool,
 }
 
+/// What `--json` prints of a capture.
 #[derive(Serialize)]
-struct Report<'a> {
+struct CaptureReport<'a> {
+    #[serde(flatten)]
+    info: &'a CaptureInfo,
     #[serde(skip_serializing_if = "Option::is_none")]
     scale: Option<&'a Scale>,
     points_seen: &'a PointsSeen,
-    survey: &'a Survey,
-    plan: &'a Plan,
+    /// Null where photographs are missing.
+    survey: Option<&'a Survey>,
+    plan: Option<&'a Plan>,
     seconds: f64,
 }
 
-/// Surveys a capture and prints the report.
+/// Describes a scene or a capture on standard output.
 ///
 /// # Errors
-/// If the capture or one of its pictures cannot be read.
+/// If the file is no scene, or the folder no capture, or one of its pictures cannot be read.
 pub fn run(args: &InspectArgs) -> Result<()> {
-    let start = Instant::now();
-    let capture = input::capture(&args.capture)?;
-    let survey = Survey::of(&capture)?;
+    let (shown, start) = (args.path.display(), Instant::now());
+    if args.path.is_file() && !Capture::is_in(&args.path) {
+        let info = describe::of_scene(&args.path)?;
+        let text = || format!("{shown}: {}", describe::scene_text(&info));
+        progress::say(&if args.json { serde_json::to_string_pretty(&info)? } else { text() });
+        return Ok(());
+    }
+    let capture = input::capture(&args.path)?;
+    let info = describe::of_capture(&capture);
     let all: Vec<usize> = (0..capture.views.len()).collect();
-    let plan = Plan::of(&survey, capture.mean_pixels(&all, args.max_side), slowness()?);
+    // The description names what is missing.
+    let is_whole = capture.check_photographs(&all).is_ok();
+    let survey = if is_whole { Some(Survey::of(&capture)?) } else { None };
+    let plan = match &survey {
+        Some(survey) => Some(Plan::of(survey, capture.mean_pixels(&all, args.max_side), slowness()?)),
+        None => None,
+    };
     let cameras: Vec<_> = capture.views.iter().map(|view| (view.intrinsics, view.cam_from_world)).collect();
     let points_seen = PointsSeen::of(&cameras, &capture.points.positions);
-    let seconds = seconds_since(start);
     if args.json {
-        progress::say(&serde_json::to_string_pretty(&Report {
+        progress::say(&serde_json::to_string_pretty(&CaptureReport {
+            info: &info,
             scale: capture.scale.as_ref(),
             points_seen: &points_seen,
-            survey: &survey,
-            plan: &plan,
-            seconds,
+            survey: survey.as_ref(),
+            plan: plan.as_ref(),
+            seconds: seconds_since(start),
         })?);
         return Ok(());
     }
-    let scale = capture.scale.as_ref().map(|scale| format!("{}\n", scale_said(scale))).unwrap_or_default();
-    let seen = match capture.points.positions.is_empty() {
-        true => String::new(),
-        false => format!("{}\n", points_seen.said(|view| &capture.views[view].name)),
-    };
-    progress::say(&format!("{}: {seconds:.1} s\n{scale}{seen}{}", args.capture.display(), text(&survey, &plan)));
+    let scale = capture.scale.as_ref().map(scale_said);
+    let seen = (!capture.points.positions.is_empty()).then(|| points_seen.said(|view| &capture.views[view].name));
+    let effects = survey.as_ref().zip(plan.as_ref()).map(|(survey, plan)| text(survey, plan));
+    let parts = [Some(describe::capture_text(&info)), scale, seen, effects];
+    progress::say(&format!("{shown}: {}", parts.into_iter().flatten().collect::<Vec<_>>().join("\n")));
     Ok(())
 }
 

@@ -1,0 +1,170 @@
+//! `--path`: cameras that no photograph has, and the video of their pictures.
+
+use std::f64::consts::TAU;
+use std::fs;
+use std::io::{ErrorKind, Write};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+
+use anyhow::{Context, Result, anyhow, ensure};
+use glam::{DAffine3, DMat3, DVec3};
+use splat_op::Intrinsics;
+
+/// A camera path.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum CameraPath {
+    /// Once around what the cameras of the capture look at, as far away and as high as they are on average
+    Orbit,
+}
+
+/// Returns a pinhole with a focal length and even sides, as videos need them.
+pub fn pinhole(like: &Intrinsics) -> Intrinsics {
+    Intrinsics::centred((like.width & !1).max(2), (like.height & !1).max(2), like.fy)
+}
+
+/// Returns the poses of an orbit, `cam_from_world`, from those of a capture's cameras, `world_from_cam`.
+///
+/// # Errors
+/// If all cameras are at one place.
+pub fn orbit(poses: &[DAffine3], count: usize) -> Result<Vec<DAffine3>> {
+    let mean = |of: &dyn Fn(&DAffine3) -> DVec3| poses.iter().map(of).sum::<DVec3>() / poses.len() as f64;
+    let up = -mean(&|pose| pose.matrix3.y_axis).try_normalize().unwrap_or(DVec3::Y);
+    let centre = focus(poses).unwrap_or_else(|| mean(&|pose| pose.translation + pose.matrix3.z_axis));
+    let across = |pose: &DAffine3| (pose.translation - centre).reject_from(up);
+    let radius = poses.iter().map(|pose| across(pose).length()).sum::<f64>() / poses.len() as f64;
+    let height = mean(&|pose| pose.translation - centre).dot(up);
+    let start = poses.iter().map(across).find_map(DVec3::try_normalize);
+    let start = start.context("the cameras of the capture surround no place: give `--view` instead of `--path`")?;
+    let camera = |i: usize| {
+        let (sin, cos) = (TAU * i as f64 / count as f64).sin_cos();
+        let position = centre + radius * (cos * start + sin * up.cross(start)) + height * up;
+        let forward = (centre - position).normalize();
+        let right = forward.cross(up).try_normalize().unwrap_or(start);
+        DAffine3::from_mat3_translation(DMat3::from_cols(right, forward.cross(right), forward), position).inverse()
+    };
+    Ok((0..count).map(camera).collect())
+}
+
+/// The place nearest to all optical axes, in the sense of least squares; `None` where they are parallel or look away from it.
+fn focus(poses: &[DAffine3]) -> Option<DVec3> {
+    let (mut normal, mut right) = (DMat3::ZERO, DVec3::ZERO);
+    for pose in poses {
+        let axis = pose.matrix3.z_axis;
+        let across = DMat3::IDENTITY - DMat3::from_cols(axis * axis.x, axis * axis.y, axis * axis.z);
+        normal += across;
+        right += across * pose.translation;
+    }
+    let is_solvable = normal.determinant() > 1e-9 * (poses.len() as f64).powi(3);
+    let place = is_solvable.then(|| normal.inverse() * right)?;
+    let ahead = poses.iter().filter(|pose| (place - pose.translation).dot(pose.matrix3.z_axis) > 0.0).count();
+    (2 * ahead > poses.len()).then_some(place)
+}
+
+/// A video that is being encoded by the installed ffmpeg. The file appears when it is complete.
+pub struct Video<'a> {
+    ffmpeg: Child,
+    path: &'a Path,
+    partial: std::path::PathBuf,
+}
+
+impl<'a> Video<'a> {
+    /// Begins a video of pictures of this size. The name of the file gives its format.
+    ///
+    /// # Errors
+    /// If ffmpeg is not installed, with how to install it.
+    pub fn begin(path: &'a Path, Intrinsics { width, height, .. }: &Intrinsics, fps: u32) -> Result<Self> {
+        let name = path.file_name().with_context(|| format!("{} names no file", path.display()))?;
+        ensure!(
+            path.extension().is_some(),
+            "{} has no extension, which gives the format: end it in .mp4",
+            path.display()
+        );
+        let partial = path.with_file_name(format!(".partial-{}", name.to_string_lossy()));
+        let mut command = Command::new("ffmpeg");
+        command.args(["-hide_banner", "-loglevel", "error", "-y", "-f", "rawvideo", "-pix_fmt", "rgb24"]);
+        command.args(["-s", &format!("{width}x{height}"), "-r", &fps.to_string(), "-i", "-", "-pix_fmt", "yuv420p"]);
+        command.arg(&partial).stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::piped());
+        let ffmpeg = command.spawn().map_err(|error| match error.kind() {
+            ErrorKind::NotFound => anyhow!(
+                "`--video` needs ffmpeg, and there is no `ffmpeg` on the PATH: install it (`apt install ffmpeg`, `brew install ffmpeg`, or \
+                 https://ffmpeg.org/download.html), or give `--out DIR` instead, for pictures"
+            ),
+            _ => anyhow::Error::from(error).context("cannot run `ffmpeg`: check that it may be executed"),
+        })?;
+        Ok(Self { ffmpeg, path, partial })
+    }
+
+    /// Adds a picture: RGB, 8 bits each.
+    ///
+    /// # Errors
+    /// If ffmpeg has ended, with what it says.
+    pub fn add(&mut self, rgb: &[u8]) -> Result<()> {
+        let written = self.ffmpeg.stdin.as_mut().map(|pipe| pipe.write_all(rgb));
+        match written {
+            Some(Ok(())) => Ok(()),
+            _ => self.end().and_then(|()| Err(anyhow!("`ffmpeg` ended before the video did"))),
+        }
+    }
+
+    /// Completes the file.
+    ///
+    /// # Errors
+    /// If ffmpeg fails, with what it says, or the file cannot be renamed.
+    pub fn finish(mut self) -> Result<()> {
+        self.end()?;
+        fs::rename(&self.partial, self.path).with_context(|| format!("cannot write {}", self.path.display()))
+    }
+
+    fn end(&mut self) -> Result<()> {
+        drop(self.ffmpeg.stdin.take());
+        let mut said = String::new();
+        if let Some(mut pipe) = self.ffmpeg.stderr.take() {
+            // What is no text is not shown.
+            _ = std::io::Read::read_to_string(&mut pipe, &mut said);
+        }
+        let status = self.ffmpeg.wait().context("cannot wait for `ffmpeg`")?;
+        ensure!(status.success(), "`ffmpeg` cannot encode {} ({status}): {}", self.path.display(), said.trim());
+        Ok(())
+    }
+}
+
+impl Drop for Video<'_> {
+    /// After a failure nothing is left. After the end none of this does anything.
+    fn drop(&mut self) {
+        _ = self.ffmpeg.kill();
+        _ = self.ffmpeg.wait();
+        _ = fs::remove_file(&self.partial);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_orbit_goes_around_what_the_cameras_look_at() {
+        let centre = DVec3::new(3.0, -1.0, 2.0);
+        // Three cameras on a quarter of a circle with a radius of 2, half a unit above, +y down, that look at the centre.
+        let view = |angle: f64| {
+            let position = centre + DVec3::new(2.0 * angle.cos(), -0.5, 2.0 * angle.sin());
+            let forward = (centre - position).normalize();
+            let right = forward.cross(DVec3::NEG_Y).normalize();
+            let axes = DMat3::from_cols(right, forward.cross(right), forward);
+            DAffine3::from_mat3_translation(axes, position)
+        };
+        let poses = [0.0, 0.8, 1.6].map(view);
+        assert!((focus(&poses).unwrap() - centre).length() < 1e-9);
+        assert_eq!(focus(&[poses[0], poses[0]]), None);
+        let lens = pinhole(&Intrinsics { fy: 70.0, ..Intrinsics::centred(65, 49, 60.0) });
+        assert_eq!((lens.width, lens.height, lens.fx), (64, 48, 70.0));
+        let path = orbit(&poses, 8).unwrap();
+        for (i, cam_from_world) in path.iter().enumerate() {
+            let pose = cam_from_world.inverse();
+            let ahead = cam_from_world.transform_point3(centre);
+            assert!(ahead.truncate().length() < 1e-9 && (ahead.z - 4.25f64.sqrt()).abs() < 1e-3, "{i}: {ahead}");
+            assert!(pose.matrix3.y_axis.y > 0.9 && (pose.matrix3.determinant() - 1.0).abs() < 1e-9, "{i}");
+            let (a, b) = (pose.translation, path[(i + 1) % 8].inverse().translation);
+            assert!(((a - b).length() - 4.0 * (TAU / 16.0).sin()).abs() < 0.01, "{i}: even steps");
+        }
+    }
+}
