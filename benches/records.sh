@@ -1,19 +1,16 @@
 #!/usr/bin/env bash
-# Trains every capture of a folder with every strategy of `splat train`, one run after the other, and writes the table of
-# docs/RECORDS.md. A row of docs/records.tsv is a run that is done and is skipped; remove it to repeat the run. An
-# interrupted run continues from its last checkpoint.
+# Trains every capture of a folder with every strategy of `splat train`, one run after the other, and writes a row of
+# docs/records.tsv for each. A row is a run that is done and is skipped; remove it to repeat the run. An interrupted run
+# continues from its last checkpoint.
 #
 #   benches/records.sh [DATA]     all runs, on the captures in DATA or else SPLAT_DATA_DIR (docs/CAPTURES.md)
-#   benches/records.sh table      the table alone
 #
 # Variables: CAPTURES, STRATEGIES and STEPS (lists; all, all, and 2000 7000 30000), SIDE and SPLATS (largest side of the
 # photographs, px, and largest number of Gaussians in long runs; 400 and 120000), LPIPS (weights), SPLAT (the program; built
-# if not named), WORK (folder of the runs; out/records),
-# RECORDS and PAGE (the two files that are written).
+# if not named), WORK (folder of the runs; out/records), RECORDS (the file that is written).
 set -euo pipefail
 cd "$(dirname "$0")/.."
 records="${RECORDS:-docs/records.tsv}"
-page="${PAGE:-docs/RECORDS.md}"
 work="${WORK:-out/records}"
 fields=(capture steps strategy side cap psnr ssim lpips splats seconds peak_mib device commit date)
 
@@ -72,42 +69,6 @@ train() {
   return "$status"
 }
 
-# Writes the rows between the markers of the page.
-table() {
-  if [ ! -f "$records" ]; then
-    echo "$records is missing: run benches/records.sh first" >&2
-    exit 1
-  fi
-  local rows
-  rows="$(mktemp)"
-  {
-    echo "| capture | steps | largest side, px | at most Gaussians | strategy | PSNR, dB | SSIM | LPIPS | Gaussians | training, s | peak memory, MiB | device | commit, date |"
-    echo "|---|---|---|---|---|---|---|---|---|---|---|---|---|"
-    tail -n +2 "$records" | sort -t$'\t' -k1,1 -k2,2n -k4,5 -k6,6nr | awk -F'\t' '
-      function at(value, format) { return value == "-" ? "" : sprintf(format, value) }
-      function grouped(count) {
-        while (match(count, /[0-9][0-9][0-9][0-9]($|,)/)) count = substr(count, 1, RSTART) "," substr(count, RSTART + 1)
-        return count
-      }
-      {
-        printf "| `%s` | %s | %s | %s | `%s` | %s | %s | %s | %s | %s | %s | %s | %s, %s |\n", $1, grouped($2),
-          $4 == "-" ? "own" : $4, $5 == "-" ? "" : grouped($5), $3, at($6, "%.2f"), at($7, "%.3f"), at($8, "%.3f"),
-          grouped($9), at($10, "%.0f"), at($11, "%.0f"), $12, $13, $14
-      }'
-  } >"$rows"
-  awk -v rows="$rows" '
-    /^<!-- records -->$/ { print; print ""; while ((getline line < rows) > 0) print line; print ""; skips = 1 }
-    /^<!-- end of records -->$/ { skips = 0 }
-    !skips || /^<!-- end of records -->$/ { if ($0 != "<!-- records -->") print }
-  ' "$page" >"$rows.page"
-  cat "$rows.page" >"$page"
-  rm "$rows" "$rows.page"
-}
-
-if [ "${1:-}" = table ]; then
-  table
-  exit
-fi
 data="${1:-${SPLAT_DATA_DIR:-}}"
 if [ ! -d "$data" ]; then
   echo "no folder of captures: benches/records.sh DATA, or set SPLAT_DATA_DIR" >&2
@@ -136,7 +97,7 @@ for steps in ${STEPS:-2000 7000 30000}; do
       status=0
       if [ ! -f "$out/metrics.json" ]; then train "$folder" "$steps" "$strategy" "$side" "$cap" "$out" || status=$?; fi
       case "$status" in
-      0) record "$key" "$out" && table ;;
+      0) record "$key" "$out" ;;
       # Ended by Ctrl-C, SIGKILL or SIGTERM: the same command continues.
       130 | 137 | 143) exit "$status" ;;
       *) failed=1 ;;

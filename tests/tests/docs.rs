@@ -6,7 +6,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Folders with pages. Their subfolders have none.
-const FOLDERS: [&str; 6] = [".", "docs", "docs/cards", "docs/pareto", "benches", "train/assets/viewer"];
+const FOLDERS: [&str; 4] = [".", "docs", "benches", "train/assets/viewer"];
 
 fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..").canonicalize().unwrap()

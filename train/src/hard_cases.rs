@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use anyhow::{Result, bail};
 use clap::builder::PossibleValuesParser;
 use splat_hard_cases::judge::{CaseVerdict, judge};
-use splat_hard_cases::table::{Section, markdown};
+use splat_hard_cases::table::{Section, summary, tsv};
 use splat_hard_cases::{CaseGroup, GROUPS, Processor, TestDevice};
 
 use crate::device::{self, AdapterKind, DeviceName};
@@ -15,12 +15,12 @@ use crate::output::OutputFolder;
 use crate::progress;
 
 /// Name of the table's file.
-pub const TABLE: &str = "HARD_CASES.md";
+pub const TABLE: &str = "hard_cases.tsv";
 
 /// Options of `splat hard-cases`.
 #[derive(Clone, Debug, clap::Args)]
 pub struct HardCasesArgs {
-    /// Folder for HARD_CASES.md
+    /// Folder for hard_cases.tsv
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
     /// Run only this group; may be given several times
@@ -32,7 +32,7 @@ pub struct HardCasesArgs {
     pub device: Vec<DeviceName>,
 }
 
-/// Runs the battery, prints the table and writes it.
+/// Runs the battery, writes the table and prints its summary.
 ///
 /// # Errors
 /// If a device is missing, the table cannot be written, or a case fails; in the last case the table is complete and
@@ -53,9 +53,8 @@ pub fn run(args: &HardCasesArgs) -> Result<()> {
         sections.push(Section { title, rows: rows.collect() });
     }
     bar.finish_and_clear();
-    let text = markdown(&sections, &places);
-    progress::say(&text);
-    out.write(TABLE, |file| Ok(file.write_all(text.as_bytes())?))?;
+    out.write(TABLE, |file| Ok(file.write_all(tsv(&sections).as_bytes())?))?;
+    progress::say(&summary(&sections, &places));
     let rows = || sections.iter().flat_map(|section| &section.rows);
     let failed = rows().filter(|(_, row)| row.verdict() == CaseVerdict::Failed).count();
     if failed > 0 {

@@ -1,4 +1,4 @@
-//! One run on several processes: how they find each other, begin and end. `docs/SCALE.md` describes it for users.
+//! One run on several processes: how they find each other, begin and end. `docs/LONG_RUNS.md` describes it for users.
 //!
 //! [`splat_model::trainer::ranks`] is what a run needs of them. Rank 0 reads the options, decides, writes every file and prints; the
 //! others follow its orders.
@@ -65,7 +65,7 @@ fn join_all(count: usize) -> Result<Rc<dyn Ranks>> {
 fn join_all(count: usize) -> Result<Rc<dyn Ranks>> {
     bail!(
         "{count} processes were started together, and this build of `splat` has no MPI, so that each of them would train the whole run: \
-         build it with `cargo install --path train --features mpi` (docs/SCALE.md), or start one process"
+         build it with `cargo install --path train --features mpi` (docs/LONG_RUNS.md), or start one process"
     )
 }
 
