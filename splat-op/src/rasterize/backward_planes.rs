@@ -27,9 +27,14 @@ const VALUES: usize = 16;
 /// Sizes of planes that the kernel is written for. A block's pixels are whole planes.
 pub(crate) const PLANES: [u32; 2] = [8, 32];
 
+/// Number of sums in shared memory. Planes that add to the rows of Gaussians themselves need none.
+const fn partial_len(columns: usize, direct: bool) -> usize {
+    if direct { 1 } else { TILE_PIXELS * columns }
+}
+
 /// Bytes of shared memory that the kernel takes.
-pub(super) const fn shared_bytes(columns: usize) -> usize {
-    4 * (SEGMENT * (4 * FOOTPRINT + 4 + 1) + WORDS + TILE_PIXELS * columns)
+pub(super) const fn shared_bytes(columns: usize, direct: bool) -> usize {
+    4 * (SEGMENT * (4 * FOOTPRINT + 4 + 1) + WORDS + partial_len(columns, direct))
 }
 
 /// Does what `rasterize_backward_kernel` does, for few channels. A cube of a unit per pixel takes a segment.
@@ -37,6 +42,9 @@ pub(super) const fn shared_bytes(columns: usize) -> usize {
 /// In a bucket, the units of a block pass the layers of the block's word from the last to the first, eight at a time: forwards for
 /// `α` and `T`, which stay in registers, then backwards for `∂L/∂α`, whose moments are added up over the plane. Layers before
 /// these eight are evaluated once more for their transmittance; few words have more than eight.
+///
+/// With `direct`, every plane adds its sums to the rows of the Gaussians, and no plane waits for another. Without, the planes of a
+/// cube meet after each bucket and add up their sums in a fixed order first: where the order matters, or an addition is dear.
 #[cube(launch_unchecked)]
 pub(super) fn rasterize_backward_planes_kernel<A: FloatCell>(
     projected: &[f32],
@@ -59,16 +67,17 @@ pub(super) fn rasterize_backward_planes_kernel<A: FloatCell>(
     #[comptime] absolute: bool,
     #[comptime] add: bool,
     #[comptime] plane_units: u32,
+    #[comptime] direct: bool,
 ) {
     let channels = comptime!(shape.channels());
     let columns = comptime!(row_len(shape, absolute));
     // Places whose sums are in shared memory at a time: a row for each plane and place, 256 rows.
-    let part_places = plane_units;
+    let part_places = comptime!(if direct { BUCKET as u32 } else { plane_units });
     let mut words = Shared::<[u32]>::new_slice(comptime!(WORDS));
     let mut ellipses = Shared::<[Four]>::new_slice(comptime!(SEGMENT * FOOTPRINT));
     let mut colours = Shared::<[Four]>::new_slice(comptime!(SEGMENT));
     let mut targets = Shared::<[u32]>::new_slice(comptime!(SEGMENT));
-    let mut partial = Shared::<[f32]>::new_slice(comptime!(TILE_PIXELS * columns));
+    let mut partial = Shared::<[f32]>::new_slice(comptime!(partial_len(columns, direct)));
 
     let slot = CUBE_POS as u32;
     if slot < slots {
@@ -261,70 +270,90 @@ pub(super) fn rasterize_backward_planes_kernel<A: FloatCell>(
                                         values[comptime!(at + MOMENTS + channels + 1)] = (hv * ellipse.inverse_v).abs();
                                     }
                                 }
-                                let first_row = plane_index * part_places;
-                                let rows = (
-                                    (first_row + group_places[comptime!(pair + 1)] - first_place) as usize,
-                                    (first_row + group_places[pair] - first_place) as usize,
+                                let first_row = plane_index * part_places - first_place;
+                                let mut rows = (
+                                    (first_row + group_places[comptime!(pair + 1)]) as usize,
+                                    (first_row + group_places[pair]) as usize,
                                 );
+                                if comptime!(direct) {
+                                    rows = (
+                                        targets[(bucket_start + group_places[comptime!(pair + 1)]) as usize] as usize,
+                                        targets[(bucket_start + group_places[pair]) as usize] as usize,
+                                    );
+                                }
                                 let both = comptime!(pair as u32 + 1) < here;
-                                store_sums(&values, &mut partial, rows, both, lane, columns, plane_units);
+                                store_sums::<A>(
+                                    &values,
+                                    &mut partial,
+                                    sums,
+                                    rows,
+                                    both,
+                                    lane,
+                                    columns,
+                                    plane_units,
+                                    direct,
+                                );
                             }
                         }
                     }
-                    sync_cube();
+                    if comptime!(!direct) {
+                        sync_cube();
 
-                    // A unit adds up the rows of a place, in the order of the planes.
-                    let in_part = select(
-                        count > bucket_start + first_place,
-                        min(count - min(count, bucket_start + first_place), part_places),
-                        0u32,
-                    );
-                    let mut cell = unit;
-                    while cell < in_part * comptime!(columns as u32) {
-                        let in_order = cell / comptime!(columns as u32);
-                        let column = cell % comptime!(columns as u32);
-                        let mut sum = 0.0f32;
-                        #[unroll]
-                        for other in 0..comptime!(TILE_PIXELS as u32 / plane_units) {
-                            let of_block = comptime!(other * plane_units / BLOCK as u32);
-                            let word = words[(bucket * comptime!(BLOCKS as u32) + of_block) as usize];
-                            if ((word >> (first_place + in_order)) & 1) != 0 {
-                                let row = comptime!(other * part_places) + in_order;
-                                sum += partial[(row * comptime!(columns as u32) + column) as usize];
+                        // A unit adds up the rows of a place, in the order of the planes.
+                        let in_part = select(
+                            count > bucket_start + first_place,
+                            min(count - min(count, bucket_start + first_place), part_places),
+                            0u32,
+                        );
+                        let mut cell = unit;
+                        while cell < in_part * comptime!(columns as u32) {
+                            let in_order = cell / comptime!(columns as u32);
+                            let column = cell % comptime!(columns as u32);
+                            let mut sum = 0.0f32;
+                            #[unroll]
+                            for other in 0..comptime!(TILE_PIXELS as u32 / plane_units) {
+                                let of_block = comptime!(other * plane_units / BLOCK as u32);
+                                let word = words[(bucket * comptime!(BLOCKS as u32) + of_block) as usize];
+                                if ((word >> (first_place + in_order)) & 1) != 0 {
+                                    let row = comptime!(other * part_places) + in_order;
+                                    sum += partial[(row * comptime!(columns as u32) + column) as usize];
+                                }
                             }
-                        }
-                        let target = targets[(bucket_start + first_place + in_order) as usize];
-                        let to = target as usize * columns + column as usize;
-                        if comptime!(add) {
-                            if sum != 0.0 {
-                                A::add(&sums[to], sum);
+                            let target = targets[(bucket_start + first_place + in_order) as usize];
+                            let to = target as usize * columns + column as usize;
+                            if comptime!(add) {
+                                if sum != 0.0 {
+                                    A::add(&sums[to], sum);
+                                }
+                            } else if target < end_row - first_row {
+                                rows[to] = sum;
                             }
-                        } else if target < end_row - first_row {
-                            rows[to] = sum;
+                            cell += comptime!(TILE_PIXELS as u32);
                         }
-                        cell += comptime!(TILE_PIXELS as u32);
+                        sync_cube();
                     }
-                    sync_cube();
                 }
             }
         }
     }
 }
 
-/// Stores the sum over the units of a plane of each of the values of two layers, `columns` each, in the rows of the layers; of the
-/// second layer alone unless `both` is set.
+/// Stores the sum over the units of a plane of each of the values of two layers, `columns` each, in the rows of the layers, or with
+/// `direct` adds it to them; of the second layer alone unless `both` is set.
 ///
 /// Sixteen values go together. In each step a unit keeps a half of its values, those of its side, and adds the other side's share of
 /// them, which it gets in exchange for its share of the other half.
 #[cube]
-fn store_sums(
+fn store_sums<A: FloatCell>(
     values: &Array<f32>,
     to: &mut Shared<[f32]>,
+    sums: &[A],
     rows: (usize, usize),
     both: bool,
     lane: u32,
     #[comptime] columns: usize,
     #[comptime] plane_units: u32,
+    #[comptime] direct: bool,
 ) {
     let (first_row, second_row) = rows;
     #[unroll]
@@ -366,10 +395,14 @@ fn store_sums(
             let value = index + comptime!(((k << steps) + chunk * VALUES) as u32);
             if lane % sharers == 0 && value < comptime!((chunk * VALUES + len) as u32) {
                 let second = value >= comptime!(columns as u32);
-                if second {
-                    to[second_row * columns + (value as usize - columns)] = own[k];
-                } else if both {
-                    to[first_row * columns + value as usize] = own[k];
+                let row = select(second, second_row, first_row);
+                let at = row * columns + value as usize - select(second, columns, 0usize);
+                if second || both {
+                    if comptime!(direct) {
+                        A::add(&sums[at], own[k]);
+                    } else {
+                        to[at] = own[k];
+                    }
                 }
             }
         }

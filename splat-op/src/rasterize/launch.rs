@@ -143,7 +143,7 @@ pub(crate) fn launch_rasterize_backward(
             let (written, added) = if ordered { (sums, &unused) } else { (&unused, sums) };
             // SAFETY: as above; a row belongs to an intersection or a Gaussian of the lists.
             macro_rules! launch {
-                ($kernel:ident, $cell:ty, $dim:expr $(, $planes:expr)?) => {
+                ($kernel:ident, $cell:ty, $dim:expr $(, $planes:expr, $direct:expr)?) => {
                     unsafe {
                         $kernel::launch_unchecked::<$cell>(
                             &gpu.client,
@@ -168,16 +168,21 @@ pub(crate) fn launch_rasterize_backward(
                             shape,
                             needs.mean2d_abs,
                             !ordered,
-                            $($planes)?
+                            $($planes, $direct)?
                         )
                     }
                 };
             }
-            let fits = shape.few() && shared_bytes(columns) <= gpu.shared_bytes;
+            let direct = !ordered && gpu.float_atomics;
+            let fits = shape.few() && shared_bytes(columns, direct) <= gpu.shared_bytes;
             let planes = gpu.plane_units.filter(|units| fits && PLANES.contains(units));
             match (planes, gpu.float_atomics) {
-                (Some(units), true) => launch!(rasterize_backward_planes_kernel, Atomic<f32>, TILE_PIXELS, units),
-                (Some(units), false) => launch!(rasterize_backward_planes_kernel, Atomic<u32>, TILE_PIXELS, units),
+                (Some(units), true) => {
+                    launch!(rasterize_backward_planes_kernel, Atomic<f32>, TILE_PIXELS, units, direct)
+                }
+                (Some(units), false) => {
+                    launch!(rasterize_backward_planes_kernel, Atomic<u32>, TILE_PIXELS, units, false)
+                }
                 (None, true) => launch!(rasterize_backward_kernel, Atomic<f32>, LANES),
                 (None, false) => launch!(rasterize_backward_kernel, Atomic<u32>, LANES),
             }
