@@ -10,8 +10,8 @@ pub(crate) mod reduce;
 use std::ops::Range;
 
 use cubecl::client::Client;
-use cubecl::features::AtomicUsage;
-use cubecl::ir::{ElemType, FloatKind, Type};
+use cubecl::features::{AtomicUsage, Plane};
+use cubecl::ir::{DeviceProperties, ElemType, FloatKind, Type};
 use cubecl::prelude::{CubeCount, CubeDim};
 
 pub use buffer::poison;
@@ -32,6 +32,11 @@ pub(crate) struct Gpu {
     pub client: Client,
     /// Whether atomic addition of floats is supported; otherwise additions exchange the bits of floats.
     pub float_atomics: bool,
+    /// Number of units of every plane, where planes are whole and their units exchange values; otherwise kernels go through shared
+    /// memory.
+    pub plane_units: Option<u32>,
+    /// Shared memory of a cube, bytes.
+    pub shared_bytes: usize,
     /// Size of the largest buffer, bytes.
     pub buffer_limit: u64,
 }
@@ -47,10 +52,21 @@ impl Gpu {
         let float = Type::atomic(Type::from(ElemType::Float(FloatKind::F32)));
         Self {
             float_atomics: properties.atomic_type_usage(float).contains(AtomicUsage::Add),
+            plane_units: plane_units(properties),
+            shared_bytes: properties.hardware.max_shared_memory_size,
             buffer_limit: properties.memory.max_page_size.min(INDEX_LIMIT).min(lowered_limit()),
             client: client.clone(),
         }
     }
+}
+
+/// Returns the number of units of every plane. CubeCL withholds plane operations from drivers in software; the variable
+/// `SPLAT_PLANES`, a number of units, gives them back for tests.
+fn plane_units(properties: &DeviceProperties) -> Option<u32> {
+    let hardware = &properties.hardware;
+    let forced = std::env::var("SPLAT_PLANES").ok().and_then(|units| units.parse().ok());
+    let same = hardware.plane_size_min == hardware.plane_size_max && properties.features.plane.contains(Plane::Ops);
+    forced.or_else(|| same.then_some(hardware.plane_size_min)).filter(|units| *units > 1)
 }
 
 /// Returns a dispatch of at least `cubes` cubes, within the limits of every device. Kernels number their cubes by `CUBE_POS` and

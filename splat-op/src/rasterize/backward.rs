@@ -14,8 +14,8 @@ use cubecl::prelude::*;
 use super::blocks::{BLOCK, BLOCKS, HEIGHT, WIDTH, pixel_of};
 use super::forward::WORDS;
 use super::layer::{
-    BUCKET, BUCKETS, FOOTPRINT, KernelShape, LayerEllipse, RasterFrame, SEGMENT, TilePixel, colour, first_slot, layer,
-    tile_origin, transmittance_after_bucket,
+    BUCKET, BUCKETS, FOOTPRINT, Four, KernelShape, LayerEllipse, RasterFrame, SEGMENT, TilePixel, colour, colours_of,
+    first_slot, layer, tile_origin, transmittance_after_bucket,
 };
 use super::suffix::plane_of;
 use super::trace::TileRun;
@@ -82,8 +82,8 @@ pub(super) fn rasterize_backward_kernel<A: FloatCell>(
     let mut checkpoints = Shared::<[f32]>::new_slice(comptime!(BUCKETS * TILE_PIXELS));
     let mut rho = Shared::<[f32]>::new_slice(comptime!(TILE_PIXELS));
     // Of the bucket: `alphas` holds alphas at first, then `h`.
-    let mut ellipses = Shared::<[f32]>::new_slice(comptime!(BUCKET * FOOTPRINT));
-    let mut colours = Shared::<[f32]>::new_slice(comptime!(if few { BUCKET * channels } else { 1 }));
+    let mut ellipses = Shared::<[Four]>::new_slice(comptime!(BUCKET * FOOTPRINT));
+    let mut colours = Shared::<[Four]>::new_slice(comptime!(if few { BUCKET } else { 1 }));
     let mut gaussians = Shared::<[u32]>::new_slice(comptime!(if few { 1 } else { BUCKET }));
     // Rows that the sums are written or added to.
     let mut targets = Shared::<[u32]>::new_slice(comptime!(BUCKET));
@@ -184,11 +184,7 @@ pub(super) fn rasterize_backward_kernel<A: FloatCell>(
                     LayerEllipse::of(projected, gaussian as usize, top).store(&mut ellipses, lane as usize);
                     targets[lane as usize] = if comptime!(add) { gaussian } else { intersection - first_row };
                     if comptime!(few) {
-                        #[unroll]
-                        for channel in 0..channels {
-                            colours[lane as usize * channels + channel] =
-                                colour(projected, features, gaussian as usize, channel, shape);
-                        }
+                        colours[lane as usize] = colours_of(projected, features, gaussian as usize, shape);
                     } else {
                         gaussians[lane as usize] = gaussian;
                     }
@@ -242,10 +238,11 @@ pub(super) fn rasterize_backward_kernel<A: FloatCell>(
                             let at = (i * comptime!(STRIDE as u32) + lane) as usize;
                             let alpha = alphas[at];
                             if comptime!(few) {
+                                let all = colours[i as usize];
                                 let mut along = 0.0f32;
                                 #[unroll]
                                 for channel in 0..channels {
-                                    along += gradient[channel] * colours[i as usize * channels + channel];
+                                    along += gradient[channel] * all.extract(channel);
                                 }
                                 let ahead = along - behind;
                                 behind += alpha * ahead;

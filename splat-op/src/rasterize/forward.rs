@@ -8,8 +8,8 @@ use cubecl::prelude::*;
 
 use super::blocks::{BLOCK, BLOCKS, HALF, blocks_met, pixel_of};
 use super::layer::{
-    BUCKET, BUCKETS, FOOTPRINT, KernelShape, LayerEllipse, RasterFrame, SEGMENT, TilePixel, add_compensated, colour,
-    first_slot, layer, lost_after_bucket, tile_origin, transmittance_after_bucket,
+    BUCKET, BUCKETS, FOOTPRINT, Four, KernelShape, LayerEllipse, RasterFrame, SEGMENT, TilePixel, add_compensated,
+    colour, colours_of, first_slot, layer, lost_after_bucket, tile_origin, transmittance_after_bucket,
 };
 use super::trace::TileRun;
 use crate::intersect::forward::TileLists;
@@ -52,8 +52,8 @@ pub(super) fn rasterize_forward_kernel(
     let channels = comptime!(shape.channels());
     let few = comptime!(shape.few());
     let tile = run.first_tile + CUBE_POS as u32;
-    let mut ellipses = Shared::<[f32]>::new_slice(comptime!(SEGMENT * FOOTPRINT));
-    let mut colours = Shared::<[f32]>::new_slice(comptime!(if few { SEGMENT * channels } else { 1 }));
+    let mut ellipses = Shared::<[Four]>::new_slice(comptime!(SEGMENT * FOOTPRINT));
+    let mut colours = Shared::<[Four]>::new_slice(comptime!(if few { SEGMENT } else { 1 }));
     let mut gaussians = Shared::<[u32]>::new_slice(comptime!(if few { 1 } else { SEGMENT }));
     // Places whose ellipse meets the block, places that some pixel of the block needs, and evaluations of a block's
     // slowest pixel.
@@ -121,11 +121,7 @@ pub(super) fn rasterize_forward_kernel(
                         gaussians[i as usize] = gaussian;
                     }
                 } else if comptime!(few) {
-                    #[unroll]
-                    for channel in 0..channels {
-                        colours[i as usize * channels + channel] =
-                            colour(projected, features, gaussian as usize, channel, shape);
-                    }
+                    colours[i as usize] = colours_of(projected, features, gaussian as usize, shape);
                 }
                 let bits = blocks_met(ellipse, left, half, &frame);
                 let word = i / comptime!(BUCKET as u32) * comptime!(BLOCKS as u32) + half * comptime!(HALF as u32);
@@ -177,9 +173,10 @@ pub(super) fn rasterize_forward_kernel(
                         word = 0u32;
                     }
                     if comptime!(few) {
+                        let all = colours[place];
                         #[unroll]
                         for channel in 0..channels {
-                            own[channel] += weight * colours[place * channels + channel];
+                            own[channel] += weight * all.extract(channel);
                         }
                     } else if alpha > 0.0 {
                         let gaussian = gaussians[place] as usize;

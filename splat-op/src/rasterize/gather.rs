@@ -7,12 +7,13 @@ use super::layer::KernelShape;
 use crate::project::COLUMNS;
 use crate::ray_space::SLOPES;
 
-/// Stores the gradient of the shape of the ellipse that begins at `at`, from its moments.
+/// Stores the gradient of the shape of the ellipse that begins at `at`, from its moments. One that is not `shown` has zeros, which
+/// nothing is divided by.
 #[cube]
-fn store_shape(out: &mut [f32], to: usize, row: &Array<f32>, projected: &[f32], at: usize) {
-    let sigma_u = projected[at + 2];
-    let shear = projected[at + 3];
-    let sigma_v = projected[at + 4];
+fn store_shape(out: &mut [f32], to: usize, row: &Array<f32>, projected: &[f32], at: usize, shown: bool) {
+    let sigma_u = select(shown, projected[at + 2], 1.0);
+    let shear = select(shown, projected[at + 3], 0.0);
+    let sigma_v = select(shown, projected[at + 4], 1.0);
     let per_v = row[2] / sigma_v;
     out[to] = row[1] / sigma_u - shear * per_v;
     out[to + 1] = per_v;
@@ -25,12 +26,13 @@ fn store_shape(out: &mut [f32], to: usize, row: &Array<f32>, projected: &[f32], 
 /// `∂e/∂shear = u v sigma_u/sigma_v`, `∂e/∂mean = (u/sigma_u − v shear/sigma_v, v/sigma_v)`; and
 /// `∂α/∂opacity = α/opacity`.
 ///
-/// The Gaussians have the ranks `first_rank..end_rank` in `order`. With `per_intersection`, `rows` holds the rows of their
-/// intersections, `first_row..end_row`; otherwise it holds a row for each Gaussian of the scene.
+/// With `per_intersection`, the Gaussians have the ranks `first_rank..end_rank` in `order`, and `rows` holds the rows of their
+/// intersections, `first_row..end_row`; the gradients of other Gaussians are not written: the buffers must hold zeros. Otherwise
+/// `rows` holds a row for each Gaussian of the scene, in whose order neighbouring units read neighbouring rows, and every gradient
+/// is written: zeros for a row of zeros.
 ///
 /// A row has the moments, the channels, along rays the gradient of the depth slope and of the centre's relative depth, and in the
-/// last two columns the sums of absolute values, if they are wanted. Gradients of Gaussians without intersections are not written:
-/// the buffers must hold zeros.
+/// last two columns the sums of absolute values, if they are wanted.
 ///
 /// With `grad_rays` the Gaussian was seen along rays: the gradient of its shape goes to its row of `ray_space`, which has
 /// `ray_columns` columns, and the ellipse keeps that of its opacity.
@@ -56,9 +58,10 @@ pub(super) fn rasterize_gather_kernel(
     let few = comptime!(shape.few());
     let rank = first_rank as usize + ABSOLUTE_POS;
     if rank < end_rank as usize {
-        let gaussian = order[rank] as usize;
+        let mut gaussian = rank;
         let mut row = Array::<f32>::new(columns);
         if comptime!(per_intersection) {
+            gaussian = order[rank] as usize;
             let first = first_intersection[rank];
             let mut end = end_row;
             if rank + 1 < end_rank as usize {
@@ -80,6 +83,12 @@ pub(super) fn rasterize_gather_kernel(
                 row[column] = rows[gaussian * columns + column];
             }
         }
+        let mut set = 0u32;
+        #[unroll(few)]
+        for column in 0..columns {
+            set |= u32::reinterpret(row[column]);
+        }
+        let shown = (set & 0x7fff_ffff) != 0;
         let at = gaussian * comptime!(COLUMNS);
         #[comptime]
         if let ComptimeOption::Some(out) = &mut grad_rays {
@@ -88,17 +97,24 @@ pub(super) fn rasterize_gather_kernel(
             for k in 0..comptime!(SLOPES) {
                 out[first + k] = row[comptime!(MOMENTS + shape.channels() + k)];
             }
-            store_shape(out, first + comptime!(SLOPES), &row, projected, at);
+            store_shape(out, first + comptime!(SLOPES), &row, projected, at, shown);
         }
         #[comptime]
         if let ComptimeOption::Some(out) = &mut grad_projected {
             if comptime!(ray_columns == 0) {
-                store_shape(out, at, &row, projected, at);
-                if comptime!(shape.depth) {
-                    out[at + 5] = row[comptime!(MOMENTS + shape.features)];
+                store_shape(out, at, &row, projected, at, shown);
+            } else {
+                #[unroll]
+                for column in 0..5usize {
+                    out[at + column] = 0.0f32;
                 }
             }
-            out[at + 6] = row[0] / projected[at + 6];
+            let mut depth = 0.0f32;
+            if comptime!(ray_columns == 0 && shape.depth) {
+                depth = row[comptime!(MOMENTS + shape.features)];
+            }
+            out[at + 5] = depth;
+            out[at + 6] = row[0] / select(shown, projected[at + 6], 1.0);
         }
         #[comptime]
         if let ComptimeOption::Some(out) = &mut grad_features {

@@ -3,6 +3,7 @@
 use cubecl::prelude::*;
 
 use super::backward::{LANES, rasterize_backward_kernel, row_len};
+use super::backward_planes::{PLANES, rasterize_backward_planes_kernel, shared_bytes};
 use super::forward::{PAIR_COUNTS, rasterize_forward_kernel};
 use super::gather::rasterize_gather_kernel;
 use super::layer::{KernelShape, RasterFrameLaunch};
@@ -108,7 +109,8 @@ pub(crate) fn launch_rasterize_backward(
         (false, _) => Vec::new(),
         (true, true) => Rows::of_intersections(gpu, lists, columns),
         (true, false) => {
-            vec![Rows::of_gaussians(lists, Buffer::zeros(gpu, inputs.projected.len / COLUMNS * columns))]
+            let count = inputs.projected.len / COLUMNS;
+            vec![Rows::of_gaussians(lists, count, Buffer::zeros(gpu, count * columns))]
         }
     };
     let unused: Buffer<f32> = Buffer::new(gpu, 0);
@@ -139,14 +141,14 @@ pub(crate) fn launch_rasterize_backward(
         }
         for Rows { intersections, sums, .. } in &rows {
             let (written, added) = if ordered { (sums, &unused) } else { (&unused, sums) };
+            // SAFETY: as above; a row belongs to an intersection or a Gaussian of the lists.
             macro_rules! launch {
-                ($cell:ty) => {
-                    // SAFETY: as above; a row belongs to an intersection or a Gaussian of the lists.
+                ($kernel:ident, $cell:ty, $dim:expr $(, $planes:expr, $direct:expr)?) => {
                     unsafe {
-                        rasterize_backward_kernel::launch_unchecked::<$cell>(
+                        $kernel::launch_unchecked::<$cell>(
                             &gpu.client,
                             cubes(slots),
-                            CubeDim::new_1d(LANES as u32),
+                            CubeDim::new_1d($dim as u32),
                             inputs.projected.arg(),
                             inputs.features.arg(),
                             grad.arg(),
@@ -166,13 +168,23 @@ pub(crate) fn launch_rasterize_backward(
                             shape,
                             needs.mean2d_abs,
                             !ordered,
+                            $($planes, $direct)?
                         )
                     }
                 };
             }
-            match gpu.float_atomics {
-                true => launch!(Atomic<f32>),
-                false => launch!(Atomic<u32>),
+            let direct = !ordered && gpu.float_atomics;
+            let fits = shape.few() && shared_bytes(columns, direct) <= gpu.shared_bytes;
+            let planes = gpu.plane_units.filter(|units| fits && PLANES.contains(units));
+            match (planes, gpu.float_atomics) {
+                (Some(units), true) => {
+                    launch!(rasterize_backward_planes_kernel, Atomic<f32>, TILE_PIXELS, units, direct)
+                }
+                (Some(units), false) => {
+                    launch!(rasterize_backward_planes_kernel, Atomic<u32>, TILE_PIXELS, units, false)
+                }
+                (None, true) => launch!(rasterize_backward_kernel, Atomic<f32>, LANES),
+                (None, false) => launch!(rasterize_backward_kernel, Atomic<u32>, LANES),
             }
         }
     }
@@ -202,7 +214,10 @@ pub(crate) fn launch_gather(
         len(needs.mean2d_abs, 2),
         len(ray_columns > 0, ray_columns),
     ];
-    let [of_projected, features, mean2d_abs, grad_rays] = Buffer::zeros_of(gpu, lens);
+    let [of_projected, features, mean2d_abs, grad_rays] = match ordered || ray_columns > 0 {
+        true => Buffer::zeros_of(gpu, lens),
+        false => lens.map(|len| len.map(|len| Buffer::new(gpu, len))),
+    };
     let grads = Layers { projected: of_projected, features, background: None, mean2d_abs };
     let output = |buffer: &Option<Buffer<f32>>| buffer.as_ref().map(Buffer::arg).into();
     for Rows { ranks, intersections, sums } in rows {

@@ -25,8 +25,11 @@ pub(super) const SEGMENT: usize = BUCKETS * BUCKET;
 /// keeps the sums of each segment. With more channels, all three would not fit.
 pub(crate) const FEW: usize = 4;
 
-/// Number of values in a [`LayerEllipse`].
-pub(super) const FOOTPRINT: usize = 6;
+/// Four numbers that are read from shared memory at once.
+pub(super) type Four = Vector<f32, Const<4>>;
+
+/// Number of vectors of four that a [`LayerEllipse`] takes in shared memory.
+pub(super) const FOOTPRINT: usize = 2;
 
 /// The least normal f32. Devices may take smaller numbers for zero.
 const SMALLEST: f32 = f32::MIN_POSITIVE;
@@ -158,25 +161,31 @@ impl LayerEllipse {
         }
     }
 
-    pub fn store(&self, to: &mut Shared<[f32]>, index: usize) {
-        let at = index * comptime!(FOOTPRINT);
-        to[at] = self.x;
-        to[at + 1] = self.rise;
-        to[at + 2] = self.inverse_u;
-        to[at + 3] = self.inverse_v;
-        to[at + 4] = self.shear;
-        to[at + 5] = self.opacity;
+    pub fn store(&self, to: &mut Shared<[Four]>, index: usize) {
+        let mut place = Four::empty();
+        place.insert(0usize, self.x);
+        place.insert(1usize, self.rise);
+        place.insert(2usize, self.inverse_u);
+        place.insert(3usize, self.inverse_v);
+        let mut rest = Four::empty();
+        rest.insert(0usize, self.shear);
+        rest.insert(1usize, self.opacity);
+        rest.insert(2usize, 0.0f32);
+        rest.insert(3usize, 0.0f32);
+        to[index * comptime!(FOOTPRINT)] = place;
+        to[index * comptime!(FOOTPRINT) + 1] = rest;
     }
 
-    pub fn load(from: &Shared<[f32]>, index: usize) -> LayerEllipse {
-        let at = index * comptime!(FOOTPRINT);
+    pub fn load(from: &Shared<[Four]>, index: usize) -> LayerEllipse {
+        let place = from[index * comptime!(FOOTPRINT)];
+        let rest = from[index * comptime!(FOOTPRINT) + 1];
         LayerEllipse {
-            x: from[at],
-            rise: from[at + 1],
-            inverse_u: from[at + 2],
-            inverse_v: from[at + 3],
-            shear: from[at + 4],
-            opacity: from[at + 5],
+            x: place.extract(0usize),
+            rise: place.extract(1usize),
+            inverse_u: place.extract(2usize),
+            inverse_v: place.extract(3usize),
+            shear: rest.extract(0usize),
+            opacity: rest.extract(1usize),
         }
     }
 
@@ -278,4 +287,19 @@ pub(super) fn colour(
         value = features[gaussian * comptime!(shape.features) + channel];
     }
     value
+}
+
+/// Returns all channels of a Gaussian, of at most [`FEW`].
+#[cube]
+pub(super) fn colours_of(projected: &[f32], features: &[f32], gaussian: usize, #[comptime] shape: KernelShape) -> Four {
+    let mut all = Four::empty();
+    #[unroll]
+    for channel in 0..comptime!(FEW) {
+        let mut value = 0.0f32;
+        if comptime!(channel < shape.channels()) {
+            value = colour(projected, features, gaussian, channel, shape);
+        }
+        all.insert(channel, value);
+    }
+    all
 }

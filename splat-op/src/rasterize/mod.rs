@@ -16,6 +16,8 @@ mod alpha_tests;
 #[cfg(feature = "cube")]
 pub(crate) mod backward;
 #[cfg(feature = "cube")]
+mod backward_planes;
+#[cfg(feature = "cube")]
 pub(crate) mod blocks;
 pub(crate) mod cpu;
 #[cfg(all(test, feature = "cube"))]

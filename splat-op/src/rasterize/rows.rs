@@ -9,7 +9,7 @@ use crate::limits::Need;
 
 /// Rows of some Gaussians.
 pub(crate) struct Rows {
-    /// Ranks of the Gaussians in the order by depth.
+    /// Ranks of the Gaussians in the order by depth; the Gaussians of the scene if each has a row.
     pub ranks: Range<usize>,
     /// Their intersections.
     pub intersections: Range<usize>,
@@ -18,9 +18,9 @@ pub(crate) struct Rows {
 }
 
 impl Rows {
-    /// Returns the rows of all Gaussians, one per Gaussian, in `sums`.
-    pub fn of_gaussians(lists: &DeviceIntersections, sums: Buffer<f32>) -> Self {
-        Self { ranks: 0..lists.visible, intersections: 0..lists.intersections, sums }
+    /// Returns the rows of all `count` Gaussians, one per Gaussian, in `sums`.
+    pub fn of_gaussians(lists: &DeviceIntersections, count: usize, sums: Buffer<f32>) -> Self {
+        Self { ranks: 0..count, intersections: 0..lists.intersections, sums }
     }
 
     /// Allocates rows of `columns` sums, one per intersection, in as many buffers as the device's largest makes necessary. Each

@@ -5,8 +5,8 @@ use cubecl::prelude::*;
 use super::blocks::{BLOCK, BLOCKS, pixel_of};
 use super::forward::WORDS;
 use super::layer::{
-    BUCKET, BUCKETS, FOOTPRINT, KernelShape, LayerEllipse, RasterFrame, SEGMENT, TilePixel, add_compensated, colour,
-    first_slot, layer, tile_origin, transmittance_after_bucket,
+    BUCKET, BUCKETS, FOOTPRINT, Four, KernelShape, LayerEllipse, RasterFrame, SEGMENT, TilePixel, add_compensated,
+    colour, first_slot, layer, tile_origin, transmittance_after_bucket,
 };
 use super::trace::TileRun;
 use crate::gpu::reduce::cube_sum;
@@ -54,7 +54,7 @@ pub(super) fn rasterize_suffix_kernel(
     let tile = run.first_tile + CUBE_POS as u32;
     let unit = UNIT_POS;
     let mut shared = Shared::<[f32]>::new_slice(comptime!(TILE_PIXELS));
-    let mut ellipses = Shared::<[f32]>::new_slice(comptime!(if few { 1 } else { SEGMENT * FOOTPRINT }));
+    let mut ellipses = Shared::<[Four]>::new_slice(comptime!(if few { 1 } else { SEGMENT * FOOTPRINT }));
     let mut gaussians = Shared::<[u32]>::new_slice(comptime!(if few { 1 } else { SEGMENT }));
     let mut words = Shared::<[u32]>::new_slice(comptime!(if few { 1 } else { WORDS }));
     if tile < run.end_tile {

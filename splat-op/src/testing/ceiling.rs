@@ -131,7 +131,9 @@ impl PerturbedReference {
         }
         for class in 0..=u8::MAX {
             let of_class = || rows.iter().filter(|row| row.0 == class);
-            let floor = ROW_FLOOR * of_class().fold(0.0_f64, |largest, row| largest.max(row.1));
+            // Devices that flush subnormal numbers may lose the digits of rows this small.
+            let floor =
+                (ROW_FLOOR * of_class().fold(0.0_f64, |largest, row| largest.max(row.1))).max(SMALLEST / ROW_TOLERANCE);
             let (mut judged, mut off, mut ill) = (0, 0, 0);
             for (_, size, error, spread) in of_class().filter(|row| row.1 > floor) {
                 judged += 1;

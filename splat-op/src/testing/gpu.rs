@@ -10,7 +10,7 @@ use burn::tensor::{Device, DeviceType};
 
 use crate::gpu::{Gpu, poison};
 
-/// The best GPU (a software driver if there is no other) as it is and without float atomics. If there is no GPU or
+/// The best GPU (a software driver if there is no other) as it is, without float atomics, and without planes. If there is no GPU or
 /// `SPLAT_GPU=skip` is set, the result is empty and a line says so. With `SPLAT_GPU=require` a missing GPU is a failure.
 /// `SPLAT_RUNTIME` names the only runtime that is asked, by its feature.
 pub fn gpus() -> Vec<(&'static str, Gpu)> {
@@ -18,7 +18,10 @@ pub fn gpus() -> Vec<(&'static str, Gpu)> {
     let Some(gpu) = GPU.get_or_init(find).clone() else { return Vec::new() };
     let mut gpus = vec![("as it is", gpu.clone())];
     if gpu.float_atomics {
-        gpus.push(("without float atomics", Gpu { float_atomics: false, ..gpu }));
+        gpus.push(("without float atomics", Gpu { float_atomics: false, ..gpu.clone() }));
+    }
+    if gpu.plane_units.is_some() {
+        gpus.push(("without planes", Gpu { plane_units: None, ..gpu }));
     }
     gpus
 }
@@ -47,10 +50,11 @@ fn find() -> Option<Gpu> {
     let client = device.client();
     let gpu = Gpu::new(&client);
     say(&format!(
-        "the kernels' tests run on {} through {}, {} float atomics",
+        "the kernels' tests run on {} through {}, {} float atomics, {}",
         client.properties().identity.name,
         client.name(),
-        if gpu.float_atomics { "with" } else { "without" }
+        if gpu.float_atomics { "with" } else { "without" },
+        gpu.plane_units.map_or("without planes".into(), |units| format!("planes of {units}"))
     ));
     Some(gpu)
 }
