@@ -171,7 +171,7 @@ pub use camera::{Camera, CameraModel, Intrinsics, Projector};
 pub use colour::{colours, colours_up_to, evaluate_sh, visible_colours};
 pub use dials::{Culling, Exponential, Storage};
 pub use error::SplatError;
-pub use options::{Accumulation, MAX_UNCULLED_INTERSECTIONS, Order, Projection, RenderOptions};
+pub use options::{Accumulation, MAX_UNCULLED_INTERSECTIONS, Projection, RenderOptions};
 pub use render::{render, render_view};
 pub use splats::{Colour, Extras, Splats};
 pub use stages::{Ellipses, Intersections, Projected, Rendered, intersect, project, rasterize};

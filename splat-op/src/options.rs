@@ -27,8 +27,6 @@ pub struct RenderOptions {
     pub sh_degree: Option<usize>,
     /// Model: value of a Gaussian at a pixel, by an affine approximation of the projection or by its maximum along the pixel's ray.
     pub projection: Projection,
-    /// Model: depth order, of the Gaussians for the whole picture or of the contributions to each pixel.
-    pub order: Order,
     /// Dial: contributions with an alpha below this are skipped. Zero skips none and lists every Gaussian in every tile; a render
     /// with more than [`MAX_UNCULLED_INTERSECTIONS`] pairs of a Gaussian and a tile is then refused.
     pub alpha_min: f64,
@@ -37,8 +35,8 @@ pub struct RenderOptions {
     /// Dial: a pixel is finished before the splat that would bring its transmittance to this or below; that splat and all behind
     /// it are skipped. Zero skips none.
     pub transmittance_min: f64,
-    /// Dial: how GPUs add the gradients of a Gaussian's intersections. CPU backends and per-ray rasterization (any `projection` or
-    /// `order` but the default) always add them in order.
+    /// Dial: how GPUs add the gradients of a Gaussian's intersections. CPU backends and per-ray rasterization
+    /// ([`Projection::RayMax`]) always add them in order.
     pub accumulation: Accumulation,
     /// Dial: which tiles list a Gaussian. It changes the time, not the result.
     pub culling: Culling,
@@ -62,21 +60,8 @@ pub enum Projection {
     Affine,
     /// Exact maximum of the Gaussian along the pixel's ray; see [`crate::rasterize_rays`]. It ignores
     /// [`RenderOptions::jacobian_margin`]: the ellipse of a pinhole's centre beyond the picture is that at the picture's border. Through
-    /// a lens, a pixel without a ray shows the background, also with [`Order::PerPixelSort`].
+    /// a lens, a pixel without a ray shows the background.
     RayMax,
-}
-
-/// The depth order in which Gaussians are blended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Default)]
-#[non_exhaustive]
-pub enum Order {
-    /// One order for the whole picture, by the camera z of the Gaussians' centres. As a camera turns or moves, two Gaussians change
-    /// places in all pixels at the same moment, which is visible as popping.
-    #[default]
-    CentreDepth,
-    /// One order per pixel, by the camera z of each Gaussian's maximum along the pixel's ray, then in the order of the centres (Radl
-    /// et al. 2024, StopThePop).
-    PerPixelSort,
 }
 
 /// The way in which GPUs add the gradients of one Gaussian's intersections with many tiles.
@@ -120,7 +105,6 @@ impl RenderOptions {
             jacobian_margin: 0.3,
             antialias: false,
             projection: Projection::Affine,
-            order: Order::CentreDepth,
             alpha_min: 1.0 / 255.0,
             alpha_max: 0.99,
             transmittance_min: 1e-4,
@@ -161,11 +145,6 @@ impl RenderOptions {
 
     /// Whether the render uses per-ray rasterization: `ray_space` and `rasterize_rays` instead of `rasterize`.
     pub(crate) fn along_rays(&self) -> bool {
-        self.projection != Projection::Affine || self.order != Order::CentreDepth
-    }
-
-    /// Whether the extent of a Gaussian comes from its bounds instead of its ellipse.
-    pub(crate) fn extends_by_bounds(&self) -> bool {
         self.projection == Projection::RayMax
     }
 
@@ -246,8 +225,6 @@ builders! {
     with_antialias(antialias: bool);
     /// Sets the projection.
     with_projection(projection: Projection);
-    /// Sets the depth order.
-    with_order(order: Order);
     /// Sets how GPUs add gradients.
     with_accumulation(accumulation: Accumulation);
     /// Sets the highest degree of the spherical harmonics that is used; `None` uses all.
@@ -299,7 +276,6 @@ mod tests {
             .with_antialias(true)
             .with_sh_degree(Some(1))
             .with_projection(Projection::RayMax)
-            .with_order(Order::PerPixelSort)
             .with_alpha_min(0.01)
             .with_alpha_max(0.9)
             .with_transmittance_min(0.02)
@@ -315,7 +291,6 @@ mod tests {
             antialias: true,
             sh_degree: Some(1),
             projection: Projection::RayMax,
-            order: Order::PerPixelSort,
             alpha_min: 0.01,
             alpha_max: 0.9,
             transmittance_min: 0.02,

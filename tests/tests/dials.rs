@@ -2,7 +2,7 @@
 
 use burn::tensor::{DType, Device, f16};
 use splat_op::{
-    Accumulation, Camera, Colour, Culling, Exponential, Extras, Intrinsics, MAX_UNCULLED_INTERSECTIONS, Order,
+    Accumulation, Camera, Colour, Culling, Exponential, Extras, Intrinsics, MAX_UNCULLED_INTERSECTIONS, Projection,
     RenderOptions, Splats, Storage, intersect, project, render,
 };
 use splat_tests::random::Random;
@@ -196,9 +196,9 @@ fn coefficients_of_half_precision_have_gradients_in_a_step_that_trains_all() {
     let poses = [[true; 9], [true, true, true, true, true, false, true, true, true]];
     for place in with_halves() {
         for tracked in poses {
-            for options in [OPTIONS, OPTIONS.with_order(Order::PerPixelSort)] {
+            for options in [OPTIONS, OPTIONS.with_projection(Projection::RayMax)] {
                 let at = (place.1.clone(), place.2);
-                let what = format!("{} {:?}, {tracked:?}, {:?}", place.0, place.2, options.order);
+                let what = format!("{} {:?}, {tracked:?}, {:?}", place.0, place.2, options.projection);
                 let half = options.with_coefficients(Storage::Half);
                 let found = gradients_of(&scene, 1, tracked, &half, &at);
                 let expected = gradients_of(&rounded(&scene), 1, tracked, &options, &at);

@@ -10,7 +10,7 @@ use splat_model::accuracy::{ChosenSetting, Frontier, Preset, Provenance, Setting
 use splat_model::capture::Capture;
 use splat_model::gaussians::GaussianRows;
 use splat_model::trainer::TrainConfig;
-use splat_op::{Order, Projection, RenderOptions};
+use splat_op::{Projection, RenderOptions};
 
 use crate::pareto::{self, UnmeasuredScene};
 use crate::progress;
@@ -26,9 +26,6 @@ pub struct ModelArgs {
     /// How a splat contributes to a pixel. Evaluate and render a scene with the setting it was trained with
     #[arg(long, value_enum, value_name = "WHAT", default_value_t)]
     pub projection: ProjectionArg,
-    /// How splats are sorted by depth. Evaluate and render a scene with the setting it was trained with
-    #[arg(long, value_enum, value_name = "WHAT", default_value_t)]
-    pub order: OrderArg,
 }
 
 /// [`Projection`] on the command line.
@@ -39,16 +36,6 @@ pub enum ProjectionArg {
     Affine,
     /// Largest value along the pixel's ray; about twice as slow
     RayMax,
-}
-
-/// [`Order`] on the command line.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
-pub enum OrderArg {
-    /// One global sort by the depths of the splats' centres
-    #[default]
-    CentreDepth,
-    /// Sort for each pixel, so that nothing pops as the camera turns; about three times as slow
-    PerPixelSort,
 }
 
 impl ModelArgs {
@@ -63,12 +50,8 @@ impl ModelArgs {
             ProjectionArg::Affine => Projection::Affine,
             ProjectionArg::RayMax => Projection::RayMax,
         };
-        let order = match self.order {
-            OrderArg::CentreDepth => Order::CentreDepth,
-            OrderArg::PerPixelSort => Order::PerPixelSort,
-        };
         let standard = RenderOptions::standard();
-        Setting::between(&standard, &standard.with_projection(projection).with_order(order))
+        Setting::between(&standard, &standard.with_projection(projection))
     }
 }
 
@@ -163,7 +146,7 @@ impl RequestedAccuracy {
         ensure!(
             of.choices == choices,
             "{path} was measured with other model choices ({}) than these ({choices}): measure this scene with `splat pareto`, \
-             or leave out `--frontier`, or give `--antialias`, `--projection` and `--order` as they were",
+             or leave out `--frontier`, or give `--antialias` and `--projection` as they were",
             of.choices
         );
         let other = match scene {

@@ -1,6 +1,6 @@
 //! The table of dials. A dial that is added here can be measured, stored in files, chosen and trained with.
 
-use splat_op::{Accumulation, Culling, Exponential, Order, Projection, RenderOptions, Storage};
+use splat_op::{Accumulation, Culling, Exponential, Projection, RenderOptions, Storage};
 
 /// The reference that a dial's values are judged against. The two kinds are never mixed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -160,14 +160,6 @@ pub const DIALS: &[Dial] = &[
         &[
             choice("ray-max", |o| o.with_projection(Projection::RayMax)),
             choice("affine", |o| o.with_projection(Projection::Affine)),
-        ],
-    ),
-    model(
-        "order",
-        "unit of the depth sort: whole Gaussians, or the contributions to each pixel",
-        &[
-            choice("per-pixel-sort", |o| o.with_order(Order::PerPixelSort)),
-            choice("centre-depth", |o| o.with_order(Order::CentreDepth)),
         ],
     ),
     model(

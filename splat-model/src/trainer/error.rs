@@ -37,8 +37,8 @@ pub enum TrainError {
     Resolution(Resolution),
     /// Effects on ellipses with a render that has none.
     #[error(
-        "motion blur, rolling shutters and defocus change ellipses on the screen, which `--projection ray-max` and \
-         `--order per-pixel-sort` do not compute: leave out one of them (`--effects=-NAME`)"
+        "motion blur, rolling shutters and defocus change ellipses on the screen, which `--projection ray-max` does not \
+         compute: leave out one of them (`--effects=-NAME`)"
     )]
     Ellipses,
     /// A background cannot be learned from a photograph with transparent parts.

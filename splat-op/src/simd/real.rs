@@ -57,10 +57,6 @@ pub(crate) trait Real:
     fn sort_by_key(rows: &mut [(Self::SortKey, u32)]);
     /// Returns the integer part of a value between 0 and 2³¹, faster than a conversion to `usize`.
     fn index(self) -> usize;
-    /// Returns a positive float that stands for an index below 2³⁰: floats follow one in this order.
-    fn from_index(index: usize) -> Self;
-    /// The inverse of [`Self::from_index`].
-    fn to_index(self) -> usize;
     /// The largest `q` that [`Self::exp2_lanes`] supports: `2^−q` is not subnormal.
     const EXP2_MAX: Self;
     /// The constants of [`Self::exp2_lanes`].
@@ -122,14 +118,6 @@ macro_rules! scalar_functions {
         #[inline(always)]
         fn index(self) -> usize {
             self as i32 as usize
-        }
-        #[inline(always)]
-        fn from_index(index: usize) -> Self {
-            <$float>::from_bits(<$float>::to_bits(1.0) + index as $bits)
-        }
-        #[inline(always)]
-        fn to_index(self) -> usize {
-            (self.to_bits() - <$float>::to_bits(1.0)) as usize
         }
         #[inline(always)]
         fn sort_key(self) -> Self::SortKey {

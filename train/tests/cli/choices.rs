@@ -7,7 +7,7 @@ use std::sync::LazyLock;
 use crate::run::{DEMO, fresh, refuse, splat, succeed};
 use crate::{json, text};
 
-const CHOICES: [&str; 4] = ["--projection", "ray-max", "--order", "per-pixel-sort"];
+const CHOICES: [&str; 2] = ["--projection", "ray-max"];
 
 /// A short run with other model choices than the standard's.
 static ALONG_RAYS: LazyLock<PathBuf> = LazyLock::new(|| train("along-rays", &CHOICES));
@@ -34,7 +34,7 @@ fn psnr(folder: &Path) -> f64 {
 #[test]
 fn a_run_renders_as_it_was_asked_to_and_says_so() {
     let options = &json(&ALONG_RAYS.join("metrics.json"))["options"];
-    assert_eq!(options["dials"], serde_json::json!({"order": "per-pixel-sort", "projection": "ray-max"}));
+    assert_eq!(options["dials"], serde_json::json!({"projection": "ray-max"}));
     let plain = train("plain-rays", &[]);
     assert_eq!(json(&plain.join("metrics.json"))["options"]["dials"], serde_json::json!({}));
     let scene = |folder: &Path| fs::read(folder.join("scene.ply")).unwrap();
@@ -52,9 +52,8 @@ fn one_evaluates_and_renders_as_one_trained() {
     };
     assert!((eval(&CHOICES) - psnr(&ALONG_RAYS)).abs() < 1e-4);
     let dials = &json(&out.join("metrics.json"))["options"]["dials"];
-    assert_eq!(*dials, serde_json::json!({"order": "per-pixel-sort", "projection": "ray-max"}));
+    assert_eq!(*dials, serde_json::json!({"projection": "ray-max"}));
     assert!((eval(&[]) - psnr(&ALONG_RAYS)).abs() > 1e-3, "the choices make no difference");
-    assert!((eval(&CHOICES[..2]) - psnr(&ALONG_RAYS)).abs() > 1e-4, "the order makes none");
     let picture = |options: &[&str], name: &str| {
         let out = folder.path().join(name);
         let always =
