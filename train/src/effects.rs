@@ -168,7 +168,6 @@ impl Chosen {
         config.optics = OpticsConfig {
             motion: self.has(EffectKind::MotionBlur),
             rolling: self.has(EffectKind::RollingShutter),
-            defocus: self.has(EffectKind::Defocus),
         };
         config.depth = self.has(EffectKind::DepthSupervision).then(DepthConfig::default);
         match background {

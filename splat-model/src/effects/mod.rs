@@ -63,15 +63,13 @@ pub enum EffectKind {
     MotionBlur,
     /// Rows were exposed one after the other while the camera moved.
     RollingShutter,
-    /// The aperture is open, so that what is out of focus is blurred. Switched on by name only.
-    Defocus,
     /// Few photographs show the scene, or it comes with depth maps: known depths constrain the scene.
     DepthSupervision,
 }
 
 impl EffectKind {
     /// All effects.
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; 10] = [
         Self::Antialias,
         Self::Alpha,
         Self::Exposure,
@@ -81,7 +79,6 @@ impl EffectKind {
         Self::Environment,
         Self::MotionBlur,
         Self::RollingShutter,
-        Self::Defocus,
         Self::DepthSupervision,
     ];
 
@@ -97,7 +94,6 @@ impl EffectKind {
             Self::Environment => "environment",
             Self::MotionBlur => "motion-blur",
             Self::RollingShutter => "rolling-shutter",
-            Self::Defocus => "defocus",
             Self::DepthSupervision => "depth-supervision",
         }
     }
@@ -106,7 +102,7 @@ impl EffectKind {
     /// photographs.
     pub(crate) const fn in_stack(self) -> &'static str {
         match self {
-            Self::MotionBlur | Self::RollingShutter | Self::Defocus => "optics",
+            Self::MotionBlur | Self::RollingShutter => "optics",
             _ => self.name(),
         }
     }

@@ -7,7 +7,7 @@ use splat_op::{Intersections, Projected, Rendered, colours_up_to, intersect, ras
 
 use super::TrainError;
 use crate::density::rows::Gradients;
-use crate::effects::{RenderInput, mean_of};
+use crate::effects::RenderInput;
 use crate::gaussians::{GaussianRows, values_of};
 
 /// The stages of a step, in the order in which they are computed.
@@ -48,16 +48,14 @@ pub(super) fn render_checked(
     error: impl Fn(Wrong) -> TrainError,
 ) -> Result<Rendered<3>, TrainError> {
     let features = colours_up_to(&input.splats, &input.camera, input.options.sh_degree)?;
-    let checked = |projected: &Projected| {
-        let opacities = check_projected(projected).map_err(&error)?;
-        check_colours(&features, &opacities).map_err(&error)?;
-        let intersections = intersect(projected, &input.options)?;
-        check_intersections(&intersections, projected.len()).map_err(&error)?;
-        let picture = rasterize(projected, &features, &intersections, &input.extras, &input.options)?;
-        check_picture(&picture).map_err(&error)?;
-        Ok(picture)
-    };
-    Ok(mean_of(input.project()?.iter().map(checked).collect::<Result<_, TrainError>>()?))
+    let projected = input.project()?;
+    let opacities = check_projected(&projected).map_err(&error)?;
+    check_colours(&features, &opacities).map_err(&error)?;
+    let intersections = intersect(&projected, &input.options)?;
+    check_intersections(&intersections, projected.len()).map_err(&error)?;
+    let picture = rasterize(&projected, &features, &intersections, &input.extras, &input.options)?;
+    check_picture(&picture).map_err(&error)?;
+    Ok(picture)
 }
 
 /// Checks that ellipses are finite, have an area, and have opacities from 0 to 1. Returns the opacities.

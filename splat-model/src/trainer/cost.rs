@@ -35,7 +35,7 @@ impl Trainer {
     /// in turn; the result is the median of the differences. Maps of colours are timed without the render, whose time would hide
     /// theirs. An effect that works in one of `n` steps costs an `n`th of that (see [`Effect::every`]). The update of an effect's own
     /// parameters is not included. No parameter changes. `None` for
-    /// effects that are not part of a step, and for effects that are off. Motion blur, rolling shutters and defocus are timed
+    /// effects that are not part of a step, and for effects that are off. Motion blur and rolling shutters are timed
     /// together.
     ///
     /// # Errors

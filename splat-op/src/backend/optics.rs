@@ -1,4 +1,4 @@
-//! Changes of ellipses by lens, shutter and sensor on Burn's backends, with their backward node.
+//! Changes of ellipses by shutter and sensor on Burn's backends, with their backward node.
 
 #![allow(deprecated, reason = "burn-ndarray is deprecated in favour of burn-flex; this project supports both")]
 
@@ -17,7 +17,7 @@ use super::tensors::{InputTensorMetadata, OptionalTensorMetadata};
 use crate::optics::cpu::{expose_backward_cpu, expose_cpu};
 use crate::optics::{Exposed, OpticsSpec};
 
-/// Changes of ellipses by lens, shutter and sensor; see `optics/`.
+/// Changes of ellipses by shutter and sensor; see `optics/`.
 #[backend_extension(Cube: cfg(feature = "cube"), Flex, NdArray, Autodiff, Fusion: cfg(feature = "fusion"))]
 pub trait OpticsBackend: Backend {
     /// Returns the changed ellipses, `[N, 7]`. Differentiable in both inputs.
@@ -34,7 +34,7 @@ pub trait OpticsBackend: Backend {
 }
 
 /// Whoever tracks one of the inputs nearly always tracks the other, and both gradients come from one kernel.
-const BOTH: Exposed<bool> = Exposed { projected: true, parameters: true };
+const BOTH: Exposed<bool> = Exposed { projected: true, twist: true };
 
 #[cfg(feature = "fusion")]
 fn expose_backward_meta(

@@ -18,14 +18,14 @@ pub(crate) fn expose_cpu<F: Real>(inputs: Exposed<&[F]>, spec: &OpticsSpec) -> V
     let mut out = vec![F::ZERO; inputs.projected.len()];
     let runs = out.par_chunks_mut(RUN * COLUMNS).zip(inputs.projected.par_chunks(RUN * COLUMNS));
     runs.for_each(|(out, rows)| {
-        dispatch!(Level::new(), simd => change_run::<_, F>(simd, inputs.parameters, spec, rows, out));
+        dispatch!(Level::new(), simd => change_run::<_, F>(simd, inputs.twist, spec, rows, out));
     });
     out
 }
 
 #[inline(always)]
-fn change_run<S: Simd, F: Real>(simd: S, parameters: &[F], spec: &OpticsSpec, rows: &[F], out: &mut [F]) {
-    let change = Change::<S, F>::new(simd, parameters, spec);
+fn change_run<S: Simd, F: Real>(simd: S, twist: &[F], spec: &OpticsSpec, rows: &[F], out: &mut [F]) {
+    let change = Change::<S, F>::new(simd, twist, spec);
     let (mut ellipses, mut changed) = (Columns::<F, COLUMNS>::new(), Columns::<F, COLUMNS>::new());
     for (rows, out) in rows.chunks(BLOCK * COLUMNS).zip(out.chunks_mut(BLOCK * COLUMNS)) {
         ellipses.read(rows);
@@ -39,29 +39,29 @@ fn change_run<S: Simd, F: Real>(simd: S, parameters: &[F], spec: &OpticsSpec, ro
     }
 }
 
-/// Returns the gradients of the ellipses and of the parameters from `grad`, `[N, 7]`.
+/// Returns the gradients of the ellipses and of the twist from `grad`, `[N, 7]`.
 pub(crate) fn expose_backward_cpu<F: Real>(inputs: Exposed<&[F]>, grad: &[F], spec: &OpticsSpec) -> Exposed<Vec<F>> {
     let mut projected = vec![F::ZERO; inputs.projected.len()];
     let rows = inputs.projected.par_chunks(RUN * COLUMNS).zip(grad.par_chunks(RUN * COLUMNS));
-    let of_run = |(out, (rows, grad)): (&mut [F], (&[F], &[F]))| dispatch!(Level::new(), simd => gradients_of_run::<_, F>(simd, inputs.parameters, spec, (rows, grad), out));
+    let of_run = |(out, (rows, grad)): (&mut [F], (&[F], &[F]))| dispatch!(Level::new(), simd => gradients_of_run::<_, F>(simd, inputs.twist, spec, (rows, grad), out));
     let sums: Vec<_> = projected.par_chunks_mut(RUN * COLUMNS).zip(rows).map(of_run).collect();
-    let mut parameters = vec![F::ZERO; inputs.parameters.len()];
+    let mut twist = vec![F::ZERO; inputs.twist.len()];
     for sums in sums {
-        parameters.iter_mut().zip(sums).for_each(|(total, sum)| *total += sum);
+        twist.iter_mut().zip(sums).for_each(|(total, sum)| *total += sum);
     }
-    Exposed { projected, parameters }
+    Exposed { projected, twist }
 }
 
-/// Writes the gradients of a run of ellipses, and returns its part of those of the parameters.
+/// Writes the gradients of a run of ellipses, and returns its part of those of the twist.
 #[inline(always)]
 fn gradients_of_run<S: Simd, F: Real>(
     simd: S,
-    parameters: &[F],
+    twist: &[F],
     spec: &OpticsSpec,
     (rows, grad): (&[F], &[F]),
     out: &mut [F],
 ) -> [F; PARAMETERS] {
-    let change = Change::<S, F>::new(simd, parameters, spec);
+    let change = Change::<S, F>::new(simd, twist, spec);
     let mut sums = [F::Lanes::<S>::splat(simd, F::ZERO); PARAMETERS];
     let mut found = Columns::<F, COLUMNS>::new();
     let blocks = rows.chunks(BLOCK * COLUMNS).zip(grad.chunks(BLOCK * COLUMNS));
