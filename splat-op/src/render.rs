@@ -7,9 +7,8 @@ use burn::tensor::Tensor;
 use crate::camera::Camera;
 use crate::check::check_positive;
 use crate::colour::visible_colours;
-use crate::dials::Storage;
 use crate::error::SplatError;
-use crate::options::RenderOptions;
+use crate::options::{RenderOptions, Storage};
 use crate::splats::{Extras, Splats};
 use crate::stages::{Rendered, check_render_fits, intersect, project, rasterize};
 

@@ -9,7 +9,6 @@ use rayon::prelude::*;
 use super::extent::{ExtentRules, ExtentScratch};
 use super::{Cut, IntersectionLists, PixelBox, tile_grid};
 use crate::camera::Intrinsics;
-use crate::dials::Culling;
 use crate::project::{COLUMNS, Ellipse};
 use crate::simd::lanes::BLOCK;
 use crate::simd::real::Real;
@@ -64,14 +63,6 @@ pub(crate) fn intersect_cpu<F: Real>(packed: &[F], camera: &Intrinsics, cut: Cut
         intersection_of_visible: plain(intersection_of_visible),
         boxes,
     }
-}
-
-/// Returns the number of Gaussians that each tile lists under [`Culling::Ellipse`], whatever culling makes the lists.
-pub(crate) fn needed_intersections<F: Real>(packed: &[F], camera: &Intrinsics, alpha_min: f64) -> Vec<u32> {
-    let found = find(packed, camera, Cut { alpha_min, culling: Culling::Ellipse, boxes: false });
-    let mut counts = vec![0; tile_grid(camera.width, camera.height).iter().product()];
-    found.iter().flat_map(|found| &found.tiles).for_each(|&tile| counts[tile as usize] += 1);
-    counts
 }
 
 /// Finds the intersections of all Gaussians, chunk by chunk.

@@ -6,7 +6,6 @@ use fearless_simd::prelude::*;
 
 use super::{Cut, PixelBox, TILE, tile_grid};
 use crate::camera::Intrinsics;
-use crate::dials::Culling;
 use crate::project::{COLUMNS, Ellipse};
 use crate::simd::each;
 use crate::simd::lanes::{BLOCK, Columns};
@@ -41,7 +40,6 @@ pub(super) struct ExtentRules<F> {
     /// Size of the picture, px.
     size: [F; 2],
     alpha_min: F,
-    culling: Culling,
     boxes: bool,
 }
 
@@ -51,13 +49,12 @@ impl<F: Real> ExtentRules<F> {
             grid: tile_grid(camera.width, camera.height),
             size: [camera.width, camera.height].map(|px| F::of(px as f64)),
             alpha_min: F::of(cut.alpha_min),
-            culling: cut.culling,
             boxes: cut.boxes,
         }
     }
 
     /// Appends to `tiles` the tiles of up to [`BLOCK`] Gaussians, one Gaussian after another: the tiles whose rectangle
-    /// of pixel centres its ellipse, or box, meets. Returns each Gaussian's number of tiles. Appends their boxes to `boxes` if they are
+    /// of pixel centres its ellipse meets. Returns each Gaussian's number of tiles. Appends their boxes to `boxes` if they are
     /// asked for.
     #[inline(always)]
     pub fn emit<S: Simd>(
@@ -70,10 +67,8 @@ impl<F: Real> ExtentRules<F> {
         let count = rows.len() / COLUMNS;
         scratch.ellipses.read(rows);
         let opacities = scratch.ellipses.column(6);
-        // The opacity may exceed one, so the square takes the larger of the two.
-        let least = if self.culling == Culling::BoundingBox { F::ONE } else { F::ZERO };
         for (limit, opacity) in scratch.limits.iter_mut().zip(opacities).take(count) {
-            *limit = widened_limit(opacity.max_of(least), self.alpha_min);
+            *limit = widened_limit(*opacity, self.alpha_min);
         }
         let mut counts = [0; BLOCK];
         for first in (0..count).step_by(LANES) {
@@ -88,10 +83,7 @@ impl<F: Real> ExtentRules<F> {
             scratch.spans.clear();
             for row in 0..rows.iter().map(Range::len).max().unwrap_or(0) {
                 let mut span = [[F::ZERO; LANES]; 2];
-                let (from, to) = match self.culling {
-                    Culling::Ellipse => eight.span(self, F::of(row as f64)),
-                    Culling::OpacityBox | Culling::BoundingBox => eight.columns(self),
-                };
+                let (from, to) = eight.span(self, F::of(row as f64));
                 from.store_slice(&mut span[0]);
                 to.store_slice(&mut span[1]);
                 scratch.spans.push(span);
@@ -172,14 +164,8 @@ impl<S: Simd, F: Real> Eight<S, F> {
         // `dy − shear dx` loses digits when both terms are large: where it shows, neither exceeds
         // `(|across| + sigma_v) r`.
         let slip = (across.abs() + sigma_v) * r * lanes(F::of(16.0) * F::EPSILON);
-        let (half_width, half_height) = match extent.culling {
-            Culling::Ellipse | Culling::OpacityBox => (r * sigma_u, r * vertical),
-            Culling::BoundingBox => {
-                let long = long_axis([sigma_u, across, sigma_v]);
-                (r * long, r * long)
-            }
-        };
-        let half = half_height + slip;
+        let half_width = r * sigma_u;
+        let half = r * vertical + slip;
         let [margin_x, margin_y] = each!([(x, half_width), (y, half)], |(mean, half)| (mean.abs() + half)
             * lanes(F::of(8.0) * F::EPSILON)
             + lanes(F::of(1e-3)));
@@ -212,13 +198,6 @@ impl<S: Simd, F: Real> Eight<S, F> {
         found
     }
 
-    /// Returns the first tile of the box and the tile after its last, the same on every row of tiles.
-    #[inline(always)]
-    fn columns(&self, extent: &ExtentRules<F>) -> (F::Lanes<S>, F::Lanes<S>) {
-        let x = self.mean[0];
-        tiles((x - self.half[0], x + self.half[0]), self.margin, extent.size[0])
-    }
-
     /// Returns the first tile, and the tile after the last, on the row of tiles `row` rows after each Gaussian's first.
     #[inline(always)]
     fn span(&self, extent: &ExtentRules<F>, row: F) -> (F::Lanes<S>, F::Lanes<S>) {
@@ -237,21 +216,6 @@ impl<S: Simd, F: Real> Eight<S, F> {
         let high = self.mean[0] + self.sigma_u * (high.0 + high.1);
         tiles((low, high), self.margin, extent.size[0])
     }
-}
-
-/// Returns the standard deviation along the long axis: the larger singular value of `[[a, 0], [x, c]]`, the
-/// covariance's root. The two singular values have the sum `√((a + c)² + x²)` and the difference `√((a − c)² + x²)`.
-#[inline(always)]
-fn long_axis<S: Simd, L: SimdFloat<S, Element = F>, F: Real<Lanes<S> = L>>([a, x, c]: [L; 3]) -> L {
-    let lanes = |value: f64| L::splat(a.token(), F::of(value));
-    // Halves, so that nothing overflows before the end.
-    let [a, x, c] = [a * F::of(0.5), x * F::of(0.5), c * F::of(0.5)];
-    let [sum, difference] = each!([a + c, a - c], |along| {
-        let larger = along.abs().max(x.abs()).max(lanes(1e-30));
-        let (along, across) = (along / larger, x / larger);
-        along.mul_add(along, across * across).sqrt() * larger
-    });
-    sum + difference
 }
 
 /// Returns the first tile, and the tile after the last, whose range of pixel centres meets an interval, px, widened by

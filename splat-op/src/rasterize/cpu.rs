@@ -30,29 +30,24 @@ pub(crate) struct Trace<F> {
 }
 
 /// Runs `$body` with the SIMD level of this processor as `$simd` and the number of channels as the constant `$c`, or
-/// zero if no specialised version exists. `$long` is the constant of [`is_long`], and `$library` says whether `exp` is
-/// the standard library's function.
+/// zero if no specialised version exists. `$long` is the constant of [`is_long`].
 #[rustfmt::skip] // rustfmt indents the inner macro further at every run
 macro_rules! specialised {
-    ($prepared:expr, $tile:expr, $simd:ident, $c:ident, $long:ident, $library:ident => $body:expr) => {{
+    ($prepared:expr, $tile:expr, $simd:ident, $c:ident, $long:ident => $body:expr) => {{
         macro_rules! with {
-            ($count:literal, $is_long:literal, $is_library:literal) => {{
+            ($count:literal, $is_long:literal) => {{
                 const $c: usize = $count;
                 const $long: bool = $is_long;
-                const $library: bool = $is_library;
                 dispatch!(Level::new(), $simd => $body)
             }};
         }
         // Versions in f64, which serves as a reference, would take as long to compile as those in f32.
-        match ($prepared.channels, $prepared.is_long($tile), $prepared.library) {
-            (1, false, false) if const { is_f32::<F>() } => with!(1, false, false),
-            (3, false, false) if const { is_f32::<F>() } => with!(3, false, false),
-            (4, false, false) if const { is_f32::<F>() } => with!(4, false, false),
-            (_, false, false) => with!(0, false, false),
-            (_, true, false) => with!(0, true, false),
-            (3, false, true) if const { is_f32::<F>() } => with!(3, false, true),
-            (_, false, true) => with!(0, false, true),
-            (_, true, true) => with!(0, true, true),
+        match ($prepared.channels, $prepared.is_long($tile)) {
+            (1, false) if const { is_f32::<F>() } => with!(1, false),
+            (3, false) if const { is_f32::<F>() } => with!(3, false),
+            (4, false) if const { is_f32::<F>() } => with!(4, false),
+            (_, false) => with!(0, false),
+            (_, true) => with!(0, true),
         }
     }};
 }
@@ -77,9 +72,9 @@ pub(crate) fn rasterize_cpu<F: Real>(
         |(), tile, planes| {
             let view = prepared.view(tile);
             let mut trace = TileTrace::default();
-            specialised!(prepared, tile, simd, C, IS_LONG, LIBRARY => {
-                let thresholds = Thresholds::<_, F, LIBRARY>::new(simd, prepared.thresholds);
-                rasterize_tile::<_, F, C, IS_LONG, LIBRARY>(simd, &view, &thresholds, planes, keep.then_some(&mut trace));
+            specialised!(prepared, tile, simd, C, IS_LONG => {
+                let thresholds = Thresholds::<_, F>::new(simd, prepared.thresholds);
+                rasterize_tile::<_, F, C, IS_LONG>(simd, &view, &thresholds, planes, keep.then_some(&mut trace));
             });
             trace
         },
@@ -242,10 +237,10 @@ fn tile_sums<F: Real>(
     let TilePlanes { planes, background_rho } = of_planes;
     let tile_grad = TileGrad { planes, background_rho, trace, absolute: needs.mean2d_abs };
     let mut transmittance = [F::ZERO; TILE_PIXELS];
-    specialised!(prepared, tile, simd, C, IS_LONG, LIBRARY => {
-        let thresholds = Thresholds::<_, F, LIBRARY>::new(simd, prepared.thresholds);
+    specialised!(prepared, tile, simd, C, IS_LONG => {
+        let thresholds = Thresholds::<_, F>::new(simd, prepared.thresholds);
         let out = (sums, &mut transmittance);
-        rasterize_tile_backward::<_, F, C, IS_LONG, LIBRARY>(simd, &view, &tile_grad, &thresholds, out, scratch);
+        rasterize_tile_backward::<_, F, C, IS_LONG>(simd, &view, &tile_grad, &thresholds, out, scratch);
     });
     of_planes.background_gradient(&transmittance, wanted)
 }

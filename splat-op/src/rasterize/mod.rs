@@ -18,10 +18,6 @@ pub(crate) mod backward;
 #[cfg(feature = "cube")]
 pub(crate) mod blocks;
 pub(crate) mod cpu;
-#[cfg(all(test, feature = "cube"))]
-mod dial_kernel_tests;
-#[cfg(test)]
-mod dial_tests;
 pub(crate) mod footprint;
 #[cfg(feature = "cube")]
 mod forward;
@@ -33,8 +29,6 @@ mod kernel_tests;
 pub(crate) mod launch;
 #[cfg(feature = "cube")]
 pub(crate) mod layer;
-#[cfg(feature = "cube")]
-mod power;
 mod prepared;
 #[cfg(feature = "cube")]
 pub(crate) mod rows;

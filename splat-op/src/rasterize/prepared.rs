@@ -8,8 +8,6 @@ use super::cpu::{CHUNK, Trace};
 use super::footprint::Footprint;
 use super::tile::{TileView, is_long};
 use super::{Layers, RasterizeSpec};
-use crate::dials::{Culling, Exponential};
-use crate::intersect::cpu::needed_intersections;
 use crate::intersect::{IntersectionLists, TILE, tile_grid};
 use crate::project::{COLUMNS, Ellipse};
 use crate::simd::real::Real;
@@ -24,12 +22,6 @@ pub(super) struct Prepared<'a, F: Real> {
     pub size: [usize; 2],
     pub intersections: &'a IntersectionLists,
     pub thresholds: [F; 3],
-    /// Number of Gaussians that each tile would list under [`Culling::Ellipse`]. Present if another culling made the
-    /// lists and [`is_long`] may tell them apart: the arithmetic of a tile must not depend on the Gaussians that it
-    /// lists in vain.
-    needed: Option<Vec<u32>>,
-    /// Whether `exp` is the standard library's function.
-    pub library: bool,
 }
 
 /// Returns the features of each Gaussian, followed by its depth: `[N, features + 1]`.
@@ -67,8 +59,6 @@ impl<'a, F: Real> Prepared<'a, F> {
             Some(trace) => trace.colours.as_slice().into(),
             None => with_depth(inputs, features).into(),
         };
-        let listed = intersections.tile_start.windows(2).map(|ends| ends[1] - ends[0]);
-        let apart = options.culling != Culling::Ellipse && listed.max().is_some_and(|most| is_long(most, alpha_min));
         Self {
             footprints: match trace {
                 Some(trace) => trace.footprints.as_slice().into(),
@@ -80,15 +70,13 @@ impl<'a, F: Real> Prepared<'a, F> {
             size: [spec.intrinsics.width, spec.intrinsics.height],
             intersections,
             thresholds: [alpha_min, F::of(options.alpha_max), F::of(options.transmittance_min)],
-            needed: apart.then(|| needed_intersections(inputs.projected, &spec.intrinsics, options.alpha_min)),
-            library: options.exponential == Exponential::Library,
         }
     }
 
     /// Whether the tile's list is long; see [`fn@is_long`].
     pub fn is_long(&self, tile: usize) -> bool {
         let listed = self.intersections.tile_start[tile + 1] - self.intersections.tile_start[tile];
-        is_long(self.needed.as_ref().map_or(listed, |needed| needed[tile] as usize), self.thresholds[0])
+        is_long(listed, self.thresholds[0])
     }
 
     pub fn view(&self, tile: usize) -> TileView<'_, F> {

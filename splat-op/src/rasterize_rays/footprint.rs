@@ -3,7 +3,6 @@
 use fearless_simd::prelude::*;
 
 use super::{D_MIN, RayLayers, WHITENED_MAX};
-use crate::dials::Exponential;
 use crate::intersect::extent::widened_limit;
 use crate::project::{COLUMNS, Ellipse};
 use crate::rasterize::RasterizeSpec;
@@ -119,8 +118,6 @@ pub(super) struct RayRules<S: Simd, F: Real> {
     /// A value below zero disables the threshold.
     pub transmittance_min: F::Block<S>,
     exp2: [F::Block<S>; EXP2_CONSTANTS],
-    /// Whether `exp` is the standard library's function.
-    library: bool,
 }
 
 /// Centres of a vector of pixels, px, and the slopes of their rays if the camera has a lens.
@@ -169,7 +166,6 @@ impl<S: Simd, F: Real> RayRules<S, F> {
             // A threshold of zero omits nothing, not even layers behind an alpha of one.
             transmittance_min: lanes(if options.transmittance_min > 0.0 { options.transmittance_min } else { -1.0 }),
             exp2: std::hint::black_box(exp2),
-            library: options.exponential == Exponential::Library,
         }
     }
 
@@ -225,11 +221,7 @@ impl<S: Simd, F: Real> RayRules<S, F> {
         }
         let depth = lambda * lanes(splat.depth);
         let near = exponent.simd_le(lanes(splat.extent)) & sound & depth.abs().simd_le(self.farthest);
-        let power = if self.library {
-            F::exp2_library(exponent)
-        } else {
-            F::exp2_lanes::<S, F::Block<S>>(exponent, &self.exp2)
-        };
+        let power = F::exp2_lanes::<S, F::Block<S>>(exponent, &self.exp2);
         let value = (lanes(splat.opacity) * power).min(self.alpha_max);
         let shows = near & value.simd_ge(self.alpha_min);
         let alpha = shows.select(value, self.zero);

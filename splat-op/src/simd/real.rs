@@ -64,8 +64,6 @@ pub(crate) trait Real:
     /// Returns `2^−q` for `0 <= q <= EXP2_MAX`, within 2 ulp; arbitrary elsewhere. `constants` are [`Self::EXP2`], one copy in
     /// each lane.
     fn exp2_lanes<S: Simd, L: SimdFloat<S, Element = Self>>(q: L, constants: &[L; EXP2_CONSTANTS]) -> L;
-    /// Returns `2^−q` by the standard library, within an ulp, for any `q`.
-    fn exp2_library<S: Simd, L: SimdFloat<S, Element = Self>>(q: L) -> L;
     /// Converts half-precision floats to values without loss.
     fn widen(halves: &[f16], into: &mut [Self]);
     /// Returns `eˣ` within 1 ulp: zero or infinite beyond the range of the float type, arbitrary for NaN.
@@ -167,11 +165,6 @@ impl Real for f32 {
     }
 
     #[inline(always)]
-    fn exp2_library<S: Simd, L: SimdFloat<S, Element = f32>>(q: L) -> L {
-        L::from_fn(q.token(), |lane| (-q[lane]).exp2())
-    }
-
-    #[inline(always)]
     fn exp_lanes<S: Simd>(x: f32x8<S>) -> f32x8<S> {
         // x = n ln 2 + s with an integer n and |s| <= (ln 2) / 2, as above; ln 2 is split in two parts, the first with few
         // digits.
@@ -209,11 +202,6 @@ impl Real for f64 {
     // The f64 path is the reference: the library function, lane by lane.
     #[inline(always)]
     fn exp2_lanes<S: Simd, L: SimdFloat<S, Element = f64>>(q: L, _: &[L; EXP2_CONSTANTS]) -> L {
-        Self::exp2_library(q)
-    }
-
-    #[inline(always)]
-    fn exp2_library<S: Simd, L: SimdFloat<S, Element = f64>>(q: L) -> L {
         L::from_fn(q.token(), |lane| (-q[lane]).exp2())
     }
 
