@@ -164,8 +164,8 @@ impl<S: Simd, F: Real> Eight<S, F> {
         // `dy − shear dx` loses digits when both terms are large: where it shows, neither exceeds
         // `(|across| + sigma_v) r`.
         let slip = (across.abs() + sigma_v) * r * lanes(F::of(16.0) * F::EPSILON);
-        let half_width = r * sigma_u;
-        let half = r * vertical + slip;
+        let (half_width, half_height) = (r * sigma_u, r * vertical);
+        let half = half_height + slip;
         let [margin_x, margin_y] = each!([(x, half_width), (y, half)], |(mean, half)| (mean.abs() + half)
             * lanes(F::of(8.0) * F::EPSILON)
             + lanes(F::of(1e-3)));

@@ -93,6 +93,14 @@ pub(crate) struct IntersectionLists {
     pub boxes: Vec<PixelBox>,
 }
 
+#[cfg(test)]
+impl IntersectionLists {
+    /// Returns the number of Gaussians that each tile lists.
+    pub fn counts(&self) -> Vec<u32> {
+        self.tile_start.windows(2).map(|ends| (ends[1] - ends[0]) as u32).collect()
+    }
+}
+
 /// Lists of one view, on the host or on the device where the view's stages run.
 #[derive(Debug)]
 pub(crate) enum StoredIntersections {

@@ -187,7 +187,7 @@ impl LayerEllipse {
     ///
     /// Every kernel takes its alphas from here. Products that are added are written as `fma`, so that no compiler can
     /// choose whether to round them, and all kernels see the same bits.
-    pub fn alpha(&self, x: f32, row: f32, frame: &RasterFrame, #[comptime] shape: KernelShape) -> f32 {
+    pub fn alpha(&self, x: f32, row: f32, frame: &RasterFrame) -> f32 {
         let (u, below) = self.along_column(x);
         let v = (below + row) * self.inverse_v;
         let square = fma(u, u, v * v);

@@ -3,7 +3,7 @@
 use super::cpu::{ray_space_backward_cpu, ray_space_cpu};
 use super::{LENS_COLUMNS as ROW, RAY_SPACE, bounds_cpu};
 use crate::camera::{CameraModel, Intrinsics, PictureRays};
-use crate::intersect::cpu::needed_intersections;
+use crate::intersect::cpu::intersect_cpu;
 use crate::options::{Projection, RenderOptions};
 use crate::project::cpu::project_cpu;
 use crate::project::{COLUMNS, Ellipse, Geometry, ProjectSpec};
@@ -121,7 +121,7 @@ fn check_tiles<F: Real>(lens: (CameraModel, [f64; 8]), focal: f64, (slope, alpha
                 needed[pixel / 160 / 16 * 10 + pixel % 160 / 16] = 1;
             }
         }
-        let listed = needed_intersections(bound, &spec.intrinsics, alpha_min);
+        let listed = intersect_cpu(bound, &spec.intrinsics, alpha_min.into()).counts();
         assert!(
             needed.iter().zip(&listed).all(|(needed, listed)| needed <= listed),
             "{lens:?}: {row:?}, {t:?}: shows in {needed:?}, listed in {listed:?} by {bound:?}"

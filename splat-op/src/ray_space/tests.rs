@@ -5,7 +5,7 @@ use glam::{DMat3, DQuat, DVec3};
 use super::cpu::{ray_space_backward_cpu, ray_space_cpu};
 use super::{EXTENT, RAY_SPACE, THICKNESS_MAX, beyond, bounds_cpu};
 use crate::camera::Intrinsics;
-use crate::intersect::cpu::needed_intersections;
+use crate::intersect::cpu::intersect_cpu;
 use crate::options::{Projection, RenderOptions};
 use crate::project::cpu::project_cpu;
 use crate::project::{COLUMNS, Ellipse, Geometry, ProjectSpec};
@@ -208,7 +208,7 @@ fn check_tiles<F: Real>(seed: u64, alpha_min: f64) -> [usize; 3] {
     let of = |values: Vec<f64>| values.into_iter().map(F::of).collect::<Vec<F>>();
     let (packed, ray_rows) = (of(project_cpu(inputs(&scene.0), &project)), of(scene.ray_rows(&project)));
     let bounds = bounds_cpu(&packed, &ray_rows, &spec);
-    let tiles = |rows: &[F]| needed_intersections(rows, &spec.intrinsics, alpha_min);
+    let tiles = |rows: &[F]| intersect_cpu(rows, &spec.intrinsics, alpha_min.into()).counts();
     let mut counts = [0; 3];
     for ((row, bound), t) in packed.chunks(COLUMNS).zip(bounds.chunks(COLUMNS)).zip(ray_rows.chunks(RAY_SPACE)) {
         let e = Ellipse::from_row(row);
