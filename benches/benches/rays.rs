@@ -38,10 +38,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     for size in sizes {
         let job = Job::new(size)?;
         let (splats, camera) = (job.gaussians(&device).splats(), job.camera(&device));
-        let choices = [
-            ("affine (plain)", OPTIONS),
-            ("ray max", OPTIONS.with_projection(Projection::RayMax)),
-        ];
+        let choices = [("affine (plain)", OPTIONS), ("ray max", OPTIONS.with_projection(Projection::RayMax))];
         println!(
             "\n{size}, {} × {}, {name}, {} threads",
             job.intrinsics.width,

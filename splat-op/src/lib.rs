@@ -158,6 +158,7 @@ mod render;
 mod simd;
 mod splats;
 mod stages;
+mod tasks;
 #[doc(hidden)]
 pub mod test_hooks;
 

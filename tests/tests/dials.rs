@@ -2,8 +2,8 @@
 
 use burn::tensor::{DType, Device, f16};
 use splat_op::{
-    Accumulation, Camera, Colour, Extras, Intrinsics, MAX_UNCULLED_INTERSECTIONS, Projection,
-    RenderOptions, Splats, Storage, intersect, project, render,
+    Accumulation, Camera, Colour, Extras, Intrinsics, MAX_UNCULLED_INTERSECTIONS, Projection, RenderOptions, Splats,
+    Storage, intersect, project, render,
 };
 use splat_tests::random::Random;
 use splat_tests::scene::{Scene, SceneTensors, host, tensor};

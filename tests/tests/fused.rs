@@ -2,9 +2,7 @@
 //! process of its own, because the counters are global.
 
 use burn::tensor::{DType, Tensor};
-use splat_op::{
-    Extras, Intrinsics, Projection, RenderOptions, evaluate_sh, intersect, project, rasterize, test_hooks,
-};
+use splat_op::{Extras, Intrinsics, Projection, RenderOptions, evaluate_sh, intersect, project, rasterize, test_hooks};
 use splat_tests::gpu;
 use splat_tests::random::Random;
 use splat_tests::scene::{Scene, SceneTensors, host};

@@ -3,8 +3,8 @@
 use burn::tensor::{DType, Device};
 use glam::DVec3;
 use splat_op::{
-    CameraModel, Extras, Intrinsics, Projection, RenderOptions, SplatError, colours, intersect, project,
-    rasterize, render, render_view,
+    CameraModel, Extras, Intrinsics, Projection, RenderOptions, SplatError, colours, intersect, project, rasterize,
+    render, render_view,
 };
 use splat_tests::lenses::lenses;
 use splat_tests::perturb::judge;

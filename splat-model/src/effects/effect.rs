@@ -9,8 +9,8 @@ use std::rc::Rc;
 use burn::tensor::{Device, Gradients, Tensor};
 use rand::Rng;
 use splat_op::{
-    Camera, Ellipses, Extras, Projected, RenderOptions, Rendered, SplatError, Splats, intersect,
-    project, rasterize, render_view, visible_colours,
+    Camera, Ellipses, Extras, Projected, RenderOptions, Rendered, SplatError, Splats, intersect, project, rasterize,
+    render_view, visible_colours,
 };
 
 use super::background::Background;

@@ -108,7 +108,7 @@ impl<B: OpticsBackend, C: CheckpointStrategy> OpticsBackend for Autodiff<B, C> {
     fn expose(inputs: ExposedTensors<Self>, spec: OpticsSpec) -> FloatTensor<Self> {
         let inner = inputs.each_ref().map(InputTensor::inner);
         let output = B::expose(inner.clone(), spec);
-        tracked::<B, C, _, _>(inputs.each_ref().map(|input| &input.0).into_array(), output, move |grad, mask| {
+        tracked(inputs.each_ref().map(|input| &input.0).into_array(), output, move |grad, mask| {
             let found = B::expose_backward(inner, grad, spec).zip(Exposed::from_array(mask));
             found.map(|(found, needed)| if needed { found } else { OptionalTensor::Absent }).into_array()
         })

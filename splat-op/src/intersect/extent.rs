@@ -1,4 +1,4 @@
-//! Tiles that a Gaussian reaches, for eight Gaussians at a time.
+//! Tiles that a Gaussian reaches, for a vector of Gaussians at a time.
 
 use std::ops::Range;
 
@@ -8,7 +8,7 @@ use super::{Cut, PixelBox, TILE, tile_grid};
 use crate::camera::Intrinsics;
 use crate::project::{COLUMNS, Ellipse};
 use crate::simd::each;
-use crate::simd::lanes::{BLOCK, Columns};
+use crate::simd::lanes::{BLOCK, Columns, width};
 use crate::simd::real::{LANES, Real};
 
 /// Returns the largest `u² + v²` at which a Gaussian's alpha reaches `alpha_min`; negative if there is none.
@@ -71,24 +71,25 @@ impl<F: Real> ExtentRules<F> {
             *limit = widened_limit(*opacity, self.alpha_min);
         }
         let mut counts = [0; BLOCK];
-        for first in (0..count).step_by(LANES) {
+        let width = width::<S, F>();
+        for first in (0..count).step_by(width) {
             let eight = Eight::read(simd, self, scratch, first);
             let [mut top, mut end] = [[F::ZERO; LANES]; 2];
-            eight.rows.0.store_slice(&mut top);
-            eight.rows.1.store_slice(&mut end);
+            eight.rows.0.store_slice(&mut top[..width]);
+            eight.rows.1.store_slice(&mut end[..width]);
             if self.boxes {
-                boxes.extend_from_slice(&eight.boxes()[..LANES.min(count - first)]);
+                boxes.extend_from_slice(&eight.boxes()[..width.min(count - first)]);
             }
             let rows: [Range<usize>; LANES] = std::array::from_fn(|lane| top[lane].index()..end[lane].index());
             scratch.spans.clear();
             for row in 0..rows.iter().map(Range::len).max().unwrap_or(0) {
                 let mut span = [[F::ZERO; LANES]; 2];
                 let (from, to) = eight.span(self, F::of(row as f64));
-                from.store_slice(&mut span[0]);
-                to.store_slice(&mut span[1]);
+                from.store_slice(&mut span[0][..width]);
+                to.store_slice(&mut span[1][..width]);
                 scratch.spans.push(span);
             }
-            for (lane, rows) in rows.into_iter().enumerate().take(count - first) {
+            for (lane, rows) in rows.into_iter().enumerate().take(width.min(count - first)) {
                 let before = tiles.len();
                 for (y, [from, to]) in rows.zip(&scratch.spans) {
                     let row = (y * self.grid[0]) as u32;
@@ -159,7 +160,7 @@ impl<S: Simd, F: Real> Eight<S, F> {
         let unit = a.mul_add(a, b * b).sqrt();
         let (h, k, vertical) = (a / unit, b / unit, larger * unit);
         // If `alpha_min` is zero the limit is unbounded, but nothing shows where a float can no longer hold the square.
-        let limit = F::Lanes::<S>::from_slice(simd, &scratch.limits[first..first + LANES]);
+        let limit = F::Lanes::<S>::from_slice(simd, &scratch.limits[first..first + width::<S, F>()]);
         let r = limit.min(lanes(F::MAX.sqrt())).sqrt();
         // `dy − shear dx` loses digits when both terms are large: where it shows, neither exceeds
         // `(|across| + sigma_v) r`.
@@ -191,7 +192,7 @@ impl<S: Simd, F: Real> Eight<S, F> {
         let mut found = [PixelBox::default(); LANES];
         let [x, y, half_x, half_y] =
             each!([self.mean[0], self.mean[1], self.half[0], self.half[1]], |value| value.max(-limit).min(limit));
-        for (lane, found) in found.iter_mut().enumerate() {
+        for (lane, found) in found.iter_mut().enumerate().take(width::<S, F>()) {
             found.middle = [x[lane].f64() as f32, y[lane].f64() as f32];
             found.half = [half_x[lane].f64() as f32, half_y[lane].f64() as f32];
         }

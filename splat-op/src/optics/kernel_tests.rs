@@ -1,9 +1,9 @@
 //! Compares the kernels with their twins in f64.
 
-use super::{Exposed, PARAMETERS};
 use super::cpu::{expose_backward_cpu, expose_cpu};
 use super::launch::{launch_expose, launch_expose_backward};
 use super::tests::{TWIST, ellipses, exposures};
+use super::{Exposed, PARAMETERS};
 use crate::gpu::Buffer;
 use crate::project::COLUMNS;
 use crate::testing::ceiling::{PerturbedReference, rounded, to_f32};

@@ -31,16 +31,7 @@ pub(crate) fn launch_expose(gpu: &Gpu, inputs: &Exposed<Buffer<f32>>, spec: &Opt
     let (projected, twist) = (inputs.projected.arg(), inputs.twist.arg());
     // SAFETY: units beyond the last Gaussian do nothing, and the public functions check the length of the twist.
     unsafe {
-        expose_kernel::launch_unchecked(
-            client,
-            grid,
-            dim,
-            projected,
-            twist,
-            out.arg(),
-            change(spec),
-            count as u32,
-        );
+        expose_kernel::launch_unchecked(client, grid, dim, projected, twist, out.arg(), change(spec), count as u32);
     }
     out
 }

@@ -145,12 +145,7 @@ pub fn rolled(projected: &Projected, twist: &Tensor<1>, margin: f64) -> Result<P
     exposed(projected, twist, Exposure::RollingShutter, margin)
 }
 
-fn exposed(
-    projected: &Projected,
-    twist: &Tensor<1>,
-    exposure: Exposure,
-    margin: f64,
-) -> Result<Projected, SplatError> {
+fn exposed(projected: &Projected, twist: &Tensor<1>, exposure: Exposure, margin: f64) -> Result<Projected, SplatError> {
     let intrinsics = *projected.intrinsics();
     if intrinsics.model != CameraModel::Pinhole {
         return Err(SplatError::Value {

@@ -315,8 +315,7 @@ impl<S: Simd, F: Real> Change<S, F> {
         let moving = Moving::<S, F>::new(e, &self.twist, &self.axes);
         let (mut ellipse, of_velocity) = match self.exposure {
             Exposure::MotionBlur => {
-                let WidenedGrad { ellipse, w } =
-                    Widened::<S, F>::new(e, Self::blur(moving.velocity)).backward(e, grad);
+                let WidenedGrad { ellipse, w } = Widened::<S, F>::new(e, Self::blur(moving.velocity)).backward(e, grad);
                 (ellipse, Self::blur(w))
             }
             Exposure::RollingShutter => {

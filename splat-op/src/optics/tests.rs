@@ -1,13 +1,13 @@
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use fearless_simd::prelude::*;
-use fearless_simd::{Level, dispatch};
 use glam::{DQuat, DVec3};
 
 use super::cpu::{expose_backward_cpu, expose_cpu};
 use super::simd::{Ellipse, Moving, Rolled, Widened};
 use super::*;
 use crate::project::COLUMNS;
-use crate::simd::real::{LANES, Real};
+use crate::simd::dispatch;
+use crate::simd::real::Real;
 use crate::testing::finite::{check_gradient, inner_product};
 use crate::testing::random::Random;
 
@@ -81,13 +81,11 @@ fn check_covariance(before: &[f64], after: &[f64], right: [f64; 3], grows: bool,
 
 /// Returns the first of the lanes, which hold the same value.
 fn first<S: Simd, F: Real>(lanes: F::Lanes<S>) -> f64 {
-    let mut all = [F::ZERO; LANES];
-    lanes.store_slice(&mut all);
-    all[0].f64()
+    lanes[0].f64()
 }
 
 fn widened<F: Real>(row: &[f64], w: [f64; 2]) -> [f64; COLUMNS] {
-    dispatch!(Level::new(), simd => widened_by::<_, F>(simd, row, w))
+    dispatch!(F, simd => widened_by::<_, F>(simd, row, w))
 }
 
 fn widened_by<S: Simd, F: Real>(simd: S, row: &[f64], w: [f64; 2]) -> [f64; COLUMNS] {
@@ -97,7 +95,7 @@ fn widened_by<S: Simd, F: Real>(simd: S, row: &[f64], w: [f64; 2]) -> [f64; COLU
 }
 
 fn rolled<F: Real>(row: &[f64], velocity: [f64; 2], height: f64) -> [f64; COLUMNS] {
-    dispatch!(Level::new(), simd => rolled_by::<_, F>(simd, row, velocity, height))
+    dispatch!(F, simd => rolled_by::<_, F>(simd, row, velocity, height))
 }
 
 fn rolled_by<S: Simd, F: Real>(simd: S, row: &[f64], velocity: [f64; 2], height: f64) -> [f64; COLUMNS] {
@@ -191,7 +189,7 @@ fn velocities_are_the_slopes_of_where_points_go() {
         for axis in 0..6 {
             let mut unit = [0.0; PARAMETERS];
             unit[axis] = 1.0;
-            let found = dispatch!(Level::new(), simd => velocity_by(simd, row, unit, axes));
+            let found = dispatch!(f64, simd => velocity_by(simd, row, unit, axes));
             let moved = |by: f64| {
                 let (rotation, shift) = (DVec3::from_slice(&unit[..3]) * by, DVec3::from_slice(&unit[3..]) * by);
                 px(DQuat::from_scaled_axis(rotation) * point + shift)
@@ -239,8 +237,8 @@ fn gradients_keep_their_digits_where_widths_differ() {
         let row = [0.0, 0.0, 0.7, -0.4, 1.3, 1.0, 0.8];
         let grad = [0.0, 0.0, 0.3, -0.7, 0.9, 0.0, 0.6];
         let rounded = [row, grad].map(|row| row.map(|value| f64::from(value as f32)));
-        let in_f32 = dispatch!(Level::new(), simd => widened_backward::<_, f32>(simd, rounded, w));
-        let expected = dispatch!(Level::new(), simd => widened_backward::<_, f64>(simd, rounded, w));
+        let in_f32 = dispatch!(f32, simd => widened_backward::<_, f32>(simd, rounded, w));
+        let expected = dispatch!(f64, simd => widened_backward::<_, f64>(simd, rounded, w));
         for (i, (found, expected)) in in_f32.into_iter().zip(expected).enumerate() {
             let error = (found - expected).abs();
             assert!(error <= 4e-6 * expected.abs() + 1e-30, "{w:?}, {i}: {found:e} instead of {expected:e}");

@@ -3,10 +3,6 @@
 
 use std::borrow::Cow;
 
-use burn::tensor::DType;
-use fearless_simd::{Level, dispatch};
-use rayon::prelude::*;
-
 use super::footprint::{Footprint, UNWHITEN, WIDTH};
 use super::prepared::Prepared;
 use super::tile::{Plane, Thresholds, TileTrace, in_block_order, rasterize_tile};
@@ -17,6 +13,8 @@ use crate::intersect::{IntersectionLists, TILE, TILE_PIXELS, tile_grid};
 use crate::project::{COLUMNS, Ellipse, OPACITY};
 use crate::ray_space::{SHAPE, SLOPES};
 use crate::simd::real::Real;
+use crate::simd::{dispatch, is_f32};
+use crate::tasks;
 
 /// Number of Gaussians per task.
 pub(super) const CHUNK: usize = 1024;
@@ -38,10 +36,9 @@ macro_rules! specialised {
             ($count:literal, $is_long:literal) => {{
                 const $c: usize = $count;
                 const $long: bool = $is_long;
-                dispatch!(Level::new(), $simd => $body)
+                dispatch!(F, $simd => $body)
             }};
         }
-        // Versions in f64, which serves as a reference, would take as long to compile as those in f32.
         match ($prepared.channels, $prepared.is_long($tile)) {
             (1, false) if const { is_f32::<F>() } => with!(1, false),
             (3, false) if const { is_f32::<F>() } => with!(3, false),
@@ -50,10 +47,6 @@ macro_rules! specialised {
             (_, true) => with!(0, true),
         }
     }};
-}
-
-const fn is_f32<F: Real>() -> bool {
-    matches!(F::DTYPE, DType::F32)
 }
 
 /// Runs the forward pass. Returns the planes `[C + 1 (+ 1), H, W]`, and the trace if `keep` is set.
@@ -103,11 +96,11 @@ impl PictureSize {
 
 /// Runs `tile` on all tiles in parallel, each time with the `buffers` of its thread. It writes a tile's sums and, last, its transmittance, `[channels + 1, 256]`. Returns
 /// the picture's planes `[C + 1 (+ 1), H, W]` over the background, and the results of `tile`.
-pub(crate) fn picture<F: Real, B, T: Send>(
+pub(crate) fn picture<F: Real, B: Send, T: Send>(
     size: &PictureSize,
     background: &[F],
-    buffers: impl Fn() -> B + Send + Sync,
-    tile: impl Fn(&mut B, usize, &mut [F]) -> T + Send + Sync,
+    buffers: impl Fn() -> B + Sync,
+    tile: impl Fn(&mut B, usize, &mut [F]) -> T + Sync,
 ) -> (Vec<F>, Vec<T>) {
     let plane_count = size.channels() + 1;
     let [width, height] = size.pixels;
@@ -118,15 +111,14 @@ pub(crate) fn picture<F: Real, B, T: Send>(
     for plane in planes.chunks_mut(width * height) {
         strips.iter_mut().zip(plane.chunks_mut(TILE * width)).for_each(|(strip, rows)| strip.push(rows));
     }
-    let rasterize_strip = |(y, mut strip): (usize, Vec<&mut [F]>)| {
+    let rasterize_strip = |y: usize, mut strip: Vec<&mut [F]>| {
         let mut by_tile = vec![F::ZERO; grid[0] * plane_count * TILE_PIXELS];
-        let tiles = by_tile.par_chunks_mut(plane_count * TILE_PIXELS).enumerate();
-        let results: Vec<T> =
-            tiles.map_init(&buffers, |buffers, (x, planes)| tile(buffers, y * grid[0] + x, planes)).collect();
+        let tiles = by_tile.chunks_mut(plane_count * TILE_PIXELS);
+        let results = tasks::map_with(tiles, &buffers, |buffers, x, planes| tile(buffers, y * grid[0] + x, planes));
         compose(&by_tile, background, size, &mut strip);
         results
     };
-    let results: Vec<Vec<T>> = strips.into_par_iter().enumerate().map(rasterize_strip).collect();
+    let results: Vec<Vec<T>> = tasks::map(strips, rasterize_strip);
     (planes, results.into_iter().flatten().collect())
 }
 
@@ -189,19 +181,17 @@ pub(crate) fn rasterize_backward_cpu<F: Real>(
 
 /// Runs `tile` on each tile's rows, `columns` values per intersection, in parallel. Returns all rows, and the sums of
 /// the `features` values, or none, that `tile` returns.
-pub(crate) fn tile_rows<F: Real, B>(
+pub(crate) fn tile_rows<F: Real, B: Send>(
     intersections: &IntersectionLists,
     [columns, features]: [usize; 2],
-    buffers: impl Fn() -> B + Send + Sync,
-    tile: impl Fn(&mut B, usize, &mut [F]) -> Vec<F> + Send + Sync,
+    buffers: impl Fn() -> B + Sync,
+    tile: impl Fn(&mut B, usize, &mut [F]) -> Vec<F> + Sync,
 ) -> (Vec<F>, Vec<F>) {
     let mut rows = vec![F::ZERO; intersections.gaussian.len() * columns];
     let mut rest = rows.as_mut_slice();
     let counts = intersections.tile_start.windows(2).map(|ends| ends[1] - ends[0]);
     let of_tile = |count: usize| rest.split_off_mut(..count * columns).expect("as many intersections as their lists");
-    let tasks: Vec<&mut [F]> = counts.map(of_tile).collect();
-    let tasks = tasks.into_par_iter().enumerate();
-    let parts: Vec<Vec<F>> = tasks.map_init(buffers, |buffers, (index, rows)| tile(buffers, index, rows)).collect();
+    let parts = tasks::map_with(counts.map(of_tile), buffers, tile);
     let mut sums = vec![F::ZERO; features];
     for part in parts {
         sums.iter_mut().zip(part).for_each(|(sum, value)| *sum += value);
@@ -335,13 +325,11 @@ pub(crate) fn gather<F: Real>(
         mean2d_abs: zeros(needs.mean2d_abs, 2),
     };
     let mut grad_rays = zeros(true, ray_columns);
-    let parts = (
-        chunks(&mut grads.projected, COLUMNS, count),
-        chunks(&mut grads.features, features, count),
-        chunks(&mut grads.mean2d_abs, 2, count),
-        chunks(&mut grad_rays, ray_columns, count),
-    );
-    parts.into_par_iter().enumerate().for_each(|(chunk, (projected, feature, absolute, ray))| {
+    let of_ellipses = chunks(&mut grads.projected, COLUMNS, count).into_iter();
+    let of_features = chunks(&mut grads.features, features, count);
+    let others = chunks(&mut grads.mean2d_abs, 2, count).into_iter().zip(chunks(&mut grad_rays, ray_columns, count));
+    let parts = of_ellipses.zip(of_features).zip(others);
+    tasks::for_each(parts, |chunk, ((projected, feature), (absolute, ray))| {
         let mut sum = vec![F::ZERO; columns];
         let first = chunk * CHUNK;
         let place = |gaussian: usize| lists.visible.partition_point(|&visible| (visible as usize) < gaussian);

@@ -2,8 +2,6 @@
 
 use std::borrow::Cow;
 
-use rayon::prelude::*;
-
 use super::cpu::{CHUNK, Trace};
 use super::footprint::Footprint;
 use super::tile::{TileView, is_long};
@@ -11,6 +9,7 @@ use super::{Layers, RasterizeSpec};
 use crate::intersect::{IntersectionLists, TILE, tile_grid};
 use crate::project::{COLUMNS, Ellipse};
 use crate::simd::real::Real;
+use crate::tasks;
 
 /// Inputs in the form that the loops over the tiles read.
 pub(super) struct Prepared<'a, F: Real> {
@@ -27,8 +26,8 @@ pub(super) struct Prepared<'a, F: Real> {
 /// Returns the features of each Gaussian, followed by its depth: `[N, features + 1]`.
 fn with_depth<F: Real>(inputs: Layers<&[F]>, features: usize) -> Vec<F> {
     let mut out = vec![F::ZERO; inputs.projected.len() / COLUMNS * (features + 1)];
-    let chunks = inputs.projected.par_chunks(COLUMNS * CHUNK).zip(inputs.features.par_chunks(features * CHUNK));
-    out.par_chunks_mut((features + 1) * CHUNK).zip(chunks).for_each(|(out, (ellipses, of_chunk))| {
+    let chunks = inputs.projected.chunks(COLUMNS * CHUNK).zip(inputs.features.chunks(features * CHUNK));
+    tasks::for_each(out.chunks_mut((features + 1) * CHUNK).zip(chunks), |_, (out, (ellipses, of_chunk))| {
         let rows = of_chunk.chunks_exact(features).zip(ellipses.chunks_exact(COLUMNS));
         for (out, (row, ellipse)) in out.chunks_exact_mut(features + 1).zip(rows) {
             out[..features].copy_from_slice(row);
@@ -36,6 +35,15 @@ fn with_depth<F: Real>(inputs: Layers<&[F]>, features: usize) -> Vec<F> {
         }
     });
     out
+}
+
+/// Returns what `of` makes of each packed ellipse.
+fn footprints<F: Real>(projected: &[F], of: impl Fn(&[F]) -> Footprint<F> + Sync) -> Vec<Footprint<F>> {
+    let mut all = vec![Footprint::default(); projected.len() / COLUMNS];
+    tasks::for_each(all.chunks_mut(CHUNK).zip(projected.chunks(COLUMNS * CHUNK)), |_, (out, rows)| {
+        out.iter_mut().zip(rows.chunks_exact(COLUMNS)).for_each(|(out, row)| *out = of(row));
+    });
+    all
 }
 
 impl<'a, F: Real> Prepared<'a, F> {
@@ -62,7 +70,7 @@ impl<'a, F: Real> Prepared<'a, F> {
         Self {
             footprints: match trace {
                 Some(trace) => trace.footprints.as_slice().into(),
-                None => inputs.projected.par_chunks_exact(COLUMNS).with_min_len(CHUNK).map(footprint).collect(),
+                None => footprints(inputs.projected, footprint).into(),
             },
             colours,
             channels: features + usize::from(options.depth),

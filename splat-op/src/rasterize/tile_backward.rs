@@ -83,13 +83,7 @@ pub(super) fn rasterize_tile_backward<S: Simd, F: Real, const C: usize, const LO
         };
         let mut near = Near::<F, C>::default();
         near.gather(view, gaussians);
-        forwards::<S, F, LONG>(
-            thresholds,
-            view.corner(),
-            (&near.footprints, reached),
-            &mut transmittance,
-            scratch,
-        );
+        forwards::<S, F, LONG>(thresholds, view.corner(), (&near.footprints, reached), &mut transmittance, scratch);
         if chunk + 1 == chunks {
             *final_transmittance = transmittance.kept;
         }

@@ -4,9 +4,6 @@
 use std::borrow::Cow;
 use std::sync::Arc;
 
-use fearless_simd::{Level, dispatch};
-use rayon::prelude::*;
-
 use super::RayLayers;
 use super::footprint::{RayFootprint, RayRules};
 use super::reach::Reach;
@@ -18,7 +15,9 @@ use crate::project::COLUMNS;
 use crate::rasterize::cpu::{PictureSize, RowSums, TilePlanes, gather, picture, tile_rows};
 use crate::rasterize::{Layers, PlaneParts, RasterizeSpec};
 use crate::ray_space::{self, LensLimits};
+use crate::simd::dispatch;
 use crate::simd::real::Real;
+use crate::tasks;
 
 /// Number of Gaussians per task.
 const CHUNK: usize = 1024;
@@ -66,9 +65,14 @@ impl<'a, F: Real> PreparedRayView<'a, F> {
         let footprints = match footprints {
             Some(footprints) => Cow::Borrowed(footprints),
             None => {
-                let gaussians = (0..inputs.projected.len() / COLUMNS).into_par_iter().with_min_len(CHUNK);
                 let lens = rays.as_ref().map(|rays| LensLimits::new(&spec.intrinsics, rays));
-                Cow::Owned(gaussians.map(|i| RayFootprint::new(inputs, i, (spec, lens.as_ref()))).collect())
+                let mut all = vec![RayFootprint::default(); inputs.projected.len() / COLUMNS];
+                tasks::for_each(all.chunks_mut(CHUNK), |chunk, out| {
+                    for (i, out) in (chunk * CHUNK..).zip(out) {
+                        *out = RayFootprint::new(inputs, i, (spec, lens.as_ref()));
+                    }
+                });
+                Cow::Owned(all)
             }
         };
         Self {
@@ -113,7 +117,7 @@ pub(crate) fn rasterize_rays_cpu<F: Real>(
     let prepared = PreparedRayView::new(&inputs, spec, intersections, None);
     let (planes, seen) = picture(&prepared.size, inputs.background, RayTile::default, |tile, index, planes| {
         let view = prepared.view(index);
-        let seen = dispatch!(Level::new(), simd => {
+        let seen = dispatch!(F, simd => {
             let rules = RayRules::new(simd, spec);
             tile.read(simd, &view, Reach::Boxes(&intersections.boxes));
             rasterize_tile(simd, tile, &rules, planes)
@@ -154,7 +158,7 @@ pub(crate) fn rasterize_rays_backward_cpu<F: Real>(
             return vec![F::ZERO; wanted];
         }
         let grad = RayTileGrad { planes, depth: size.depth, absolute: needs.mean2d_abs };
-        let transmittance = dispatch!(Level::new(), simd => {
+        let transmittance = dispatch!(F, simd => {
             let rules = RayRules::new(simd, spec);
             tile.read(simd, &view, Reach::Blocks(&trace.seen[index]));
             rasterize_tile_backward(simd, tile, &rules, &grad, rows, scratch)

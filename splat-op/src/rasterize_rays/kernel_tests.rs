@@ -1,9 +1,9 @@
 //! Compares the kernels of `rasterize_rays` with the CPU twin in f64, within f32 precision.
 
+use super::RayLayers;
 use super::cpu::{rasterize_rays_backward_cpu, rasterize_rays_cpu};
 use super::launch::{launch_rasterize_rays, launch_rasterize_rays_backward};
 use super::pair_sums::row_len;
-use super::RayLayers;
 use crate::camera::Intrinsics;
 use crate::gpu::{Buffer, Gpu};
 use crate::intersect::cpu::intersect_cpu;

@@ -82,8 +82,7 @@ impl StageInputs {
         let e = Ellipse::from_row(&self.inputs[0][i * COLUMNS..]);
         let t = &self.inputs[1][i * RAY_SPACE..][..RAY_SPACE];
         // The ellipse is seen from the point of the picture next to the centre.
-        let (base, away, shape) =
-            (beyond(e.mean_px, &self.spec.intrinsics).0, [t[4], t[5], t[3]], [t[6], t[7], t[8]]);
+        let (base, away, shape) = (beyond(e.mean_px, &self.spec.intrinsics).0, [t[4], t[5], t[3]], [t[6], t[7], t[8]]);
         let whitened = |[dx, dy, depth]: [f64; 3]| {
             let (u, v) = (dx / shape[0], (dy - shape[1] * dx) / shape[2]);
             [u, v, (depth - t[0] * u - t[1] * v) / t[2]]

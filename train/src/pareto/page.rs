@@ -56,8 +56,7 @@ pub fn page(subject: &PageSubject, outcome: &BenchOutcome, members: [&[usize]; 2
 
 fn intro(subject: &PageSubject, outcome: &BenchOutcome) -> String {
     let PageSubject { capture, scene, device, splats, views, size: (width, height), .. } = subject;
-    let (rounds, reference, order_db, names) =
-        (outcome.rounds, outcome.reference, outcome.order_db, views.join(", "));
+    let (rounds, reference, order_db, names) = (outcome.rounds, outcome.reference, outcome.order_db, views.join(", "));
     let few = match rounds < FEW_ROUNDS {
         true => " **That is few**: before believing small differences, measure for longer (`--budget`).",
         false => "",

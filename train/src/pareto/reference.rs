@@ -42,7 +42,8 @@ impl ReferenceRender {
         mut done: impl FnMut(),
     ) -> Result<Self> {
         let (pictures, cotangents) = (Vec::new(), Vec::new());
-        let mut truth = Self { pictures, cotangents, gradients: GradientSums::default(), difference: 0.0, order_error: 0.0 };
+        let mut truth =
+            Self { pictures, cotangents, gradients: GradientSums::default(), difference: 0.0, order_error: 0.0 };
         for (view, shot) in shots.iter().enumerate() {
             let picture = place.tracked(view, options)?;
             let exact = host(picture.colour.clone().inner());

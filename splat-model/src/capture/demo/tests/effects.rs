@@ -138,8 +138,7 @@ fn tracks_lead_to_what_the_pictures_show() {
         let mut seen = 0;
         for (point, colour) in cloud.colours.iter().enumerate() {
             for observation in tracks.of(point) {
-                let ray = shots[observation.view]
-                    .ray(glam::Vec2::from(observation.at_px).as_dvec2(), 0.0);
+                let ray = shots[observation.view].ray(glam::Vec2::from(observation.at_px).as_dvec2(), 0.0);
                 let shown = super::super::picture::to_bytes(display(scene.along(&ray)));
                 let apart = (0..3).map(|i| shown[i].abs_diff(colour[i])).max().unwrap();
                 // Rounded to f32, a position beside an edge may lie on it.
