@@ -191,15 +191,6 @@ const CASES: &[EffectCase] = &[
         ..PLAIN
     },
     EffectCase {
-        name: "defocus",
-        demo: |options| DemoOptions { defocus: true, ..options },
-        demo_flags: "--defocus",
-        with: &["--effects", "defocus"],
-        least_gain_db: 0.0,
-        harmonics: None,
-        ..PLAIN
-    },
-    EffectCase {
         name: "view-dependence",
         demo: |options| DemoOptions { glossy: true, ..options },
         demo_flags: "--glossy",

@@ -1,4 +1,4 @@
-//! Times frames with each projection and order, forwards and backwards, beside the plain frame of the same scene, by a pinhole
+//! Times frames with each projection, forwards and backwards, by a pinhole
 //! and through a lens.
 //!
 //! `cargo bench --workspace --bench rays -- small` takes any of the scenes of `stages`, by default `small`, and a device, by default
@@ -11,7 +11,7 @@ use burn::tensor::Tensor;
 use splat_benches::job::{Job, JobSize, OPTIONS};
 use splat_benches::measure::{Prepare, time};
 use splat_benches::passes::{backward, forward, leaves};
-use splat_op::{Camera, CameraModel, Extras, Order, Projection, RenderOptions, Splats, render_view};
+use splat_op::{Camera, CameraModel, Extras, Projection, RenderOptions, Splats, render_view};
 use splat_train::device::DeviceName;
 
 splat_train::allocator!();
@@ -38,12 +38,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     for size in sizes {
         let job = Job::new(size)?;
         let (splats, camera) = (job.gaussians(&device).splats(), job.camera(&device));
-        let choices = [
-            ("affine, centre depth (plain)", OPTIONS),
-            ("ray max, centre depth", OPTIONS.with_projection(Projection::RayMax)),
-            ("affine, per-pixel sort", OPTIONS.with_order(Order::PerPixelSort)),
-            ("ray max, per-pixel sort", OPTIONS.with_projection(Projection::RayMax).with_order(Order::PerPixelSort)),
-        ];
+        let choices = [("affine (plain)", OPTIONS), ("ray max", OPTIONS.with_projection(Projection::RayMax))];
         println!(
             "\n{size}, {} × {}, {name}, {} threads",
             job.intrinsics.width,

@@ -149,7 +149,7 @@ impl Trainer {
         let mut density = config.density.strategy(extent, config.steps);
         density.start(&mut rows);
         let tracked = device.clone().autodiff();
-        let effects = effects::of(&config, &photos, points, extent, device)?;
+        let effects = effects::of(&config, &photos, extent, device)?;
         let views = Views::new(photos, config.background, config.cache_mib, device);
         let lambda = config.lambda;
         Ok(Self {

@@ -1,7 +1,8 @@
 //! Reference renderer: float64, without cut-offs, tiles or any other approximation, and simple enough to verify by reading.
 //!
-//! It follows the model choices of [`RenderOptions`] (`blur`, `near`, `jacobian_margin`, `antialias`, `projection`, `order`)
-//! and ignores its numerical dials. It shares no arithmetic with the stages except a camera's limits (the domain of a lens and the
+//! It follows the model choices of [`RenderOptions`] (`blur`, `near`, `jacobian_margin`, `antialias`, `projection`) and ignores
+//! its numerical dials. It alone can order each pixel by itself ([`ExactView::sorted_per_pixel`]), which says what the order of the
+//! centres costs. It shares no arithmetic with the stages except a camera's limits (the domain of a lens and the
 //! slopes at which the Jacobian is clamped). Covariances are formed and inverted as the papers write them, which in float64 loses
 //! digits only for Gaussians some 1e6 times longer than wide. Every pixel visits every Gaussian, so it is for tests, not for
 //! pictures.
@@ -13,7 +14,7 @@ use glam::{DMat2, DMat3, DQuat, DVec2, DVec3};
 
 use self::ray::Solid;
 use crate::camera::Intrinsics;
-use crate::options::{Order, Projection, RenderOptions};
+use crate::options::{Projection, RenderOptions};
 use crate::project::COMPENSATION_MIN;
 
 /// One Gaussian with activated parameters.
@@ -58,8 +59,8 @@ struct ExactEllipse<'a> {
     conic: DMat2,
     depth: f64,
     opacity: f64,
-    /// The Gaussian in space, for per-ray rasterization.
-    solid: Option<Solid>,
+    /// The Gaussian in space.
+    solid: Solid,
     features: &'a [f64],
 }
 
@@ -77,14 +78,14 @@ pub struct ExactView<'a> {
     ellipses: Vec<ExactEllipse<'a>>,
     camera: Intrinsics,
     options: RenderOptions,
+    sorted_per_pixel: bool,
 }
 
 /// Renders a picture with the reference renderer and returns its pixels row by row.
 ///
 /// `background` has as many channels as the features of each Gaussian. Equations: Zwicker et al. 2001, eq. 26 to 31, and Kerbl et
 /// al. 2023, eq. 5, for the projection; the maximum along the ray for [`Projection::RayMax`]. Rays of a lens are those that its
-/// projection maps to the pixels' centres; with [`Projection::RayMax`] or [`Order::PerPixelSort`], a pixel without a ray shows the
-/// background.
+/// projection maps to the pixels' centres; with [`Projection::RayMax`], a pixel without a ray shows the background.
 pub fn render_exact(
     gaussians: &[ExactGaussian],
     pose: &ExactPose,
@@ -101,15 +102,25 @@ impl<'a> ExactView<'a> {
     /// Projects the Gaussians once for all pixels.
     pub fn new(gaussians: &'a [ExactGaussian], pose: &ExactPose, camera: &Intrinsics, options: &RenderOptions) -> Self {
         let ellipses = gaussians.iter().filter_map(|g| project(g, pose, camera, options)).collect();
-        Self { ellipses, camera: *camera, options: *options }
+        Self { ellipses, camera: *camera, options: *options, sorted_per_pixel: false }
+    }
+
+    /// Orders the contributions to each pixel by the camera z of each Gaussian's maximum along the pixel's ray (Radl et al. 2024,
+    /// StopThePop) instead of by the camera z of the centres. A pixel without a ray then shows the background.
+    pub fn sorted_per_pixel(self) -> Self {
+        Self { sorted_per_pixel: true, ..self }
     }
 
     /// Renders the pixel in column `x` and row `y` by visiting every Gaussian. `background` has a value for each feature.
     pub fn pixel(&self, [x, y]: [usize; 2], background: &[f64]) -> ExactPixel {
         let centre_px = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
-        let ray = if self.options.along_rays() { lens::direction(&self.camera, centre_px) } else { None };
-        let seen = |ellipse: &ExactEllipse<'a>| ellipse.seen(centre_px, ray, &self.options);
-        let mut seen: Vec<Contribution> = self.ellipses.iter().map(seen).collect();
+        let needs_ray = self.options.along_rays() || self.sorted_per_pixel;
+        let ray = if needs_ray { lens::direction(&self.camera, centre_px) } else { None };
+        let seen = self.ellipses.iter().map(|ellipse| match ray {
+            Some(ray) => ellipse.on_ray(centre_px, ray, (&self.options, self.sorted_per_pixel)),
+            None => ellipse.at(centre_px, if needs_ray { 0.0 } else { 1.0 }),
+        });
+        let mut seen: Vec<Contribution> = seen.collect();
         // The sort is stable: Gaussians at equal depths keep their order.
         seen.sort_by(|a, b| a.key.total_cmp(&b.key));
         pixel(&seen, background)
@@ -117,27 +128,27 @@ impl<'a> ExactView<'a> {
 }
 
 impl<'a> ExactEllipse<'a> {
-    /// `ray` is the direction of the pixel's ray, with z one; it is read by per-ray rasterization only.
-    fn seen(&self, centre_px: DVec2, ray: Option<DVec3>, options: &RenderOptions) -> Contribution<'a> {
+    /// The ellipse at a position of the picture, dimmed by a factor.
+    fn at(&self, centre_px: DVec2, dimmed: f64) -> Contribution<'a> {
         let d = centre_px - self.mean_px;
-        let value = (-0.5 * d.dot(self.conic * d)).exp();
-        let plain =
-            Contribution { alpha: self.opacity * value, depth: self.depth, key: self.depth, features: self.features };
-        let Some(solid) = &self.solid else { return plain };
-        let mut seen = plain;
-        let Some(ray) = ray else { return Contribution { alpha: 0.0, ..seen } };
+        let alpha = dimmed * self.opacity * (-0.5 * d.dot(self.conic * d)).exp();
+        Contribution { alpha, depth: self.depth, key: self.depth, features: self.features }
+    }
+
+    /// The Gaussian along the ray of that position, whose direction has z one, perhaps with the maximum as its key.
+    fn on_ray(&self, centre_px: DVec2, ray: DVec3, (options, by_pixel): (&RenderOptions, bool)) -> Contribution<'a> {
+        let (mut seen, solid) = (self.at(centre_px, 1.0), &self.solid);
         let met = match options.projection {
-            Projection::RayMax => {
-                let met = solid.meet(ray);
-                // A maximum behind the camera is not visible.
-                seen.alpha = if met.at > 0.0 { self.opacity * met.value } else { 0.0 };
-                seen.depth = met.at;
-                met.at
-            }
-            Projection::Affine => solid.meet(solid.on_screen_ray(ray)).at,
+            Projection::RayMax => solid.meet(ray),
+            Projection::Affine => solid.meet(solid.on_screen_ray(ray)),
         };
-        if options.order == Order::PerPixelSort {
-            seen.key = met;
+        if options.along_rays() {
+            // A maximum behind the camera is not visible.
+            seen.alpha = if met.at > 0.0 { self.opacity * met.value } else { 0.0 };
+            seen.depth = met.at;
+        }
+        if by_pixel {
+            seen.key = met.at;
         }
         seen
     }
@@ -191,10 +202,10 @@ fn project<'a>(
     } else {
         1.0
     };
-    let solid = options.along_rays().then(|| match options.projection {
+    let solid = match options.projection {
         Projection::RayMax => Solid::in_camera(mean_cam, covariance_cam, [j0, j1], options.blur),
         Projection::Affine => Solid::on_screen(mean_cam, covariance_cam, [j0, j1], options.blur),
-    });
+    };
     Some(ExactEllipse {
         mean_px: DVec2::from_array(mean_px),
         conic: covariance.inverse(),

@@ -106,7 +106,6 @@ pub mod camera;
 mod check;
 mod colour;
 mod counters;
-mod dials;
 pub mod error;
 pub mod exact;
 pub mod options;
@@ -159,6 +158,7 @@ mod render;
 mod simd;
 mod splats;
 mod stages;
+mod tasks;
 #[doc(hidden)]
 pub mod test_hooks;
 
@@ -169,9 +169,8 @@ pub use activate::RawSplats;
 pub use backend::custom_grad::with_gradient;
 pub use camera::{Camera, CameraModel, Intrinsics, Projector};
 pub use colour::{colours, colours_up_to, evaluate_sh, visible_colours};
-pub use dials::{Culling, Exponential, Storage};
 pub use error::SplatError;
-pub use options::{Accumulation, MAX_UNCULLED_INTERSECTIONS, Order, Projection, RenderOptions};
+pub use options::{Accumulation, MAX_UNCULLED_INTERSECTIONS, Projection, RenderOptions, Storage};
 pub use render::{render, render_view};
 pub use splats::{Colour, Extras, Splats};
 pub use stages::{Ellipses, Intersections, Projected, Rendered, intersect, project, rasterize};

@@ -1,7 +1,6 @@
 //! Options of a render: model choices, numerical dials and outputs.
 
 use crate::camera::{CameraModel, Intrinsics};
-use crate::dials::{Culling, Exponential, Storage};
 use crate::error::SplatError;
 
 /// Options of a render. Start from a preset and change fields.
@@ -27,8 +26,6 @@ pub struct RenderOptions {
     pub sh_degree: Option<usize>,
     /// Model: value of a Gaussian at a pixel, by an affine approximation of the projection or by its maximum along the pixel's ray.
     pub projection: Projection,
-    /// Model: depth order, of the Gaussians for the whole picture or of the contributions to each pixel.
-    pub order: Order,
     /// Dial: contributions with an alpha below this are skipped. Zero skips none and lists every Gaussian in every tile; a render
     /// with more than [`MAX_UNCULLED_INTERSECTIONS`] pairs of a Gaussian and a tile is then refused.
     pub alpha_min: f64,
@@ -37,13 +34,9 @@ pub struct RenderOptions {
     /// Dial: a pixel is finished before the splat that would bring its transmittance to this or below; that splat and all behind
     /// it are skipped. Zero skips none.
     pub transmittance_min: f64,
-    /// Dial: how GPUs add the gradients of a Gaussian's intersections. CPU backends and per-ray rasterization (any `projection` or
-    /// `order` but the default) always add them in order.
+    /// Dial: how GPUs add the gradients of a Gaussian's intersections. CPU backends and per-ray rasterization
+    /// ([`Projection::RayMax`]) always add them in order.
     pub accumulation: Accumulation,
-    /// Dial: which tiles list a Gaussian. It changes the time, not the result.
-    pub culling: Culling,
-    /// Dial: how `exp` is computed in f32. On GPUs, per-ray rasterization always uses the library's function.
-    pub exponential: Exponential,
     /// Dial: storage of the spherical-harmonics coefficients from which colours are computed. With [`Storage::Half`], f32 and f64
     /// coefficients are rounded in every render, at the cost of a pass over them; [`Colour::stored`](crate::Colour::stored) does so
     /// once. Half-precision coefficients are used unchanged.
@@ -62,21 +55,8 @@ pub enum Projection {
     Affine,
     /// Exact maximum of the Gaussian along the pixel's ray; see [`crate::rasterize_rays`]. It ignores
     /// [`RenderOptions::jacobian_margin`]: the ellipse of a pinhole's centre beyond the picture is that at the picture's border. Through
-    /// a lens, a pixel without a ray shows the background, also with [`Order::PerPixelSort`].
+    /// a lens, a pixel without a ray shows the background.
     RayMax,
-}
-
-/// The depth order in which Gaussians are blended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Default)]
-#[non_exhaustive]
-pub enum Order {
-    /// One order for the whole picture, by the camera z of the Gaussians' centres. As a camera turns or moves, two Gaussians change
-    /// places in all pixels at the same moment, which is visible as popping.
-    #[default]
-    CentreDepth,
-    /// One order per pixel, by the camera z of each Gaussian's maximum along the pixel's ray, then in the order of the centres (Radl
-    /// et al. 2024, StopThePop).
-    PerPixelSort,
 }
 
 /// The way in which GPUs add the gradients of one Gaussian's intersections with many tiles.
@@ -93,6 +73,20 @@ pub enum Accumulation {
     Ordered,
 }
 
+/// Storage of spherical-harmonics coefficients. Arithmetic, sums and gradients stay in f32 or f64; gradients are evaluated at the
+/// rounded coefficients.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Default)]
+#[non_exhaustive]
+pub enum Storage {
+    /// The given coefficients, unchanged.
+    #[default]
+    Full,
+    /// Coefficients rounded to the nearest half-precision float and clamped to ±65,504. The error is at most 2⁻¹¹ relative, or 2⁻²⁵
+    /// absolute for magnitudes below 2⁻¹⁴. (Burn's cast does the rounding: a driver may round towards zero, which doubles the
+    /// error.) On GPUs two coefficients share a word, which halves the memory traffic.
+    Half,
+}
+
 /// Highest degree of the spherical harmonics.
 const MAX_SH_DEGREE: usize = 4;
 
@@ -106,8 +100,7 @@ impl RenderOptions {
     ///
     /// Contributions below one level of 8 bits are skipped (`alpha_min = 1/255`), every layer transmits at least a hundredth
     /// (`alpha_max = 0.99`), and splats behind a transmittance of `transmittance_min = 1e-4` are skipped. All other dials have the
-    /// fastest values whose error is within the rounding of f32: atomic accumulation, [`Culling::Ellipse`],
-    /// [`Exponential::Standard`], [`Storage::Full`].
+    /// fastest values whose error is within the rounding of f32: atomic accumulation, [`Storage::Full`].
     ///
     /// Expected error: 42 to 46 dB against the reference render, 0.05 to 0.13 at the worst pixel, nearly all of it from `alpha_min`.
     /// Gradients of the scales are 46% to 63% off in relative L2 (cosine 0.78 to 0.89), others less. (These figures and those of the
@@ -120,14 +113,11 @@ impl RenderOptions {
             jacobian_margin: 0.3,
             antialias: false,
             projection: Projection::Affine,
-            order: Order::CentreDepth,
             alpha_min: 1.0 / 255.0,
             alpha_max: 0.99,
             transmittance_min: 1e-4,
             sh_degree: None,
             accumulation: Accumulation::Atomic,
-            culling: Culling::Ellipse,
-            exponential: Exponential::Standard,
             coefficients: Storage::Full,
             depth: false,
         }
@@ -161,11 +151,6 @@ impl RenderOptions {
 
     /// Whether the render uses per-ray rasterization: `ray_space` and `rasterize_rays` instead of `rasterize`.
     pub(crate) fn along_rays(&self) -> bool {
-        self.projection != Projection::Affine || self.order != Order::CentreDepth
-    }
-
-    /// Whether the extent of a Gaussian comes from its bounds instead of its ellipse.
-    pub(crate) fn extends_by_bounds(&self) -> bool {
         self.projection == Projection::RayMax
     }
 
@@ -246,16 +231,10 @@ builders! {
     with_antialias(antialias: bool);
     /// Sets the projection.
     with_projection(projection: Projection);
-    /// Sets the depth order.
-    with_order(order: Order);
     /// Sets how GPUs add gradients.
     with_accumulation(accumulation: Accumulation);
     /// Sets the highest degree of the spherical harmonics that is used; `None` uses all.
     with_sh_degree(sh_degree: Option<usize>);
-    /// Sets which tiles list a Gaussian.
-    with_culling(culling: Culling);
-    /// Sets how `exp` is computed.
-    with_exponential(exponential: Exponential);
     /// Sets the storage of the spherical-harmonics coefficients.
     with_coefficients(coefficients: Storage);
 }
@@ -299,13 +278,10 @@ mod tests {
             .with_antialias(true)
             .with_sh_degree(Some(1))
             .with_projection(Projection::RayMax)
-            .with_order(Order::PerPixelSort)
             .with_alpha_min(0.01)
             .with_alpha_max(0.9)
             .with_transmittance_min(0.02)
             .with_accumulation(Accumulation::Ordered)
-            .with_culling(Culling::OpacityBox)
-            .with_exponential(Exponential::Library)
             .with_coefficients(Storage::Half)
             .with_depth(true);
         let expected = RenderOptions {
@@ -315,13 +291,10 @@ mod tests {
             antialias: true,
             sh_degree: Some(1),
             projection: Projection::RayMax,
-            order: Order::PerPixelSort,
             alpha_min: 0.01,
             alpha_max: 0.9,
             transmittance_min: 0.02,
             accumulation: Accumulation::Ordered,
-            culling: Culling::OpacityBox,
-            exponential: Exponential::Library,
             coefficients: Storage::Half,
             depth: true,
         };

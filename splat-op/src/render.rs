@@ -7,9 +7,8 @@ use burn::tensor::Tensor;
 use crate::camera::Camera;
 use crate::check::check_positive;
 use crate::colour::visible_colours;
-use crate::dials::Storage;
 use crate::error::SplatError;
-use crate::options::RenderOptions;
+use crate::options::{RenderOptions, Storage};
 use crate::splats::{Extras, Splats};
 use crate::stages::{Rendered, check_render_fits, intersect, project, rasterize};
 
@@ -21,8 +20,7 @@ use crate::stages::{Rendered, check_render_fits, intersect, project, rasterize};
 ///
 /// # Errors
 /// If there is no camera, if the sizes of their pictures differ, if a tensor's shape, type or device does not fit, if a camera or
-/// option is out of range, or if a buffer would be larger than the device allows. If a camera is not a pinhole and `options` do
-/// not choose [`Projection::Affine`](crate::Projection) with [`Order::CentreDepth`](crate::Order).
+/// option is out of range, or if a buffer would be larger than the device allows.
 pub fn render(
     splats: &Splats,
     cameras: &[Camera],

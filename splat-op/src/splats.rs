@@ -2,10 +2,9 @@
 
 use burn::tensor::{DType, Tensor};
 
-use crate::dials::Storage;
 use crate::error::SplatError;
 use crate::limits::Need;
-use crate::options::RenderOptions;
+use crate::options::{RenderOptions, Storage};
 
 /// Gaussians with activated parameters, one row each, all of one float type (f32; f64 on CPU devices) and on one device.
 #[derive(Clone, Debug)]

@@ -11,7 +11,7 @@ use crate::check::{Reference, check_positive};
 use crate::error::SplatError;
 use crate::intersect::{IntersectionCell, tile_grid};
 use crate::limits::Need;
-use crate::options::{Projection, RenderOptions};
+use crate::options::RenderOptions;
 use crate::project::{COLUMNS, Geometry, ProjectSpec};
 use crate::rasterize::{Layers, PartsCell, RasterizeSpec};
 use crate::rasterize_rays::RayLayers;
@@ -110,7 +110,7 @@ impl Ellipses {
     /// Packs the fields for [`intersect`] and [`rasterize`], for a camera with `intrinsics`.
     ///
     /// The fields do not contain the Gaussians in ray space. Packed ellipses can therefore only be rendered with
-    /// [`Projection::Affine`](crate::Projection) and [`Order::CentreDepth`](crate::Order).
+    /// [`Projection::Affine`](crate::Projection).
     ///
     /// # Errors
     /// If a field differs from `mean2d` in its number of rows, type or device, or if `intrinsics` are out of range.
@@ -157,11 +157,9 @@ pub fn project(
     reference.check_fits(&[packed_need(splats.means.dims()[0])])?;
     let spec = ProjectSpec { intrinsics: camera.intrinsics, options: options.of_project(&camera.intrinsics) };
     let inputs = geometry(splats, camera, probe);
-    let ray_space = options.along_rays().then(|| {
-        let ray_space = Tensor::from_dispatch(<Dispatch as SplatBackend>::ray_space(inputs.clone(), spec));
-        // With the affine projection the row only decides the order, which has no gradient.
-        if options.projection == Projection::RayMax { ray_space } else { ray_space.detach() }
-    });
+    let along_rays = options.along_rays();
+    let ray_space =
+        along_rays.then(|| Tensor::from_dispatch(<Dispatch as SplatBackend>::ray_space(inputs.clone(), spec)));
     let packed = <Dispatch as SplatBackend>::project(inputs, spec);
     Ok(Projected { packed: Tensor::from_dispatch(packed), ray_space, intrinsics: camera.intrinsics })
 }
@@ -180,7 +178,7 @@ fn geometry(splats: &Splats, camera: &Camera, mean2d_probe: Tensor<2>) -> Geomet
 /// Lists the Gaussians that can show in each tile of 16 × 16 px, front to back. Not differentiable.
 ///
 /// # Errors
-/// If an option is out of range, if `projected` was not made with `options.projection` and `options.order`, or if
+/// If an option is out of range, if `projected` was not made with `options.projection`, or if
 /// `options.alpha_min` is zero and there are more than [`crate::MAX_UNCULLED_INTERSECTIONS`] pairs of a Gaussian and a tile.
 pub fn intersect(projected: &Projected, options: &RenderOptions) -> Result<Intersections, SplatError> {
     options.check()?;
@@ -191,8 +189,8 @@ pub fn intersect(projected: &Projected, options: &RenderOptions) -> Result<Inter
     let intersections = IntersectionCell::default();
     let spec = RasterizeSpec { intrinsics: projected.intrinsics, options: *options };
     let mut packed = projected.packed.clone().detach().into_dispatch();
-    if let Some(ray_space) = projected.ray_space.clone().filter(|_| options.extends_by_bounds()) {
-        packed = <Dispatch as SplatBackend>::bounds(packed, ray_space.detach().into_dispatch(), spec);
+    if let Some(ray_space) = &projected.ray_space {
+        packed = <Dispatch as SplatBackend>::bounds(packed, ray_space.clone().detach().into_dispatch(), spec);
     }
     let counts = <Dispatch as SplatBackend>::intersect(packed, spec, intersections.clone());
     Ok(Intersections { counts: Tensor::from_dispatch(counts), cell: intersections })
@@ -206,7 +204,7 @@ pub fn intersect(projected: &Projected, options: &RenderOptions) -> Result<Inter
 ///
 /// # Errors
 /// If a tensor's shape, type or device does not fit, if an option is out of range, or if `projected` was not made with
-/// `options.projection` and `options.order`.
+/// `options.projection`.
 pub fn rasterize(
     projected: &Projected,
     features: &Tensor<2>,
@@ -276,17 +274,17 @@ fn check_geometry(splats: &Splats, camera: &Camera, options: &RenderOptions) -> 
 
 /// Refuses ellipses without rows in ray space for per-ray rasterization, and ellipses with them for plain rasterization.
 fn check_rays(projected: &Projected, options: &RenderOptions) -> Result<(), SplatError> {
-    let found = format!("{:?} with {:?}", options.projection, options.order);
+    let found = format!("{:?}", options.projection);
     match (options.along_rays(), projected.ray_space.is_some()) {
         (true, false) => Err(SplatError::Value {
-            field: "projection and order",
+            field: "projection",
             found,
-            expected: "Affine with CentreDepth for ellipses that were packed from fields, or projected with these options",
+            expected: "Affine for ellipses that were packed from fields, or projected with these options",
         }),
         (false, true) => Err(SplatError::Value {
-            field: "projection and order",
+            field: "projection",
             found,
-            expected: "the options that the ellipses were projected with",
+            expected: "the projection that the ellipses were projected with",
         }),
         _ => Ok(()),
     }

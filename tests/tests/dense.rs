@@ -133,9 +133,9 @@ fn edit(
     depth: &Tensor<1>,
     gain: &Tensor<1>,
 ) -> [Tensor<1>; 3] {
-    let defocus = (depth.clone() - 3.0).square() * gain.clone();
-    let wide_u = (sigma_u.square() + defocus.clone()).sqrt();
-    [wide_u.clone(), shear * 0.7 + (wide_u * 0.3).sin() * 0.2, (sigma_v.square() + defocus).sqrt() * 1.1]
+    let widening = (depth.clone() - 3.0).square() * gain.clone();
+    let wide_u = (sigma_u.square() + widening.clone()).sqrt();
+    [wide_u.clone(), shear * 0.7 + (wide_u * 0.3).sin() * 0.2, (sigma_v.square() + widening).sqrt() * 1.1]
 }
 
 #[test]

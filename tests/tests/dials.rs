@@ -2,8 +2,8 @@
 
 use burn::tensor::{DType, Device, f16};
 use splat_op::{
-    Accumulation, Camera, Colour, Culling, Exponential, Extras, Intrinsics, MAX_UNCULLED_INTERSECTIONS, Order,
-    RenderOptions, Splats, Storage, intersect, project, render,
+    Accumulation, Camera, Colour, Extras, Intrinsics, MAX_UNCULLED_INTERSECTIONS, Projection, RenderOptions, Splats,
+    Storage, intersect, project, render,
 };
 use splat_tests::random::Random;
 use splat_tests::scene::{Scene, SceneTensors, host, tensor};
@@ -24,43 +24,13 @@ fn everywhere() -> Vec<Where> {
     cpus.chain(gpu().map(|device| ("gpu", device, DType::F32))).collect()
 }
 
-/// Needles in and around the picture, few enough for each tile's list to fit into one bucket of `rasterize`.
+/// Needles in and around the picture.
 fn needles(count: usize) -> Scene {
     let mut scene = Scene::random(&mut Random::new(11), count, 1, CAMERA);
     for scales in scene.scales.chunks_exact_mut(3) {
         scales.copy_from_slice(&[0.9 * scales[0] + 0.1, 0.01, 0.01]);
     }
     scene
-}
-
-/// Returns `colour alpha depth` and the number of intersections of all tiles.
-fn picture(scene: &Scene, options: &RenderOptions, (_, device, dtype): &Where) -> ([Vec<f64>; 3], f64) {
-    let SceneTensors { splats, camera, background, .. } = scene.tensors(device, *dtype);
-    let extras = Extras { background: Some(background), ..Extras::default() };
-    let out = render(&splats, std::slice::from_ref(&camera), &extras, options).expect("a valid scene");
-    let projected = project(&splats, &camera, &Extras::default(), options).expect("a valid scene");
-    let pairs = intersect(&projected, options).expect("a valid scene").counts.sum().into_scalar::<i32>();
-    ([host(out.colour), host(out.alpha), host(out.depth.expect("asked for"))], f64::from(pairs))
-}
-
-#[test]
-fn culling_changes_time_alone() {
-    let scene = needles(28);
-    for place in everywhere() {
-        let at = (place.1.clone(), place.2);
-        let gradients = |options| gradients_of(&scene, 1, [true; 9], &options, &at);
-        let (expected, fewest) = picture(&scene, &OPTIONS, &place);
-        let expected_gradients = gradients(OPTIONS);
-        let mut before = fewest;
-        for culling in [Culling::OpacityBox, Culling::BoundingBox] {
-            let (found, pairs) = picture(&scene, &OPTIONS.with_culling(culling), &place);
-            assert!(pairs > before, "{}: {culling:?} lists {pairs}, a finer culling {before}", place.0);
-            before = pairs;
-            assert!(found == expected, "{} {:?}: {culling:?} changes the picture", place.0, place.2);
-            let found = gradients(OPTIONS.with_culling(culling));
-            assert!(found == expected_gradients, "{} {:?}: {culling:?} changes a gradient", place.0, place.2);
-        }
-    }
 }
 
 /// Returns the pictures and the gradients of the harmonics.
@@ -124,27 +94,6 @@ fn without_a_cut_a_large_picture_of_many_gaussians_is_refused() {
     }
 }
 
-#[test]
-fn exponentials_change_no_more_than_they_say() {
-    let scene = Scene::random(&mut Random::new(13), 60, 1, CAMERA);
-    // Without cuts, at which a pair within rounding error would jump.
-    let smooth = RenderOptions { alpha_min: 1e-12, transmittance_min: 0.0, ..OPTIONS };
-    for place in everywhere() {
-        let (expected, _) = picture(&scene, &smooth, &place);
-        let largest = expected[0].iter().fold(0.0_f64, |most, v| most.max(v.abs()));
-        let difference = |options: RenderOptions| {
-            let (found, _) = picture(&scene, &options, &place);
-            found[0].iter().zip(&expected[0]).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max) / largest
-        };
-        let exponentials =
-            [Exponential::Library, Exponential::Polynomial].map(|e| difference(smooth.with_exponential(e)));
-        println!("{} {:?}: exponentials {exponentials:?}", place.0, place.2);
-        // One of the two is the default, and in f64 both give the default's result.
-        assert!(exponentials.contains(&0.0) && exponentials.iter().all(|d| *d <= 2e-6), "{exponentials:?}");
-        assert_eq!(exponentials.iter().all(|d| *d == 0.0), place.2 == DType::F64, "{} {exponentials:?}", place.0);
-    }
-}
-
 /// The scene with its harmonics rounded to half precision.
 fn rounded(scene: &Scene) -> Scene {
     Scene { sh: scene.sh.iter().map(|value| f16::from_f64(*value).to_f64()).collect(), ..scene.clone() }
@@ -196,9 +145,9 @@ fn coefficients_of_half_precision_have_gradients_in_a_step_that_trains_all() {
     let poses = [[true; 9], [true, true, true, true, true, false, true, true, true]];
     for place in with_halves() {
         for tracked in poses {
-            for options in [OPTIONS, OPTIONS.with_order(Order::PerPixelSort)] {
+            for options in [OPTIONS, OPTIONS.with_projection(Projection::RayMax)] {
                 let at = (place.1.clone(), place.2);
-                let what = format!("{} {:?}, {tracked:?}, {:?}", place.0, place.2, options.order);
+                let what = format!("{} {:?}, {tracked:?}, {:?}", place.0, place.2, options.projection);
                 let half = options.with_coefficients(Storage::Half);
                 let found = gradients_of(&scene, 1, tracked, &half, &at);
                 let expected = gradients_of(&rounded(&scene), 1, tracked, &options, &at);

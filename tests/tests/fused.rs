@@ -2,9 +2,7 @@
 //! process of its own, because the counters are global.
 
 use burn::tensor::{DType, Tensor};
-use splat_op::{
-    Extras, Intrinsics, Order, Projection, RenderOptions, evaluate_sh, intersect, project, rasterize, test_hooks,
-};
+use splat_op::{Extras, Intrinsics, Projection, RenderOptions, evaluate_sh, intersect, project, rasterize, test_hooks};
 use splat_tests::gpu;
 use splat_tests::random::Random;
 use splat_tests::scene::{Scene, SceneTensors, host};
@@ -57,7 +55,7 @@ fn every_stage_executes_kernels_and_no_twin() {
     let loss = picture.colour.sum().backward();
     launched_after(host(colours.grad(&loss).expect("tracked")), || launched("the backward pass of rasterize"));
 
-    let along_rays = options.with_projection(Projection::RayMax).with_order(Order::PerPixelSort);
+    let along_rays = options.with_projection(Projection::RayMax);
     let SceneTensors { splats, camera, background, .. } = leaves();
     let projected = project(&splats, &camera, &Extras::default(), &along_rays).expect("a valid scene");
     let intersections = intersect(&projected, &along_rays).expect("a valid scene");

@@ -97,7 +97,6 @@ fn each_effect_trains_as_on_the_cpu() {
         ("depth", TrainConfig { depth: Some(DepthConfig::default()), ..plain.clone() }),
         ("motion blur", optics(OpticsConfig { motion: true, ..nothing })),
         ("rolling shutter", optics(OpticsConfig { rolling: true, ..nothing })),
-        ("defocus", optics(OpticsConfig { defocus: true, ..nothing })),
     ];
     let samples =
         || vec![vec![DepthSample { at: [0.5, 0.5], depth: 2.0 }, DepthSample { at: [0.3, 0.4], depth: 2.5 }]; 3];

@@ -1,10 +1,10 @@
-//! Whole renders with per-ray rasterization: the guarantees of the ray-max projection and of the per-pixel sort.
+//! Whole renders with per-ray rasterization: the guarantees of the ray-max projection.
 
 use burn::tensor::{DType, Device};
 use glam::DVec3;
 use splat_op::{
-    CameraModel, Extras, Intrinsics, Order, Projection, RenderOptions, SplatError, colours, intersect, project,
-    rasterize, render, render_view,
+    CameraModel, Extras, Intrinsics, Projection, RenderOptions, SplatError, colours, intersect, project, rasterize,
+    render, render_view,
 };
 use splat_tests::lenses::lenses;
 use splat_tests::perturb::judge;
@@ -14,12 +14,6 @@ use splat_tests::tracked::{INPUTS, gradients_of};
 use splat_tests::{cpu_devices, devices};
 
 const CAMERA: Intrinsics = Intrinsics { fx: 33.0, fy: 37.0, cx: 19.0, cy: 14.5, ..Intrinsics::centred(41, 27, 33.0) };
-
-const CHOICES: [(Projection, Order); 3] = [
-    (Projection::RayMax, Order::CentreDepth),
-    (Projection::Affine, Order::PerPixelSort),
-    (Projection::RayMax, Order::PerPixelSort),
-];
 
 fn picture(scene: &Scene, options: &RenderOptions) -> Vec<f64> {
     let SceneTensors { splats, camera, .. } = scene.tensors(&Device::flex(), DType::F64);
@@ -54,8 +48,7 @@ fn small_gaussians_look_as_their_ellipses_do() {
 #[test]
 fn tiles_lose_nothing() {
     let plain = Intrinsics::centred(200, 150, 90.0);
-    let cameras = [plain].into_iter().chain(lenses(plain));
-    for (seed, (camera, choice)) in (1..).zip(cameras.flat_map(|camera| CHOICES.map(|choice| (camera, choice)))) {
+    for (seed, camera) in (1..).zip([plain].into_iter().chain(lenses(plain))) {
         let mut random = Random::new(seed);
         let mut scene = Scene::random(&mut random, 400, 0, camera);
         for (i, scale) in scene.scales.chunks_exact_mut(3).enumerate() {
@@ -63,7 +56,7 @@ fn tiles_lose_nothing() {
             scale.copy_from_slice(&[size * random.between(0.1, 1.0), size * random.between(0.02, 1.0), size]);
         }
         let options = RenderOptions { transmittance_min: 0.0, ..RenderOptions::standard() };
-        let options = options.with_projection(choice.0).with_order(choice.1).with_depth(true);
+        let options = options.with_projection(Projection::RayMax).with_depth(true);
         let SceneTensors { splats, camera, .. } = scene.tensors(&Device::flex(), DType::F32);
         let projected = project(&splats, &camera, &Extras::default(), &options).expect("a valid scene");
         let features = colours(&splats, &camera).expect("a valid scene");
@@ -77,44 +70,9 @@ fn tiles_lose_nothing() {
         let (listed, found) = picture(&options);
         let (all, expected) = picture(&RenderOptions { alpha_min: 0.0, ..options });
         let model = projected.intrinsics().model;
-        assert!(listed < all, "{model:?}, {choice:?}: {listed} of {all} pairs are listed");
-        assert!(found == expected, "{model:?}, {choice:?}: the lists change the picture");
+        assert!(listed < all, "{model:?}: {listed} of {all} pairs are listed");
+        assert!(found == expected, "{model:?}: the lists change the picture");
     }
-}
-
-/// Renders two crossing sheets while the camera turns around the line where they cross. Returns the largest change of a pixel in one
-/// small step, and the largest share of the picture that jumps in one step.
-fn turning(order: Order) -> (f64, f64) {
-    let mut scene = Scene::random(&mut Random::new(3), 2, 0, Intrinsics::centred(32, 32, 40.0));
-    scene.means = vec![0.3, 0.0, 3.0, -0.3, 0.0, 3.0];
-    scene.scales = vec![0.8, 0.8, 0.05, 0.8, 0.8, 0.05];
-    let (sin, cos) = 0.35_f64.sin_cos();
-    scene.quats = vec![cos, 0.0, sin, 0.0, cos, 0.0, -sin, 0.0];
-    scene.opacities = vec![0.9; 2];
-    scene.sh = vec![1.5, -1.5, 0.0, -1.5, 1.5, 0.0];
-    let options = RenderOptions::standard().with_order(order);
-    let mut see = |step: i32| {
-        let (sin, cos) = (1e-3 * (f64::from(step) + 0.5)).sin_cos();
-        scene.pose = vec![cos, 0.0, sin, -3.0 * sin, 0.0, 1.0, 0.0, 0.0, -sin, 0.0, cos, 3.0 - 3.0 * cos];
-        picture(&scene, &options)
-    };
-    let pictures: Vec<Vec<f64>> = (-20..20).map(&mut see).collect();
-    let (mut largest, mut most) = (0.0_f64, 0);
-    for pair in pictures.windows(2) {
-        let pixels = pair[0].chunks_exact(3).zip(pair[1].chunks_exact(3));
-        let steps: Vec<f64> = pixels.map(|(a, b)| largest_difference(a, b)).collect();
-        largest = steps.iter().copied().fold(largest, f64::max);
-        most = most.max(steps.iter().filter(|step| **step > 0.05).count());
-    }
-    (largest, most as f64 / (32.0 * 32.0))
-}
-
-#[test]
-fn the_order_of_each_pixel_does_not_pop() {
-    let (centre, pixel) = (turning(Order::CentreDepth), turning(Order::PerPixelSort));
-    println!("by centres {centre:?}, by pixel {pixel:?}");
-    assert!(centre.0 > 0.2 && centre.1 > 0.2, "by centres: {centre:?}");
-    assert!(pixel.0 < 0.05 && pixel.1 == 0.0, "by pixel: {pixel:?}");
 }
 
 /// A Gaussian far outside the picture and close to the camera, which the affine projection smears over the picture.
@@ -153,7 +111,7 @@ fn every_gradient_reaches_its_input() {
         let scene = Scene::random(&mut Random::new(8), 40, 1, CAMERA);
         let SceneTensors { splats, sh, camera, background } = scene.tensors(&device.autodiff(), DType::F64);
         let extras = Extras { background: Some(background.clone()), ..Extras::default() };
-        let options = RenderOptions::standard().with_projection(Projection::RayMax).with_order(Order::PerPixelSort);
+        let options = RenderOptions::standard().with_projection(Projection::RayMax);
         let out = render(&splats, std::slice::from_ref(&camera), &extras, &options).expect("a valid scene");
         // The loss uses the picture alone, so that alpha and depth have no gradient.
         let gradients = (out.colour.clone() * out.colour).sum().backward();
@@ -176,23 +134,12 @@ fn gradients_in_f32_are_those_in_f64() {
     let smooth = RenderOptions { alpha_min: 0.0, transmittance_min: 0.0, ..RenderOptions::standard() };
     let mut scene = Scene::random(&mut Random::new(11), 120, 1, CAMERA);
     scene.scales.iter_mut().for_each(|scale| *scale *= 0.4);
-    // The Gaussians are thin and far apart in depth, so that rounding exchanges no two of them.
-    let mut apart = Scene::random(&mut Random::new(12), 12, 1, CAMERA);
-    for (i, mean) in apart.means.chunks_exact_mut(3).enumerate() {
-        let z = 1.5 * 1.35_f64.powi((5 * i % 12) as i32);
-        let by = z / mean[2];
-        mean.iter_mut().for_each(|x| *x *= by);
-        apart.scales[3 * i..3 * i + 3].iter_mut().for_each(|scale| *scale *= 0.06 * z);
-    }
-    let [opencv, full, equidistant, fisheye, prism] = lenses(CAMERA);
-    let cameras = [[CAMERA, opencv, equidistant], [CAMERA, full, fisheye], [CAMERA, opencv, prism]];
+    let options = smooth.with_projection(Projection::RayMax).with_depth(true).with_antialias(true);
     for (name, device) in devices() {
-        for (choice, camera) in CHOICES.into_iter().zip(cameras).flat_map(|(c, all)| all.map(|camera| (c, camera))) {
-            let options = smooth.with_projection(choice.0).with_order(choice.1).with_depth(true).with_antialias(true);
-            let scene = if choice.1 == Order::CentreDepth { &scene } else { &apart };
+        for camera in [CAMERA].into_iter().chain(lenses(CAMERA)) {
             let scene = &Scene { intrinsics: camera, ..scene.clone() };
             // Alpha and depth are part of the loss, and every probe is tracked.
-            judge(&format!("{name}, {choice:?}, {:?}", camera.model), scene, &device, |scene, place| {
+            judge(&format!("{name}, {:?}", camera.model), scene, &device, |scene, place| {
                 let gradients = gradients_of(scene, 2, [true; 9], &options, place);
                 let named = INPUTS.into_iter().zip(gradients);
                 named.map(|(name, gradient)| (name, gradient.expect("tracked"))).collect()
@@ -202,19 +149,10 @@ fn gradients_in_f32_are_those_in_f64() {
 }
 
 /// Compares the gradient with the slope of the loss along a line through all geometry and the pose.
-fn check_slope(camera: Intrinsics, order: Order) {
+fn check_slope(camera: Intrinsics) {
     let options = RenderOptions { alpha_min: 0.0, transmittance_min: 0.0, alpha_max: 1.0, ..RenderOptions::standard() };
-    let options = options.with_projection(Projection::RayMax).with_order(order).with_depth(true).with_antialias(true);
-    let mut scene = Scene::random(&mut Random::new(9), 30, 0, camera);
-    if order == Order::PerPixelSort {
-        // Small and far apart in depth, so that no step exchanges two of them.
-        for (i, mean) in scene.means.chunks_exact_mut(3).enumerate() {
-            let z = 1.2_f64.powi((7 * i % 30) as i32);
-            let by = z / mean[2];
-            mean.iter_mut().for_each(|x| *x *= by);
-            scene.scales[3 * i..3 * i + 3].iter_mut().for_each(|scale| *scale *= 0.05 * z);
-        }
-    }
+    let options = options.with_projection(Projection::RayMax).with_depth(true).with_antialias(true);
+    let scene = Scene::random(&mut Random::new(9), 30, 0, camera);
     let mut random = Random::new(10);
     let parts = [&scene.means, &scene.quats, &scene.scales, &scene.opacities, &scene.pose];
     let directions = parts.map(|part| random.fill(part.len(), -1.0, 1.0));
@@ -248,31 +186,24 @@ fn check_slope(camera: Intrinsics, order: Order) {
         host(tensors.camera.cam_from_world.grad(&gradients).expect("tracked")),
     ];
     let along: f64 = found.iter().flatten().zip(directions.iter().flatten()).map(|(g, d)| g * d).sum();
-    let what = format!("{camera:?}, {order:?}");
-    assert!((along - slope).abs() <= 1e-6 * slope.abs(), "{what}: gradient {along}, slope {slope}");
+    assert!((along - slope).abs() <= 1e-6 * slope.abs(), "{camera:?}: gradient {along}, slope {slope}");
 }
 
 #[test]
 fn the_slope_of_a_render_is_that_of_its_gradient() {
-    check_slope(CAMERA, Order::CentreDepth);
-    for lens in lenses(CAMERA) {
-        check_slope(lens, Order::CentreDepth);
-        check_slope(lens, Order::PerPixelSort);
-    }
+    [CAMERA].into_iter().chain(lenses(CAMERA)).for_each(check_slope);
 }
 
 /// A lens without distortion is a pinhole under another name.
 #[test]
 fn a_lens_without_distortion_shows_what_a_pinhole_shows() {
-    for (seed, choice) in (1..).zip(CHOICES) {
-        let smooth = RenderOptions { alpha_min: 0.0, transmittance_min: 0.0, ..RenderOptions::standard() };
-        let options = smooth.with_projection(choice.0).with_order(choice.1);
-        let scene = Scene::random(&mut Random::new(seed), 60, 0, CAMERA);
-        let mut bent = scene.clone();
-        bent.intrinsics.model = CameraModel::OpenCv;
-        let difference = largest_difference(&picture(&scene, &options), &picture(&bent, &options));
-        assert!(difference < 1e-11, "{choice:?}: {difference}");
-    }
+    let smooth = RenderOptions { alpha_min: 0.0, transmittance_min: 0.0, ..RenderOptions::standard() };
+    let options = smooth.with_projection(Projection::RayMax);
+    let scene = Scene::random(&mut Random::new(1), 60, 0, CAMERA);
+    let mut bent = scene.clone();
+    bent.intrinsics.model = CameraModel::OpenCv;
+    let difference = largest_difference(&picture(&scene, &options), &picture(&bent, &options));
+    assert!(difference < 1e-11, "{difference}");
 }
 
 #[test]
@@ -280,20 +211,18 @@ fn what_cannot_be_is_refused() {
     let scene = Scene::random(&mut Random::new(1), 5, 0, CAMERA);
     let SceneTensors { splats, camera, .. } = scene.tensors(&Device::flex(), DType::F32);
     let plain = RenderOptions::standard();
-    for choice in CHOICES {
-        let options = plain.with_projection(choice.0).with_order(choice.1);
-        let projected = project(&splats, &camera, &Extras::default(), &options).expect("a valid scene");
-        let refused = |result: Result<splat_op::Intersections, SplatError>, part: &str| {
-            let message = result.expect_err("refused").to_string();
-            assert!(message.contains("projection and order") && message.contains(part), "{message}");
-        };
-        refused(intersect(&projected, &plain), "projected with");
-        let packed = projected.ellipses().pack(&CAMERA).expect("columns of one render");
-        refused(intersect(&packed, &options), "packed");
-        let intersections = intersect(&packed, &plain).expect("ellipses as they are");
-        let features = colours(&splats, &camera).expect("a valid scene");
-        let refused =
-            rasterize(&packed, &features, &intersections, &Extras::default(), &options).expect_err("no depth slope");
-        assert!(refused.to_string().contains("packed"), "{refused}");
-    }
+    let options = plain.with_projection(Projection::RayMax);
+    let projected = project(&splats, &camera, &Extras::default(), &options).expect("a valid scene");
+    let refused = |result: Result<splat_op::Intersections, SplatError>, part: &str| {
+        let message = result.expect_err("refused").to_string();
+        assert!(message.contains("`projection`") && message.contains(part), "{message}");
+    };
+    refused(intersect(&projected, &plain), "projected with");
+    let packed = projected.ellipses().pack(&CAMERA).expect("columns of one render");
+    refused(intersect(&packed, &options), "packed");
+    let intersections = intersect(&packed, &plain).expect("ellipses as they are");
+    let features = colours(&splats, &camera).expect("a valid scene");
+    let refused =
+        rasterize(&packed, &features, &intersections, &Extras::default(), &options).expect_err("no depth slope");
+    assert!(refused.to_string().contains("packed"), "{refused}");
 }

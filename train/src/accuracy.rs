@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use splat_model::accuracy::{Preset, Setting};
 use splat_model::ply::TrainedAs;
 use splat_model::trainer::TrainConfig;
-use splat_op::{Order, Projection, RenderOptions};
+use splat_op::{Projection, RenderOptions};
 
 /// Model choices: the function that a scene's parameters define. A scene is rendered with those of its training.
 #[derive(Clone, Debug, Default, clap::Args, Serialize, Deserialize)]
@@ -16,9 +16,6 @@ pub struct ModelArgs {
     /// How a splat contributes to a pixel [default: as the scene was trained, or affine]
     #[arg(long, value_enum, value_name = "WHAT")]
     pub projection: Option<ProjectionArg>,
-    /// How splats are sorted by depth. Evaluate and render a scene with the setting it was trained with
-    #[arg(long, value_enum, value_name = "WHAT", default_value_t)]
-    pub order: OrderArg,
 }
 
 /// [`Projection`] on the command line.
@@ -30,17 +27,6 @@ pub enum ProjectionArg {
     Affine,
     /// Largest value along the pixel's ray; about twice as slow
     RayMax,
-}
-
-/// [`Order`] on the command line.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum OrderArg {
-    /// One global sort by the depths of the splats' centres
-    #[default]
-    CentreDepth,
-    /// Sort for each pixel, so that nothing pops as the camera turns; about three times as slow
-    PerPixelSort,
 }
 
 impl ModelArgs {
@@ -56,7 +42,6 @@ impl ModelArgs {
         Self {
             antialias: self.antialias.or(Some(trained.antialias)),
             projection: self.projection.or(Some(projection)),
-            ..self.clone()
         }
     }
 
@@ -66,12 +51,8 @@ impl ModelArgs {
             ProjectionArg::Affine => Projection::Affine,
             ProjectionArg::RayMax => Projection::RayMax,
         };
-        let order = match self.order {
-            OrderArg::CentreDepth => Order::CentreDepth,
-            OrderArg::PerPixelSort => Order::PerPixelSort,
-        };
         let standard = RenderOptions::standard();
-        Setting::between(&standard, &standard.with_projection(projection).with_order(order))
+        Setting::between(&standard, &standard.with_projection(projection))
     }
 }
 

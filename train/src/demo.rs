@@ -58,9 +58,6 @@ pub struct DemoArgs {
     /// Move the camera while the rows of each training photograph are read out one after the other, by 5% of the width
     #[arg(long)]
     pub rolling: bool,
-    /// Take the training photographs with an open aperture, so that near and far parts are out of focus
-    #[arg(long)]
-    pub defocus: bool,
     /// Write an exact depth map for each photograph: 16-bit PNG, 0.001 scene units a level
     #[arg(long)]
     pub depth: bool,
@@ -111,7 +108,6 @@ impl DemoArgs {
             far: self.far,
             motion: self.motion,
             rolling: self.rolling,
-            defocus: self.defocus,
             depth: self.depth,
             town: self.town,
             seed: self.seed,
@@ -267,7 +263,7 @@ mod tests {
         let photographs = truth["photographs"].as_array().unwrap();
         assert_eq!(photographs.len(), 2);
         for (photograph, name) in photographs.iter().zip(["0000.png", "0001.png"]) {
-            assert_eq!((photograph["name"].as_str(), photograph["aperture"].is_null()), (Some(name), true));
+            assert_eq!(photograph["name"].as_str(), Some(name));
             let rotation = photograph["rotation_wxyz"].as_array().unwrap();
             let squared: f64 = rotation.iter().map(|value| value.as_f64().unwrap().powi(2)).sum();
             assert!((squared - 1.0).abs() < 1e-12 && photograph["readout"]["angular"].as_array().unwrap().len() == 3);

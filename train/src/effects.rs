@@ -164,11 +164,8 @@ impl Chosen {
         config.exposure = self.has(EffectKind::Exposure).then(ExposureConfig::default);
         config.grid = self.has(EffectKind::BilateralGrid).then(GridConfig::default);
         config.poses = self.has(EffectKind::PoseRefinement).then(PoseConfig::default);
-        config.optics = OpticsConfig {
-            motion: self.has(EffectKind::MotionBlur),
-            rolling: self.has(EffectKind::RollingShutter),
-            defocus: self.has(EffectKind::Defocus),
-        };
+        config.optics =
+            OpticsConfig { motion: self.has(EffectKind::MotionBlur), rolling: self.has(EffectKind::RollingShutter) };
         config.depth = self.has(EffectKind::DepthSupervision).then(DepthConfig::default);
         match background {
             Some(background) => background.configure(config),

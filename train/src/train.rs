@@ -176,7 +176,7 @@ pub struct TrainArgs {
     ///
     /// Effects to simulate: `auto` (as `splat inspect` decides), `none`, a comma-separated list of names, or `+NAME`
     /// and `-NAME` to adjust `auto`. Names: antialias, alpha, exposure, bilateral-grid, masks, pose-refinement,
-    /// environment, motion-blur, rolling-shutter, defocus, depth-supervision
+    /// environment, motion-blur, rolling-shutter, depth-supervision
     #[arg(long, value_name = "LIST", default_value_t, allow_hyphen_values = true)]
     #[serde(with = "crate::as_text")]
     pub effects: EffectsArg,

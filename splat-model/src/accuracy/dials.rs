@@ -1,6 +1,6 @@
 //! The table of dials. A dial that is added here can be measured, stored in files, chosen and trained with.
 
-use splat_op::{Accumulation, Culling, Exponential, Order, Projection, RenderOptions, Storage};
+use splat_op::{Accumulation, Projection, RenderOptions, Storage};
 
 /// The reference that a dial's values are judged against. The two kinds are never mixed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -125,27 +125,6 @@ pub const DIALS: &[Dial] = &[
             ],
         )
     },
-    Dial {
-        same_picture: true,
-        ..numerical(
-            "culling",
-            "which tiles a Gaussian is assigned to",
-            &[
-                value("ellipse", 0.0, |o| o.with_culling(Culling::Ellipse)),
-                value("opacity-box", 0.0, |o| o.with_culling(Culling::OpacityBox)),
-                value("bounding-box", 0.0, |o| o.with_culling(Culling::BoundingBox)),
-            ],
-        )
-    },
-    numerical(
-        "exponential",
-        "how exp is computed",
-        &[
-            value("library", 0.0, |o| o.with_exponential(Exponential::Library)),
-            value("polynomial", 0.0, |o| o.with_exponential(Exponential::Polynomial)),
-            value("standard", 0.0, |o| o.with_exponential(Exponential::Standard)),
-        ],
-    ),
     numerical(
         "coefficients",
         "how spherical-harmonics coefficients are stored when colours are computed from them",
@@ -160,14 +139,6 @@ pub const DIALS: &[Dial] = &[
         &[
             choice("ray-max", |o| o.with_projection(Projection::RayMax)),
             choice("affine", |o| o.with_projection(Projection::Affine)),
-        ],
-    ),
-    model(
-        "order",
-        "unit of the depth sort: whole Gaussians, or the contributions to each pixel",
-        &[
-            choice("per-pixel-sort", |o| o.with_order(Order::PerPixelSort)),
-            choice("centre-depth", |o| o.with_order(Order::CentreDepth)),
         ],
     ),
     model(

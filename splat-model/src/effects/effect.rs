@@ -9,8 +9,8 @@ use std::rc::Rc;
 use burn::tensor::{Device, Gradients, Tensor};
 use rand::Rng;
 use splat_op::{
-    Camera, Ellipses, Extras, Projected, RenderOptions, Rendered, SplatError, Splats, colours_up_to, intersect,
-    project, rasterize, render_view, visible_colours,
+    Camera, Ellipses, Extras, Projected, RenderOptions, Rendered, SplatError, Splats, intersect, project, rasterize,
+    render_view, visible_colours,
 };
 
 use super::background::Background;
@@ -34,7 +34,7 @@ pub struct RenderInput {
     /// Render options.
     pub options: RenderOptions,
     /// See [`Self::edit`].
-    pub(crate) edits: Vec<Vec<Edit>>,
+    pub(crate) edits: Vec<Edit>,
 }
 
 impl RenderInput {
@@ -46,24 +46,13 @@ impl RenderInput {
     /// Adds an edit by an operation on the packed ellipses, such as those of [`splat_op::optics`]: as [`Self::edit`], without taking the
     /// ellipses apart.
     pub fn edit_projected(&mut self, edit: impl Fn(Projected) -> Result<Projected, SplatError> + 'static) {
-        self.edits.push(vec![Rc::new(edit)]);
+        self.edits.push(Rc::new(edit));
     }
 
-    /// Adds alternative edits: the render is the mean of the pictures with each of them. The projection and the colours are computed
-    /// once, while [`Effect::samples`] repeats them. Alternatives of several effects multiply.
-    pub fn edit_each<E>(&mut self, edits: impl IntoIterator<Item = E>)
-    where
-        E: Fn(Projected) -> Result<Projected, SplatError> + 'static,
-    {
-        self.edits.push(edits.into_iter().map(|edit| Rc::new(edit) as Edit).collect());
-    }
-
-    /// The projected Gaussians, edited, once for each picture.
-    pub(crate) fn project(&self) -> Result<Vec<Projected>, SplatError> {
+    /// The projected Gaussians, edited.
+    pub(crate) fn project(&self) -> Result<Projected, SplatError> {
         let projected = project(&self.splats, &self.camera, &self.extras, &self.options)?;
-        self.edits.iter().try_fold(vec![projected], |all, edits| {
-            all.iter().flat_map(|projected| edits.iter().map(|edit| edit(projected.clone()))).collect()
-        })
+        self.edits.iter().try_fold(projected, |projected, edit| edit(projected))
     }
 
     /// Renders the view.
@@ -74,16 +63,10 @@ impl RenderInput {
         if self.edits.is_empty() {
             return render_view(&self.splats, &self.camera, &self.extras, &self.options);
         }
-        let all = self.project()?;
-        let features = match &all[..] {
-            [one] => visible_colours(&self.splats, &self.camera, one, &self.options)?,
-            _ => colours_up_to(&self.splats, &self.camera, self.options.sh_degree)?,
-        };
-        let picture = |projected: &Projected| {
-            let intersections = intersect(projected, &self.options)?;
-            rasterize(projected, &features, &intersections, &self.extras, &self.options)
-        };
-        Ok(mean_of(all.iter().map(picture).collect::<Result<_, _>>()?))
+        let projected = self.project()?;
+        let features = visible_colours(&self.splats, &self.camera, &projected, &self.options)?;
+        let intersections = intersect(&projected, &self.options)?;
+        rasterize(&projected, &features, &intersections, &self.extras, &self.options)
     }
 }
 

@@ -62,15 +62,13 @@ pub enum EffectKind {
     MotionBlur,
     /// Rows were exposed one after the other while the camera moved.
     RollingShutter,
-    /// The aperture is open, so that what is out of focus is blurred. Switched on by name only.
-    Defocus,
     /// Few photographs show the scene, or it comes with depth maps: known depths constrain the scene.
     DepthSupervision,
 }
 
 impl EffectKind {
     /// All effects.
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; 10] = [
         Self::Antialias,
         Self::Alpha,
         Self::Exposure,
@@ -80,7 +78,6 @@ impl EffectKind {
         Self::Environment,
         Self::MotionBlur,
         Self::RollingShutter,
-        Self::Defocus,
         Self::DepthSupervision,
     ];
 
@@ -96,7 +93,6 @@ impl EffectKind {
             Self::Environment => "environment",
             Self::MotionBlur => "motion-blur",
             Self::RollingShutter => "rolling-shutter",
-            Self::Defocus => "defocus",
             Self::DepthSupervision => "depth-supervision",
         }
     }

@@ -122,7 +122,6 @@ impl Plan {
             lens(survey),
             motion_blur(survey, at),
             rolling_shutter(survey, at),
-            by_name(EffectKind::Defocus, "an open aperture", at),
         ];
         Self { decisions }
     }
@@ -159,7 +158,6 @@ const POSE_MS: (f64, f64) = (0.15, 0.3);
 const DEPTH_MS: (f64, f64) = (0.06, 1.0);
 const MOTION_MS: (f64, f64) = (0.25, 2.2);
 const SHUTTER_MS: (f64, f64) = (0.25, 0.25);
-const DEFOCUS_MS: (f64, f64) = (14.0, 118.0);
 
 /// The part per megapixel of an environment's viewing directions where they are computed anew in each step: a root and a division in f64
 /// for each pixel, 7.5 ms on one thread.
@@ -334,13 +332,6 @@ fn motion_blur(survey: &Survey, at: Conditions) -> Decision {
     };
     let cost = Cost { ms_per_step: at.ms(MOTION_MS), mib: survey.views as f64 * 3.0 * 6.0 * 4.0 / MIB };
     decide(EffectKind::MotionBlur, on, evidence, rule, Some(cost))
-}
-
-/// The decision on an effect that no evidence detects.
-fn by_name(effect: EffectKind, what: &str, at: Conditions) -> Decision {
-    let evidence = format!("not known: no measurement distinguishes {what} from other faults");
-    let cost = Cost { ms_per_step: at.ms(DEFOCUS_MS), mib: 0.0 };
-    decide(effect, false, evidence, "on by name only".into(), Some(cost))
 }
 
 /// A sentence on how the photographs were compared.

@@ -45,23 +45,19 @@ impl fmt::Display for Wrong {
 pub(super) fn first_wrong(input: &RenderInput) -> Option<Wrong> {
     let rendered = || -> Result<Option<Wrong>, SplatError> {
         let features = colours_up_to(&input.splats, &input.camera, input.options.sh_degree)?;
-        for projected in input.project()? {
-            let opacities = match check_projected(&projected) {
-                Ok(opacities) => opacities,
-                Err(wrong) => return Ok(Some(wrong)),
-            };
-            let intersections = intersect(&projected, &input.options)?;
-            let before = check_colours(&features, &opacities)
-                .and_then(|()| check_intersections(&intersections, projected.len()));
-            if let Err(wrong) = before {
-                return Ok(Some(wrong));
-            }
-            let picture = rasterize(&projected, &features, &intersections, &input.extras, &input.options)?;
-            if let Err(wrong) = check_picture(&picture) {
-                return Ok(Some(wrong));
-            }
+        let projected = input.project()?;
+        let opacities = match check_projected(&projected) {
+            Ok(opacities) => opacities,
+            Err(wrong) => return Ok(Some(wrong)),
+        };
+        let intersections = intersect(&projected, &input.options)?;
+        let before =
+            check_colours(&features, &opacities).and_then(|()| check_intersections(&intersections, projected.len()));
+        if let Err(wrong) = before {
+            return Ok(Some(wrong));
         }
-        Ok(None)
+        let picture = rasterize(&projected, &features, &intersections, &input.extras, &input.options)?;
+        Ok(check_picture(&picture).err())
     };
     rendered().ok().flatten()
 }

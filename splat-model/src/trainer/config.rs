@@ -1,7 +1,7 @@
 //! The options of a run, and whether they fit together.
 
 use serde::{Deserialize, Deserializer, Serialize};
-use splat_op::{Order, Projection, RenderOptions};
+use splat_op::{Projection, RenderOptions};
 
 use super::{Resolution, TrainError};
 use crate::accuracy::Setting;
@@ -156,8 +156,7 @@ impl TrainConfig {
 
     /// Whether pixels are rendered along their rays.
     fn along_rays(&self) -> bool {
-        let options = self.dials.apply(RenderOptions::standard());
-        options.projection != Projection::Affine || options.order != Order::CentreDepth
+        self.dials.apply(RenderOptions::standard()).projection != Projection::Affine
     }
 }
 
@@ -172,7 +171,7 @@ mod tests {
 
     #[test]
     fn rays_do_not_go_with_what_changes_ellipses() {
-        let rays = TrainConfig { dials: dials("order", "per-pixel-sort"), ..TrainConfig::default() };
+        let rays = TrainConfig { dials: dials("projection", "ray-max"), ..TrainConfig::default() };
         rays.check().unwrap();
         let optics = OpticsConfig { rolling: true, ..OpticsConfig::default() };
         let error = TrainConfig { optics, ..rays }.check().unwrap_err().to_string();

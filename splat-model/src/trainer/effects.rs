@@ -1,12 +1,12 @@
 //! The effects of a run: their setup, their inputs and their results.
 
 use burn::tensor::Device;
-use glam::{DAffine3, Vec3};
+use glam::DAffine3;
 use splat_op::Intrinsics;
 use splat_op::sh::SH_DEGREE_MAX;
 
 use super::{TrainConfig, TrainError, Trainer};
-use crate::capture::{Photograph, PointCloud};
+use crate::capture::Photograph;
 use crate::effects::background::{Backdrop, Background, Environment, LearnedBackground, RandomBackground};
 use crate::effects::depth::{DepthSample, Depths};
 use crate::effects::exposure::Exposure;
@@ -22,7 +22,6 @@ use crate::gaussians::{GaussianRows, ROWS_AT_ONCE};
 pub(super) fn of(
     config: &TrainConfig,
     photos: &[Photograph],
-    points: &PointCloud,
     extent: f64,
     device: &Device,
 ) -> Result<EffectStack, TrainError> {
@@ -35,8 +34,7 @@ pub(super) fn of(
     }
     if config.optics.any() {
         let cameras: Vec<Intrinsics> = photos.iter().map(|photo| photo.intrinsics).collect();
-        let distance = typical_depth(photos, points).unwrap_or(extent);
-        stack.put(Optics::new(config.optics, &cameras, (extent, distance), device)?);
+        stack.put(Optics::new(config.optics, &cameras, extent, device)?);
     }
     if let Backdrop::Learned | Backdrop::Environment { .. } = config.backdrop
         && let Some(photo) = photos.iter().find(|photo| photo.has_alpha)
@@ -62,16 +60,6 @@ pub(super) fn of(
         stack.put(Grids::new(grid, views, device));
     }
     Ok(stack)
-}
-
-/// The median depth of the points in the photographs, scene units. `None` without points.
-pub(super) fn typical_depth(photos: &[Photograph], points: &PointCloud) -> Option<f64> {
-    let every = points.positions.len().div_ceil(1000).max(1);
-    let worlds = || points.positions.iter().step_by(every).map(|point| Vec3::from_array(*point).as_dvec3());
-    let depths = photos.iter().flat_map(|photo| worlds().map(|world| photo.cam_from_world.transform_point3(world).z));
-    let mut depths: Vec<f64> = depths.filter(|depth| *depth > 0.0).collect();
-    depths.sort_unstable_by(f64::total_cmp);
-    depths.get(depths.len() / 2).copied()
 }
 
 impl Trainer {

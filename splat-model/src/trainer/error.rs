@@ -37,8 +37,8 @@ pub enum TrainError {
     Resolution(Resolution),
     /// Effects on ellipses with a render that has none.
     #[error(
-        "motion blur, rolling shutters and defocus change ellipses on the screen, which `--projection ray-max` and \
-         `--order per-pixel-sort` do not compute: leave out one of them (`--effects=-NAME`)"
+        "motion blur and rolling shutters change ellipses on the screen, which `--projection ray-max` does not \
+         compute: leave out one of them (`--effects=-NAME`)"
     )]
     Ellipses,
     /// A background cannot be learned from a photograph with transparent parts.
@@ -47,7 +47,7 @@ pub enum TrainError {
          to take photographs as opaque, or without learning a background"
     )]
     LearntBackground(String),
-    /// A rolling shutter or defocus with a lens.
+    /// A rolling shutter with a lens.
     #[error("{0}")]
     Optics(#[from] LensError),
     /// The render operation rejected its inputs.

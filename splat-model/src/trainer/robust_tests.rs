@@ -8,7 +8,6 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use splat_op::Intrinsics;
 
-use super::effects::typical_depth;
 use splat_demo::{self as demo, DemoOptions};
 use crate::capture::{Capture, Photograph, PhotographFacts, PointCloud, Tracks, origin, strays};
 use crate::cleanup::Bulk;
@@ -66,7 +65,6 @@ fn statistics(capture: &Capture) -> Vec<(&'static str, f64, f64)> {
         ("places of their own", start.positions.len() as f64, 1.1),
         ("size at the start: median", f64::from(sizes[sizes.len() / 2]), 1.5),
         ("size at the start: least", f64::from(least), 1.5),
-        ("typical depth, from which defocus begins", typical_depth(&photographs, &capture.points).unwrap(), 1.5),
         ("filter where no photograph looks", f64::from(filter.ln_widths(&unseen)[start.positions.len()].exp()), 3.0),
         ("largest weight of a known depth", 1.0 / depths.least(), 10.0),
         ("exposure: spread of brightness, stops", 0.1 + survey.exposure.unwrap().brightness_spread_stops, 2.0),

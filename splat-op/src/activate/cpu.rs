@@ -1,13 +1,12 @@
 //! The CPU twin of `activate`, generic over the float, parallel over chunks of Gaussians.
 
 use fearless_simd::prelude::*;
-use fearless_simd::{Level, dispatch};
-use rayon::prelude::*;
 
 use super::rule::{LARGEST, LARGEST_LOG_SCALE, Raw};
-use crate::simd::each;
 use crate::simd::lanes::{BLOCK, map_lanes};
 use crate::simd::real::Real;
+use crate::simd::{dispatch, each};
+use crate::tasks;
 
 /// Number of Gaussians per task.
 const CHUNK: usize = 1024;
@@ -34,8 +33,8 @@ pub(crate) fn usable_geometry<F: Real>(mean: &[F], rotation: &[F], log_scale: &[
 /// `[N, 3]` standard deviations.
 pub(crate) fn scales_cpu<F: Real>(log_scales: &[F]) -> Vec<F> {
     let mut scales = vec![F::ZERO; log_scales.len()];
-    scales.par_chunks_mut(3 * CHUNK).zip(log_scales.par_chunks(3 * CHUNK)).for_each(|(scales, logs)| {
-        dispatch!(Level::new(), simd => scales_chunk(simd, logs, scales));
+    tasks::for_each(scales.chunks_mut(3 * CHUNK).zip(log_scales.chunks(3 * CHUNK)), |_, (scales, logs)| {
+        dispatch!(F, simd => scales_chunk(simd, logs, scales));
     });
     scales
 }
@@ -63,8 +62,8 @@ fn rows_of<F>(values: &[F], first: usize, count: usize, columns: usize) -> &[F] 
 /// `[N]` opacities.
 pub(crate) fn opacities_cpu<F: Real>(inputs: Raw<&[F]>) -> Vec<F> {
     let mut opacities = vec![F::ZERO; inputs.logit_opacities.len()];
-    opacities.par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, out)| {
-        dispatch!(Level::new(), simd => opacities_chunk(simd, &inputs, chunk * CHUNK, out));
+    tasks::for_each(opacities.chunks_mut(CHUNK), |chunk, out| {
+        dispatch!(F, simd => opacities_chunk(simd, &inputs, chunk * CHUNK, out));
     });
     opacities
 }
@@ -114,9 +113,9 @@ fn opacities_chunk<S: Simd, F: Real>(simd: S, inputs: &Raw<&[F]>, first: usize, 
 /// `[N]` derivatives of the opacities with respect to their logits; zero for an opacity of zero, whether masked or underflowed.
 pub(crate) fn opacity_slopes_cpu<F: Real>(logit_opacities: &[F], opacities: &[F]) -> Vec<F> {
     let mut slopes = vec![F::ZERO; opacities.len()];
-    let chunks = slopes.par_chunks_mut(CHUNK).zip(logit_opacities.par_chunks(CHUNK)).zip(opacities.par_chunks(CHUNK));
-    chunks.for_each(|((slopes, logits), opacities)| {
-        dispatch!(Level::new(), simd => slopes_chunk(simd, [logits, opacities], slopes));
+    let chunks = slopes.chunks_mut(CHUNK).zip(logit_opacities.chunks(CHUNK)).zip(opacities.chunks(CHUNK));
+    tasks::for_each(chunks, |_, ((slopes, logits), opacities)| {
+        dispatch!(F, simd => slopes_chunk(simd, [logits, opacities], slopes));
     });
     slopes
 }
@@ -139,7 +138,9 @@ fn slopes_chunk<S: Simd, F: Real>(simd: S, inputs: [&[F]; 2], slopes: &mut [F]) 
 
 /// Whether all values are finite.
 pub(crate) fn all_finite_cpu<F: Real>(values: &[F]) -> bool {
-    // Large enough to hide the cost of scheduling, small enough to balance the load and to stop early.
+    // Large enough to hide the cost of scheduling, small enough to balance the load.
     const VALUES: usize = 16_384;
-    values.par_chunks(VALUES).all(|chunk| chunk.iter().fold(true, |all, value| all & value.finite()))
+    let finite =
+        tasks::map(values.chunks(VALUES), |_, chunk| chunk.iter().fold(true, |all, value| all & value.finite()));
+    finite.into_iter().all(|all| all)
 }

@@ -170,7 +170,7 @@ impl<B: ActivateBackend, C: CheckpointStrategy> ActivateBackend for Autodiff<B, 
         let opacities = output.clone();
         Activated {
             scales: tracked_scales::<B, C>(&inputs.log_scales.0, scales),
-            opacities: tracked::<B, C, _, _>([&inputs.logit_opacities.0], output, move |grad, _| {
+            opacities: tracked([&inputs.logit_opacities.0], output, move |grad, _| {
                 [Some(B::opacities_backward(logit_opacities, opacities, grad)).into()]
             }),
         }
@@ -198,5 +198,5 @@ fn tracked_scales<B: ActivateBackend, C: CheckpointStrategy>(
 ) -> FloatTensor<Autodiff<B, C>> {
     // The scales equal the derivatives, and are zero where the logarithm was unusable.
     let slopes = scales.clone();
-    tracked::<B, C, _, _>([log_scales], scales, move |grad, _| [Some(B::float_mul(slopes, grad)).into()])
+    tracked([log_scales], scales, move |grad, _| [Some(B::float_mul(slopes, grad)).into()])
 }

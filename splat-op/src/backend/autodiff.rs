@@ -1,11 +1,10 @@
 //! Backward nodes of the stages. Each stage is one node; a backward pass computes only the gradients of tracked inputs.
 
 use std::fmt::{self, Debug, Formatter};
-use std::marker::PhantomData;
 use std::sync::PoisonError;
 
 use burn::backend::autodiff::checkpoint::base::Checkpointer;
-use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
+use burn::backend::autodiff::checkpoint::strategy::{CheckpointStrategy, NoCheckpointing};
 use burn::backend::autodiff::grads::Gradients;
 use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
 use burn::backend::tensor::{FloatTensor, IntTensor};
@@ -23,64 +22,113 @@ use crate::rasterize::{Layers, PartsCell, PlaneParts, RasterizeSpec, TraceCell};
 use crate::rasterize_rays::RayLayers;
 use crate::sh::Shading;
 
-/// The backward pass of an operation whose gradient arrives through its output: a function from that gradient and a mask of the
-/// inputs that need one to their gradients.
-#[derive(Clone)]
-struct BackwardPass<F>(F);
+/// A tensor of any [`Autodiff`] over `B`.
+type AutodiffTensor<B> = FloatTensor<Autodiff<B>>;
 
-impl<F> Debug for BackwardPass<F> {
+/// The backward pass of an operation with `N` inputs. As a trait object: Burn's graph is then compiled once for each backend and number
+/// of inputs instead of once for each operation.
+trait Pass<B: Backend, const N: usize>: Send {
+    /// Returns the gradients of the inputs that `mask` selects. `grad` takes that of the output.
+    fn run(self: Box<Self>, grad: &mut dyn FnMut() -> FloatTensor<B>, mask: [bool; N]) -> [OptionalTensor<B>; N];
+
+    fn copy(&self) -> Box<dyn Pass<B, N>>;
+}
+
+/// A pass by the gradient of the output.
+#[derive(Clone)]
+struct ByGrad<F>(F);
+
+impl<B: Backend, F, const N: usize> Pass<B, N> for ByGrad<F>
+where
+    F: FnOnce(FloatTensor<B>, [bool; N]) -> [OptionalTensor<B>; N] + Clone + Send + 'static,
+{
+    fn run(self: Box<Self>, grad: &mut dyn FnMut() -> FloatTensor<B>, mask: [bool; N]) -> [OptionalTensor<B>; N] {
+        self.0(grad(), mask)
+    }
+
+    fn copy(&self) -> Box<dyn Pass<B, N>> {
+        Box::new(self.clone())
+    }
+}
+
+/// A pass whose gradients arrive outside the graph.
+#[derive(Clone)]
+struct ByParts<F>(F);
+
+impl<B: Backend, F, const N: usize> Pass<B, N> for ByParts<F>
+where
+    F: FnOnce([bool; N]) -> [OptionalTensor<B>; N] + Clone + Send + 'static,
+{
+    fn run(self: Box<Self>, _: &mut dyn FnMut() -> FloatTensor<B>, mask: [bool; N]) -> [OptionalTensor<B>; N] {
+        self.0(mask)
+    }
+
+    fn copy(&self) -> Box<dyn Pass<B, N>> {
+        Box::new(self.clone())
+    }
+}
+
+/// State of a [`Node`].
+struct BackwardPass<B: Backend, const N: usize>(Box<dyn Pass<B, N>>);
+
+impl<B: Backend, const N: usize> Clone for BackwardPass<B, N> {
+    fn clone(&self) -> Self {
+        Self(self.0.copy())
+    }
+}
+
+impl<B: Backend, const N: usize> Debug for BackwardPass<B, N> {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
         f.write_str("BackwardPass")
     }
 }
 
-/// The backward node of a [`BackwardPass`].
-struct Node<F>(PhantomData<fn() -> F>);
+/// The backward node of every operation.
+#[derive(Debug)]
+struct Node;
 
-impl<F> Debug for Node<F> {
-    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
-        f.write_str("Node")
-    }
-}
-
-impl<B: Backend, F, const N: usize> Backward<B, N> for Node<F>
-where
-    F: FnOnce(FloatTensor<B>, [bool; N]) -> [OptionalTensor<B>; N] + Clone + Send + 'static,
-{
-    type State = BackwardPass<F>;
+impl<B: Backend, const N: usize> Backward<B, N> for Node {
+    type State = BackwardPass<B, N>;
 
     fn backward(self, ops: Ops<Self::State, N>, grads: &mut Gradients, _: &mut Checkpointer) {
-        let grad = grads.consume::<B>(&ops.node);
-        differentiate::<B, _, _>(ops, grads, |BackwardPass(pass), mask| pass(grad, mask));
+        let mask = ops.parents.each_ref().map(Option::is_some);
+        let found = ops.state.0.run(&mut || grads.consume::<B>(&ops.node), mask);
+        for (parent, found) in ops.parents.into_iter().zip(found) {
+            if let (Some(parent), OptionalTensor::Present(grad)) = (parent, found) {
+                grads.register::<B>(parent.id, grad);
+            }
+        }
     }
 }
 
-/// Returns the output of an operation, with `pass` as its backward pass if any input is tracked.
-pub(super) fn tracked<B: Backend, C: CheckpointStrategy, F, const N: usize>(
-    inputs: [&FloatTensor<Autodiff<B, C>>; N],
+/// An operation before its output is known. Its inputs are not computed again, whatever the strategy of checkpoints.
+type Prepared<B, const N: usize> = OpsKind<Node, B, BackwardPass<B, N>, NoCheckpointing, N>;
+
+fn prepared<B: Backend, const N: usize>(inputs: [&AutodiffTensor<B>; N]) -> Prepared<B, N> {
+    Node.prepare::<NoCheckpointing>(inputs.map(|input| input.node())).compute_bound().stateful()
+}
+
+/// Returns the output of an operation, with `pass` as its backward pass if any input is tracked: a function from the gradient of the
+/// output and a mask of the inputs that need one to their gradients.
+pub(super) fn tracked<B: Backend, F, const N: usize>(
+    inputs: [&AutodiffTensor<B>; N],
     output: FloatTensor<B>,
     pass: F,
-) -> FloatTensor<Autodiff<B, C>>
+) -> AutodiffTensor<B>
 where
     F: FnOnce(FloatTensor<B>, [bool; N]) -> [OptionalTensor<B>; N] + Clone + Send + 'static,
 {
-    match Node::<F>(PhantomData).prepare::<C>(inputs.map(|input| input.node())).compute_bound().stateful() {
-        OpsKind::Tracked(prep) => prep.finish(BackwardPass(pass), output),
-        OpsKind::UnTracked(prep) => prep.finish(output),
-    }
+    finished(prepared(inputs), output, Box::new(ByGrad(pass)))
 }
 
-/// Runs a backward pass for the inputs that need a gradient, and registers the gradient of each.
-fn differentiate<B: Backend, S, const N: usize>(
-    ops: Ops<S, N>,
-    grads: &mut Gradients,
-    backward: impl FnOnce(S, [bool; N]) -> [OptionalTensor<B>; N],
-) {
-    let mask = ops.parents.each_ref().map(Option::is_some);
-    for (parent, found) in ops.parents.into_iter().zip(backward(ops.state, mask)) {
-        if let (Some(parent), OptionalTensor::Present(grad)) = (parent, found) {
-            grads.register::<B>(parent.id, grad);
-        }
+fn finished<B: Backend, const N: usize>(
+    prepared: Prepared<B, N>,
+    output: FloatTensor<B>,
+    pass: Box<dyn Pass<B, N>>,
+) -> AutodiffTensor<B> {
+    match prepared {
+        OpsKind::Tracked(prep) => prep.finish(BackwardPass(pass), output),
+        OpsKind::UnTracked(prep) => prep.finish(output),
     }
 }
 
@@ -110,43 +158,11 @@ fn plane_grads<B: SplatBackend>(parts: &PartsCell, features: usize) -> PlaneGrad
     found.map(OptionalTensor::from)
 }
 
-#[derive(Debug)]
-struct RasterizeBackward;
-
-impl<B: SplatBackend> Backward<B, 4> for RasterizeBackward {
-    type State = (LayerTensors<B>, FloatTensor<B>, RasterizeSpec, IntersectionCell, TraceCell, PartsCell);
-
-    fn backward(self, ops: Ops<Self::State, 4>, grads: &mut Gradients, _: &mut Checkpointer) {
-        differentiate::<B, _, _>(ops, grads, |(inputs, planes, spec, intersections, trace, parts), mask| {
-            // The planes are used only through their parts, whose nodes run before this one.
-            let grads = plane_grads::<B>(&parts, inputs.background.0.shape().num_elements());
-            B::rasterize_backward(inputs, planes, grads, spec, Layers::from_array(mask), intersections, trace)
-                .into_array()
-        });
-    }
-}
-
-#[derive(Debug)]
-struct RasterizeRaysBackward;
-
-impl<B: SplatBackend> Backward<B, 5> for RasterizeRaysBackward {
-    type State = (RayLayerTensors<B>, FloatTensor<B>, RasterizeSpec, IntersectionCell, TraceCell, PartsCell);
-
-    fn backward(self, ops: Ops<Self::State, 5>, grads: &mut Gradients, _: &mut Checkpointer) {
-        differentiate::<B, _, _>(ops, grads, |(inputs, planes, spec, intersections, trace, parts), mask| {
-            // The planes are used only through their parts, whose nodes run before this one.
-            let grads = plane_grads::<B>(&parts, inputs.background.0.shape().num_elements());
-            B::rasterize_rays_backward(inputs, planes, grads, spec, RayLayers::from_array(mask), intersections, trace)
-                .into_array()
-        });
-    }
-}
-
 impl<B: SplatBackend, C: CheckpointStrategy> SplatBackend for Autodiff<B, C> {
     fn project(inputs: GeometryTensors<Self>, spec: ProjectSpec) -> FloatTensor<Self> {
         let inner = inputs.each_ref().map(InputTensor::inner);
         let output = B::project(inner.clone(), spec);
-        tracked::<B, C, _, _>(inputs.each_ref().map(|input| &input.0).into_array(), output, move |grad, mask| {
+        tracked(inputs.each_ref().map(|input| &input.0).into_array(), output, move |grad, mask| {
             B::project_backward(inner, grad, spec, Geometry::from_array(mask)).into_array()
         })
     }
@@ -159,7 +175,7 @@ impl<B: SplatBackend, C: CheckpointStrategy> SplatBackend for Autodiff<B, C> {
         // The set of visible Gaussians is piecewise constant, so `visible` has no gradient.
         let (inner, visible) = (inputs.each_ref().map(InputTensor::inner), visible.inner());
         let output = B::evaluate_sh(inner.clone(), visible.clone(), spec);
-        tracked::<B, C, _, _>(inputs.each_ref().map(|input| &input.0).into_array(), output, move |grad, mask| {
+        tracked(inputs.each_ref().map(|input| &input.0).into_array(), output, move |grad, mask| {
             B::sh_backward(inner, visible, grad, spec, Shading::from_array(mask)).into_array()
         })
     }
@@ -181,26 +197,25 @@ impl<B: SplatBackend, C: CheckpointStrategy> SplatBackend for Autodiff<B, C> {
         parts: PartsCell,
     ) -> FloatTensor<Self> {
         let inner = inputs.each_ref().map(InputTensor::inner);
-        let nodes = inputs.into_array().map(|input| input.0.node());
+        let prepared = prepared(inputs.each_ref().map(|input| &input.0).into_array());
         // The trace is kept only where a backward pass is possible.
-        match RasterizeBackward.prepare::<C>(nodes).compute_bound().stateful() {
-            OpsKind::Tracked(prep) => {
-                let trace = TraceCell::default();
-                let kept = Some(trace.clone());
-                let output =
-                    B::rasterize(inner.clone(), intersection_counts, spec, intersections.clone(), kept, parts.clone());
-                prep.finish((inner, output.clone(), spec, intersections, trace, parts), output)
-            }
-            OpsKind::UnTracked(prep) => {
-                prep.finish(B::rasterize(inner, intersection_counts, spec, intersections, None, parts))
-            }
-        }
+        let trace = matches!(prepared, OpsKind::Tracked(_)).then(TraceCell::default);
+        let (cell, kept) = (intersections.clone(), trace.clone());
+        let output = B::rasterize(inner.clone(), intersection_counts, spec, cell, kept, parts.clone());
+        let planes = output.clone();
+        let pass = move |mask| {
+            // The planes are used only through their parts, whose nodes run before this one.
+            let grads = plane_grads::<B>(&parts, inner.background.0.shape().num_elements());
+            let (mask, trace) = (Layers::from_array(mask), trace.unwrap_or_default());
+            B::rasterize_backward(inner, planes, grads, spec, mask, intersections, trace).into_array()
+        };
+        finished(prepared, output, Box::new(ByParts(pass)))
     }
 
     fn part(planes: FloatTensor<Self>, from: usize, to: usize, parts: PartsCell) -> FloatTensor<Self> {
         let output = B::part(planes.primitive().clone(), from, to, parts.clone());
         // The gradient goes to the node of the planes outside the graph.
-        tracked::<B, C, _, _>([&planes], output, move |grad, _| {
+        tracked([&planes], output, move |grad, _| {
             parts.0.lock().unwrap_or_else(PoisonError::into_inner).push((from..to, Box::new(grad)));
             [OptionalTensor::Absent]
         })
@@ -211,15 +226,11 @@ impl<B: SplatBackend, C: CheckpointStrategy> SplatBackend for Autodiff<B, C> {
         let output = B::ray_space(inner.clone(), spec);
         let Geometry { means, rotations, scales, cam_from_world, mean2d, .. } = inputs.each_ref().map(|input| &input.0);
         let tracked_inputs = [means, rotations, scales, cam_from_world, mean2d];
-        tracked::<B, C, _, _>(
-            tracked_inputs,
-            output,
-            move |grad, [means, rotations, scales, cam_from_world, mean2d]| {
-                let mask = Geometry { means, rotations, scales, cam_from_world, mean2d, ..Geometry::default() };
-                let found = B::ray_space_backward(inner, grad, spec, mask);
-                [found.means, found.rotations, found.scales, found.cam_from_world, found.mean2d]
-            },
-        )
+        tracked(tracked_inputs, output, move |grad, [means, rotations, scales, cam_from_world, mean2d]| {
+            let mask = Geometry { means, rotations, scales, cam_from_world, mean2d, ..Geometry::default() };
+            let found = B::ray_space_backward(inner, grad, spec, mask);
+            [found.means, found.rotations, found.scales, found.cam_from_world, found.mean2d]
+        })
     }
 
     fn bounds(projected: FloatTensor<Self>, ray_space: FloatTensor<Self>, spec: RasterizeSpec) -> FloatTensor<Self> {
@@ -235,17 +246,18 @@ impl<B: SplatBackend, C: CheckpointStrategy> SplatBackend for Autodiff<B, C> {
         parts: PartsCell,
     ) -> FloatTensor<Self> {
         let inner = inputs.each_ref().map(InputTensor::inner);
-        let nodes = inputs.into_array().map(|input| input.0.node());
+        let prepared = prepared(inputs.each_ref().map(|input| &input.0).into_array());
         // As in `rasterize`.
-        match RasterizeRaysBackward.prepare::<C>(nodes).compute_bound().stateful() {
-            OpsKind::Tracked(prep) => {
-                let trace = TraceCell::default();
-                let kept = Some(trace.clone());
-                let output = B::rasterize_rays(inner.clone(), counts, spec, intersections.clone(), kept, parts.clone());
-                prep.finish((inner, output.clone(), spec, intersections, trace, parts), output)
-            }
-            OpsKind::UnTracked(prep) => prep.finish(B::rasterize_rays(inner, counts, spec, intersections, None, parts)),
-        }
+        let trace = matches!(prepared, OpsKind::Tracked(_)).then(TraceCell::default);
+        let (cell, kept) = (intersections.clone(), trace.clone());
+        let output = B::rasterize_rays(inner.clone(), counts, spec, cell, kept, parts.clone());
+        let planes = output.clone();
+        let pass = move |mask| {
+            let grads = plane_grads::<B>(&parts, inner.background.0.shape().num_elements());
+            let (mask, trace) = (RayLayers::from_array(mask), trace.unwrap_or_default());
+            B::rasterize_rays_backward(inner, planes, grads, spec, mask, intersections, trace).into_array()
+        };
+        finished(prepared, output, Box::new(ByParts(pass)))
     }
 
     // Backward passes are not themselves differentiable: on this backend they take constants.

@@ -115,7 +115,7 @@ impl<B: BilateralBackend, C: CheckpointStrategy> BilateralBackend for Autodiff<B
     fn bilateral_slice(inputs: SliceTensors<Self>) -> FloatTensor<Self> {
         let inner = inputs.each_ref().map(InputTensor::inner);
         let output = B::bilateral_slice(inner.clone());
-        tracked::<B, C, _, _>(inputs.each_ref().map(|input| &input.0).into_array(), output, move |grad, mask| {
+        tracked(inputs.each_ref().map(|input| &input.0).into_array(), output, move |grad, mask| {
             B::bilateral_slice_backward(inner, grad, Sliced::from_array(mask)).into_array()
         })
     }

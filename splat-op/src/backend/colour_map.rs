@@ -110,7 +110,7 @@ impl<B: ColourMapBackend, C: CheckpointStrategy> ColourMapBackend for Autodiff<B
     fn colour_map(inputs: MappedTensors<Self>) -> FloatTensor<Self> {
         let inner = inputs.each_ref().map(InputTensor::inner);
         let output = B::colour_map(inner.clone());
-        tracked::<B, C, _, _>(inputs.each_ref().map(|input| &input.0).into_array(), output, move |grad, mask| {
+        tracked(inputs.each_ref().map(|input| &input.0).into_array(), output, move |grad, mask| {
             B::colour_map_backward(inner, grad, Mapped::from_array(mask)).into_array()
         })
     }

@@ -121,11 +121,8 @@ fn ray_lists<'a, F: Real>(
     spec: &RasterizeSpec,
 ) -> &'a IntersectionLists {
     intersection_lists_by(intersections, || {
-        let rows = |packed: &[F]| intersect_cpu(packed, &spec.intrinsics, Cut::of(&spec.options));
-        match spec.options.extends_by_bounds() {
-            true => rows(&bounds_cpu(inputs.projected, inputs.ray_space, spec)),
-            false => rows(inputs.projected),
-        }
+        let bounds = bounds_cpu(inputs.projected, inputs.ray_space, spec);
+        intersect_cpu(&bounds, &spec.intrinsics, Cut::of(&spec.options))
     })
 }
 

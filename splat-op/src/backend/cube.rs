@@ -22,7 +22,7 @@ use crate::rasterize::launch::{launch_rasterize, launch_rasterize_backward};
 use crate::rasterize::trace::DeviceTrace;
 use crate::rasterize::{Layers, PartsCell, PlaneParts, RasterizeSpec, TraceCell};
 use crate::rasterize_rays::RayLayers;
-use crate::rasterize_rays::launch::{TABLE, launch_rasterize_rays, launch_rasterize_rays_backward};
+use crate::rasterize_rays::launch::{ROOM, launch_rasterize_rays, launch_rasterize_rays_backward};
 use crate::ray_space::columns;
 use crate::ray_space::launch::{launch_bounds, launch_ray_space, launch_ray_space_backward};
 use crate::sh::Shading;
@@ -143,11 +143,8 @@ fn ray_lists<'a>(
     spec: &RasterizeSpec,
 ) -> &'a DeviceIntersections {
     lists_by(cell, || {
-        let rows = |packed: &Buffer<f32>| launch_intersect(gpu, packed, &spec.intrinsics, Cut::of(&spec.options));
-        match spec.options.extends_by_bounds() {
-            true => rows(&launch_bounds(gpu, &inputs.projected, &inputs.ray_space, spec)),
-            false => rows(&inputs.projected),
-        }
+        let bounds = launch_bounds(gpu, &inputs.projected, &inputs.ray_space, spec);
+        launch_intersect(gpu, &bounds, &spec.intrinsics, Cut::of(&spec.options))
     })
 }
 
@@ -315,7 +312,7 @@ impl SplatBackend for CubeBackend {
         let grad = buffer(of_planes(grads, &planes, features, false));
         let on_device = inputs.each_ref().map(on_device);
         let lists = ray_lists(&gpu, &intersections, &on_device, &spec);
-        let found = launch_rasterize_rays_backward(&gpu, &on_device, &grad, (lists, TABLE), &spec, mask);
+        let found = launch_rasterize_rays_backward(&gpu, &on_device, &grad, (lists, ROOM), &spec, mask);
         found.zip(inputs.each_ref()).map(gradient)
     }
 }

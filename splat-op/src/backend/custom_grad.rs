@@ -60,7 +60,7 @@ impl<B: CustomGradBackend, C: CheckpointStrategy> CustomGradBackend for Autodiff
         gradient: FloatTensor<Self>,
     ) -> FloatTensor<Self> {
         let (value, gradient) = (value.into_primitive(), gradient.into_primitive());
-        tracked::<B, C, _, _>([&variable], value, move |grad, _| [Some(B::scaled(gradient, grad)).into()])
+        tracked([&variable], value, move |grad, _| [Some(B::scaled(gradient, grad)).into()])
     }
 
     fn scaled(values: FloatTensor<Self>, factor: FloatTensor<Self>) -> FloatTensor<Self> {

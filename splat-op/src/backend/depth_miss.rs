@@ -71,7 +71,7 @@ impl<B: DepthMissBackend, C: CheckpointStrategy> DepthMissBackend for Autodiff<B
     fn depth_miss(inputs: DepthsTensors<Self>, pixels: IntTensor<Self>) -> FloatTensor<Self> {
         let inner = inputs.each_ref().map(InputTensor::inner);
         let output = B::depth_miss(inner.clone(), pixels.clone());
-        tracked::<B, C, _, _>(inputs.each_ref().map(|input| &input.0).into_array(), output, move |grad, mask| {
+        tracked(inputs.each_ref().map(|input| &input.0).into_array(), output, move |grad, mask| {
             B::depth_miss_backward(inner, pixels, grad, Depths::from_array(mask)).into_array()
         })
     }

@@ -118,7 +118,7 @@ impl<B: EnvironmentBackend, C: CheckpointStrategy> EnvironmentBackend for Autodi
     fn environment(inputs: SkyTensors<Self>) -> FloatTensor<Self> {
         let inner = inputs.each_ref().map(InputTensor::inner);
         let output = B::environment(inner.clone());
-        tracked::<B, C, _, _>(inputs.each_ref().map(|input| &input.0).into_array(), output, move |grad, mask| {
+        tracked(inputs.each_ref().map(|input| &input.0).into_array(), output, move |grad, mask| {
             let needs = Sky::from_array(mask);
             let of_image = needs.image.then(|| grad.clone());
             Sky { image: of_image.into(), ..B::environment_backward(inner, grad, needs) }.into_array()

@@ -1,4 +1,4 @@
-//! Changes of ellipses by lens, shutter and sensor on Burn's backends, with their backward node.
+//! Changes of ellipses by shutter and sensor on Burn's backends, with their backward node.
 
 #![allow(deprecated, reason = "burn-ndarray is deprecated in favour of burn-flex; this project supports both")]
 
@@ -17,7 +17,7 @@ use super::tensors::{InputTensorMetadata, OptionalTensorMetadata};
 use crate::optics::cpu::{expose_backward_cpu, expose_cpu};
 use crate::optics::{Exposed, OpticsSpec};
 
-/// Changes of ellipses by lens, shutter and sensor; see `optics/`.
+/// Changes of ellipses by shutter and sensor; see `optics/`.
 #[backend_extension(Cube: cfg(feature = "cube"), Flex, NdArray, Autodiff, Fusion: cfg(feature = "fusion"))]
 pub trait OpticsBackend: Backend {
     /// Returns the changed ellipses, `[N, 7]`. Differentiable in both inputs.
@@ -34,7 +34,7 @@ pub trait OpticsBackend: Backend {
 }
 
 /// Whoever tracks one of the inputs nearly always tracks the other, and both gradients come from one kernel.
-const BOTH: Exposed<bool> = Exposed { projected: true, parameters: true };
+const BOTH: Exposed<bool> = Exposed { projected: true, twist: true };
 
 #[cfg(feature = "fusion")]
 fn expose_backward_meta(
@@ -108,7 +108,7 @@ impl<B: OpticsBackend, C: CheckpointStrategy> OpticsBackend for Autodiff<B, C> {
     fn expose(inputs: ExposedTensors<Self>, spec: OpticsSpec) -> FloatTensor<Self> {
         let inner = inputs.each_ref().map(InputTensor::inner);
         let output = B::expose(inner.clone(), spec);
-        tracked::<B, C, _, _>(inputs.each_ref().map(|input| &input.0).into_array(), output, move |grad, mask| {
+        tracked(inputs.each_ref().map(|input| &input.0).into_array(), output, move |grad, mask| {
             let found = B::expose_backward(inner, grad, spec).zip(Exposed::from_array(mask));
             found.map(|(found, needed)| if needed { found } else { OptionalTensor::Absent }).into_array()
         })

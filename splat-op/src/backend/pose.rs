@@ -92,7 +92,7 @@ impl<B: PoseBackend, C: CheckpointStrategy> PoseBackend for Autodiff<B, C> {
     fn corrected_pose(inputs: CorrectedTensors<Self>, unit: f64) -> FloatTensor<Self> {
         let inner = inputs.each_ref().map(InputTensor::inner);
         let output = B::corrected_pose(inner.clone(), unit);
-        tracked::<B, C, _, _>([&inputs.correction.0], output, move |grad, _| {
+        tracked([&inputs.correction.0], output, move |grad, _| {
             [Some(B::corrected_pose_backward(inner, grad, unit)).into()]
         })
     }

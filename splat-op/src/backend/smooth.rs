@@ -124,7 +124,7 @@ impl<B: SmoothBackend, C: CheckpointStrategy> SmoothBackend for Autodiff<B, C> {
         let old = scales.primitive().clone();
         let output = B::smoothed_scales(old.clone(), widths.into_primitive());
         let new = output.clone();
-        tracked::<B, C, _, _>([&scales], output, move |grad, _| {
+        tracked([&scales], output, move |grad, _| {
             // The derivative is the share of the old in the new one.
             [Some(B::float_mul(grad, B::float_div(old, new))).into()]
         })
@@ -133,7 +133,7 @@ impl<B: SmoothBackend, C: CheckpointStrategy> SmoothBackend for Autodiff<B, C> {
     fn smoothed_opacities(inputs: SmoothTensors<Self>) -> FloatTensor<Self> {
         let inner = inputs.each_ref().map(InputTensor::inner);
         let output = B::smoothed_opacities(inner.clone());
-        tracked::<B, C, _, _>(inputs.each_ref().map(|input| &input.0).into_array(), output, move |grad, mask| {
+        tracked(inputs.each_ref().map(|input| &input.0).into_array(), output, move |grad, mask| {
             let found = B::smoothed_opacities_backward(inner, grad).zip(Smooth::from_array(mask));
             found.map(|(found, needed)| if needed { found } else { OptionalTensor::Absent }).into_array()
         })

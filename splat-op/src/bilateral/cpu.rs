@@ -8,12 +8,12 @@
 use std::ops::RangeInclusive;
 
 use fearless_simd::prelude::*;
-use fearless_simd::{Level, dispatch};
-use rayon::prelude::*;
 
 use super::{LUMA, MAP, SliceSize, Sliced};
 use crate::simd::blocks::{block_len, load, splat, store};
+use crate::simd::dispatch;
 use crate::simd::real::Real;
+use crate::tasks;
 
 /// Where the centres of `pixels` pixels lie along an axis of the grid, counted from the first of `count` places.
 fn places<F: Real>(pixels: usize, count: usize) -> Vec<F> {
@@ -141,13 +141,14 @@ pub(crate) fn slice_cpu<F: Real>(inputs: Sliced<&[F]>, size: SliceSize) -> Vec<F
     let (maps, columns) = (by_place(inputs.grid, size), Columns::new(size));
     let len = size.columns * size.levels * MAP;
     let down: Vec<F> = places(size.height, size.rows);
-    planes_mut(&mut out, size).into_par_iter().zip(down).enumerate().for_each_init(
+    tasks::map_with(
+        planes_mut(&mut out, size).into_iter().zip(down),
         || vec![F::ZERO; len],
-        |row, (y, (out, down))| {
+        |row, y, (out, down)| {
             let image = planes(inputs.image, size, y);
             let upper = below(down, size.rows);
             let share = down - F::of(upper as f64);
-            dispatch!(Level::new(), simd => {
+            dispatch!(F, simd => {
                 mix(&maps[upper * len..][..len], &maps[(upper + 1) * len..][..len], share, row);
                 row_forward(simd, row, size.levels, (image, &columns), out);
             });
@@ -210,13 +211,12 @@ pub(crate) fn slice_backward_cpu<F: Real>(
         bands[upper].1.push((y, down - F::of(upper as f64), of_rows.next()));
     }
     // The sums of a band go to the rows of the grid above and below it.
-    let band_sums = |(upper, mut rows): (usize, Vec<Row<F>>)| {
+    let sums = tasks::map(bands, |_, (upper, mut rows)| {
         let mut sums = vec![F::ZERO; 2 * len];
         let band = Band { inputs, grad, maps: &maps[upper * len..][..2 * len], size, columns: &columns };
-        dispatch!(Level::new(), simd => band.backward(simd, &mut rows, needs.grid, &mut sums));
+        dispatch!(F, simd => band.backward(simd, &mut rows, needs.grid, &mut sums));
         (upper, sums)
-    };
-    let sums: Vec<(usize, Vec<F>)> = bands.into_par_iter().map(band_sums).collect();
+    });
     if !needs.grid {
         return Sliced { image: of_image, grid: Vec::new() };
     }

@@ -5,10 +5,10 @@ use std::f64::consts::FRAC_PI_2;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use glam::DVec2;
-use rayon::prelude::*;
 
 use super::lens::FAR;
 use super::{CameraModel, Intrinsics};
+use crate::tasks;
 
 /// Slope of a pixel without a ray.
 const NO_RAY: f64 = 1e30;
@@ -65,7 +65,7 @@ impl PictureRays {
         let (lens, fisheye) = (camera.coefficients(), camera.model.is_fisheye());
         let domain = camera.max_radius().min(if fisheye { FRAC_PI_2 } else { FAR });
         let mut slopes = vec![[NO_RAY; 2]; camera.width * camera.height];
-        slopes.par_chunks_mut(camera.width).enumerate().for_each(|(y, row)| {
+        tasks::for_each(slopes.chunks_mut(camera.width), |y, row| {
             let mut near = DVec2::ZERO;
             for (x, slope) in row.iter_mut().enumerate() {
                 let d = camera.focal_from_px(DVec2::new(x as f64 + 0.5, y as f64 + 0.5));

@@ -2,13 +2,12 @@
 //! once, a vector at a time; the twelve sums of a run stay in registers.
 
 use fearless_simd::prelude::*;
-use fearless_simd::{Level, dispatch};
-use rayon::prelude::*;
 
 use super::{MAP, Mapped};
 use crate::simd::blocks::{block_len, load, splat, store};
-use crate::simd::each;
 use crate::simd::real::Real;
+use crate::simd::{dispatch, each};
+use crate::tasks;
 
 /// Number of pixels per task.
 const RUN: usize = 8192;
@@ -21,11 +20,11 @@ fn planes<F>(values: &[F], run: usize) -> [&[F]; 3] {
 }
 
 /// The parts of each plane, run by run.
-fn planes_mut<F: Real>(values: &mut [F]) -> impl IndexedParallelIterator<Item = [&mut [F]; 3]> {
+fn planes_mut<F: Real>(values: &mut [F]) -> impl Iterator<Item = [&mut [F]; 3]> {
     let pixels = values.len() / 3;
     let (red, rest) = values.split_at_mut(pixels);
     let (green, blue) = rest.split_at_mut(pixels);
-    let runs = red.par_chunks_mut(RUN).zip(green.par_chunks_mut(RUN)).zip(blue.par_chunks_mut(RUN));
+    let runs = red.chunks_mut(RUN).zip(green.chunks_mut(RUN)).zip(blue.chunks_mut(RUN));
     runs.map(|((red, green), blue)| [red, green, blue])
 }
 
@@ -37,8 +36,8 @@ fn load_colours<S: Simd, F: Real>(simd: S, [r, g, b]: [&[F]; 3], at: usize) -> [
 /// `[3, H, W]`: the mapped picture.
 pub(crate) fn colour_map_cpu<F: Real>(inputs: Mapped<&[F]>) -> Vec<F> {
     let mut out = vec![F::ZERO; inputs.image.len()];
-    planes_mut(&mut out).enumerate().for_each(|(run, out)| {
-        dispatch!(Level::new(), simd => map_run(simd, planes(inputs.image, run), inputs.map, out));
+    tasks::for_each(planes_mut(&mut out), |run, out| {
+        dispatch!(F, simd => map_run(simd, planes(inputs.image, run), inputs.map, out));
     });
     out
 }
@@ -66,11 +65,10 @@ pub(crate) fn colour_map_backward_cpu<F: Real>(
     let runs = (inputs.image.len() / 3).div_ceil(RUN);
     let mut of_runs: Vec<Option<[&mut [F]; 3]>> = planes_mut(&mut image).map(Some).collect();
     of_runs.resize_with(runs, || None);
-    let of_run = |(run, out): (usize, Option<[&mut [F]; 3]>)| {
+    let sums: Vec<[F; MAP]> = tasks::map(of_runs, |run, out| {
         let pixels = (planes(inputs.image, run), planes(grad, run));
-        dispatch!(Level::new(), simd => differentiate_run(simd, pixels, inputs.map, out))
-    };
-    let sums: Vec<[F; MAP]> = of_runs.into_par_iter().enumerate().map(of_run).collect();
+        dispatch!(F, simd => differentiate_run(simd, pixels, inputs.map, out))
+    });
     let mut map = vec![F::ZERO; if needs.map { MAP } else { 0 }];
     for sums in sums {
         map.iter_mut().zip(sums).for_each(|(total, sum)| *total += sum);

@@ -1,10 +1,9 @@
 //! CPU twin of the miss, parallel over runs of samples of one length, whose sums are added in their order. All samples of a pixel are in
 //! one run when gradients are added to it.
 
-use rayon::prelude::*;
-
 use super::{COVERED, Depths};
 use crate::simd::real::Real;
+use crate::tasks;
 
 /// Number of samples per task.
 const RUN: usize = 1024;
@@ -21,16 +20,14 @@ fn each_sample<F: Real>(alpha: &[F], pixels: &[i32], known: &[F], mut f: impl Fn
 
 /// Returns the sum of `f`, of pixel and known depth, over the samples that count, and the share of each of them in a mean.
 fn sum_and_share<F: Real>(inputs: &Depths<&[F]>, pixels: &[i32], f: impl Fn(usize, F) -> F + Send + Sync) -> (F, F) {
-    let runs = pixels.par_chunks(RUN).zip(inputs.known.par_chunks(RUN));
-    let of_run = |(pixels, known)| {
+    let sums = tasks::map(pixels.chunks(RUN).zip(inputs.known.chunks(RUN)), |_, (pixels, known)| {
         let (mut sum, mut count) = (0.0_f64, 0_usize);
         each_sample(inputs.alpha, pixels, known, |pixel, known| {
             sum += f(pixel, known).f64();
             count += 1;
         });
         (sum, count)
-    };
-    let sums: Vec<(f64, usize)> = runs.map(of_run).collect();
+    });
     let (sum, count) =
         sums.into_iter().fold((0.0, 0), |(sum, count), (of_run, counted)| (sum + of_run, count + counted));
     (F::of(sum), F::of(1.0 / count.max(1) as f64))
@@ -68,7 +65,7 @@ pub(crate) fn depth_miss_backward_cpu<F: Real>(
         runs.push((start..end, first, depths, alphas));
         (start, first) = (end, next);
     }
-    runs.into_par_iter().for_each(|(samples, first, of_depth, of_alpha)| {
+    tasks::for_each(runs, |_, (samples, first, of_depth, of_alpha)| {
         each_sample(inputs.alpha, &pixels[samples.clone()], &inputs.known[samples], |pixel, known| {
             let (depth, alpha) = (inputs.depth[pixel], inputs.alpha[pixel]);
             let slope = share / (alpha * known);

@@ -2,14 +2,14 @@
 //! lanes of a vector first.
 
 use fearless_simd::prelude::*;
-use fearless_simd::{Level, dispatch};
-use rayon::prelude::*;
 
 use super::Sky;
 use crate::sh::basis::basis_of;
 use crate::sh::{SH_COEFFICIENTS_MAX, degree_of};
 use crate::simd::blocks::{block_len, load, splat, store};
+use crate::simd::dispatch;
 use crate::simd::real::Real;
+use crate::tasks;
 
 /// Number of pixels per task.
 const RUN: usize = 4096;
@@ -24,10 +24,10 @@ struct Run<'a, F> {
 
 impl<'a, F: Real> Run<'a, F> {
     /// The runs of a picture.
-    fn all(inputs: Sky<&'a [F]>) -> impl IndexedParallelIterator<Item = Self> {
+    fn all(inputs: Sky<&'a [F]>) -> impl Iterator<Item = Self> {
         let pixels = inputs.alpha.len();
         let run = move |run: usize| Self { inputs, pixels, first: run * RUN, len: RUN.min(pixels - run * RUN) };
-        (0..pixels.div_ceil(RUN)).into_par_iter().map(run)
+        (0..pixels.div_ceil(RUN)).map(run)
     }
 
     /// The run's part of three planes.
@@ -129,9 +129,9 @@ pub(crate) fn environment_cpu<F: Real>(inputs: Sky<&[F]>) -> Vec<F> {
     let mut out = vec![F::ZERO; inputs.image.len()];
     let (red, rest) = out.split_at_mut(inputs.alpha.len());
     let (green, blue) = rest.split_at_mut(inputs.alpha.len());
-    let planes = red.par_chunks_mut(RUN).zip(green.par_chunks_mut(RUN)).zip(blue.par_chunks_mut(RUN));
-    planes.zip(Run::all(inputs)).for_each(|(((red, green), blue), run)| {
-        dispatch!(Level::new(), simd => run.compose(simd, [red, green, blue]));
+    let planes = red.chunks_mut(RUN).zip(green.chunks_mut(RUN)).zip(blue.chunks_mut(RUN));
+    tasks::for_each(planes.zip(Run::all(inputs)), |_, (((red, green), blue), run)| {
+        dispatch!(F, simd => run.compose(simd, [red, green, blue]));
     });
     out
 }
@@ -140,9 +140,10 @@ pub(crate) fn environment_cpu<F: Real>(inputs: Sky<&[F]>) -> Vec<F> {
 /// the render is `grad` itself, and the directions have none.
 pub(crate) fn environment_backward_cpu<F: Real>(inputs: Sky<&[F]>, grad: &[F], needs: Sky<bool>) -> Sky<Vec<F>> {
     let mut alpha = vec![F::ZERO; inputs.alpha.len()];
-    let of_run =
-        |(out, run): (&mut [F], Run<F>)| dispatch!(Level::new(), simd => run.differentiate(simd, grad, out, needs));
-    let sums: Vec<Vec<F>> = alpha.par_chunks_mut(RUN).zip(Run::all(inputs)).map(of_run).collect();
+    let sums = tasks::map(
+        alpha.chunks_mut(RUN).zip(Run::all(inputs)),
+        |_, (out, run)| dispatch!(F, simd => run.differentiate(simd, grad, out, needs)),
+    );
     let mut coefficients = vec![F::ZERO; if needs.coefficients { inputs.coefficients.len() } else { 0 }];
     for sums in sums {
         coefficients.iter_mut().zip(sums).for_each(|(total, sum)| *total += sum);

@@ -3,16 +3,14 @@
 
 use std::sync::atomic::{AtomicU32, Ordering};
 
-use fearless_simd::{Level, dispatch};
-use rayon::prelude::*;
-
 use super::extent::{ExtentRules, ExtentScratch};
 use super::{Cut, IntersectionLists, PixelBox, tile_grid};
 use crate::camera::Intrinsics;
-use crate::dials::Culling;
 use crate::project::{COLUMNS, Ellipse};
+use crate::simd::dispatch;
 use crate::simd::lanes::BLOCK;
 use crate::simd::real::Real;
+use crate::tasks;
 
 /// Number of Gaussians per task that finds intersections.
 const CHUNK: usize = 2048;
@@ -45,17 +43,15 @@ pub(crate) fn intersect_cpu<F: Real>(packed: &[F], camera: &Intrinsics, cut: Cut
     let boxes = concat(&found, |found| &found.boxes);
     drop(found);
 
-    let sorters: Vec<Sorter> = order
-        .par_chunks(order.len().div_ceil(SORTERS).max(1))
-        .map(|order| Sorter::new(order.iter().map(|(_, place)| *place as usize), &visible, &visible_start, &tiles))
-        .collect();
+    let sorters = tasks::map(order.chunks(order.len().div_ceil(SORTERS).max(1)), |_, order| {
+        Sorter::new(order.iter().map(|(_, place)| *place as usize), &visible, &visible_start, &tiles)
+    });
     let (tile_start, cursors) = offsets(&sorters, tile_grid(camera.width, camera.height).iter().product());
     // Each place is written once, by whichever thread holds its Gaussian.
     let (gaussian, intersection_of_visible) = (zeros(intersections), zeros(intersections));
-    sorters
-        .into_par_iter()
-        .zip(cursors)
-        .for_each(|(sorter, cursor)| sorter.write(cursor, &gaussian, &intersection_of_visible));
+    tasks::for_each(sorters.iter().zip(cursors), |_, (sorter, cursor)| {
+        sorter.write(cursor, &gaussian, &intersection_of_visible);
+    });
     IntersectionLists {
         tile_start,
         gaussian: plain(gaussian),
@@ -66,22 +62,12 @@ pub(crate) fn intersect_cpu<F: Real>(packed: &[F], camera: &Intrinsics, cut: Cut
     }
 }
 
-/// Returns the number of Gaussians that each tile lists under [`Culling::Ellipse`], whatever culling makes the lists.
-pub(crate) fn needed_intersections<F: Real>(packed: &[F], camera: &Intrinsics, alpha_min: f64) -> Vec<u32> {
-    let found = find(packed, camera, Cut { alpha_min, culling: Culling::Ellipse, boxes: false });
-    let mut counts = vec![0; tile_grid(camera.width, camera.height).iter().product()];
-    found.iter().flat_map(|found| &found.tiles).for_each(|&tile| counts[tile as usize] += 1);
-    counts
-}
-
 /// Finds the intersections of all Gaussians, chunk by chunk.
 fn find<F: Real>(packed: &[F], camera: &Intrinsics, cut: Cut) -> Vec<ChunkIntersections<F>> {
     let extent = ExtentRules::new(camera, cut);
-    let chunks = packed.par_chunks(CHUNK * COLUMNS).enumerate();
-    let found = chunks.map_init(ExtentScratch::default, |scratch, (chunk, rows)| {
+    tasks::map_with(packed.chunks(CHUNK * COLUMNS), ExtentScratch::default, |scratch, chunk, rows| {
         ChunkIntersections::new((chunk * CHUNK) as u32, rows, &extent, scratch)
-    });
-    found.collect()
+    })
 }
 
 /// Intersections of consecutive Gaussians, in the order in which they are found. Counting and writing both read this
@@ -111,7 +97,7 @@ impl<F: Real> ChunkIntersections<F> {
             boxes: Vec::new(),
         };
         for (first, rows) in (first..).step_by(BLOCK).zip(rows.chunks(BLOCK * COLUMNS)) {
-            let counts = dispatch!(Level::new(), simd => {
+            let counts = dispatch!(F, simd => {
                 extent.emit(simd, rows, scratch, (&mut found.tiles, &mut found.boxes))
             });
             for ((gaussian, row), count) in (first..).zip(rows.chunks_exact(COLUMNS)).zip(counts) {
@@ -176,14 +162,11 @@ impl Sorter {
 /// Returns the index of each tile's first intersection, and for each sorter the place of its first intersection in each
 /// tile.
 fn offsets(sorters: &[Sorter], tiles: usize) -> (Vec<usize>, Vec<Vec<u32>>) {
-    let mut cursors: Vec<Vec<u32>> = sorters
-        .par_iter()
-        .map(|sorter| {
-            let mut counts = vec![0; tiles];
-            sorter.tiles.iter().for_each(|&tile| counts[tile as usize] += 1);
-            counts
-        })
-        .collect();
+    let mut cursors = tasks::map(sorters, |_, sorter| {
+        let mut counts = vec![0; tiles];
+        sorter.tiles.iter().for_each(|&tile| counts[tile as usize] += 1);
+        counts
+    });
     let mut tile_start = Vec::with_capacity(tiles + 1);
     let mut next = 0_usize;
     for tile in 0..tiles {

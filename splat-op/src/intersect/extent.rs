@@ -1,4 +1,4 @@
-//! Tiles that a Gaussian reaches, for eight Gaussians at a time.
+//! Tiles that a Gaussian reaches, for a vector of Gaussians at a time.
 
 use std::ops::Range;
 
@@ -6,10 +6,9 @@ use fearless_simd::prelude::*;
 
 use super::{Cut, PixelBox, TILE, tile_grid};
 use crate::camera::Intrinsics;
-use crate::dials::Culling;
 use crate::project::{COLUMNS, Ellipse};
 use crate::simd::each;
-use crate::simd::lanes::{BLOCK, Columns};
+use crate::simd::lanes::{BLOCK, Columns, width};
 use crate::simd::real::{LANES, Real};
 
 /// Returns the largest `u² + v²` at which a Gaussian's alpha reaches `alpha_min`; negative if there is none.
@@ -41,7 +40,6 @@ pub(super) struct ExtentRules<F> {
     /// Size of the picture, px.
     size: [F; 2],
     alpha_min: F,
-    culling: Culling,
     boxes: bool,
 }
 
@@ -51,13 +49,12 @@ impl<F: Real> ExtentRules<F> {
             grid: tile_grid(camera.width, camera.height),
             size: [camera.width, camera.height].map(|px| F::of(px as f64)),
             alpha_min: F::of(cut.alpha_min),
-            culling: cut.culling,
             boxes: cut.boxes,
         }
     }
 
     /// Appends to `tiles` the tiles of up to [`BLOCK`] Gaussians, one Gaussian after another: the tiles whose rectangle
-    /// of pixel centres its ellipse, or box, meets. Returns each Gaussian's number of tiles. Appends their boxes to `boxes` if they are
+    /// of pixel centres its ellipse meets. Returns each Gaussian's number of tiles. Appends their boxes to `boxes` if they are
     /// asked for.
     #[inline(always)]
     pub fn emit<S: Simd>(
@@ -70,33 +67,29 @@ impl<F: Real> ExtentRules<F> {
         let count = rows.len() / COLUMNS;
         scratch.ellipses.read(rows);
         let opacities = scratch.ellipses.column(6);
-        // The opacity may exceed one, so the square takes the larger of the two.
-        let least = if self.culling == Culling::BoundingBox { F::ONE } else { F::ZERO };
         for (limit, opacity) in scratch.limits.iter_mut().zip(opacities).take(count) {
-            *limit = widened_limit(opacity.max_of(least), self.alpha_min);
+            *limit = widened_limit(*opacity, self.alpha_min);
         }
         let mut counts = [0; BLOCK];
-        for first in (0..count).step_by(LANES) {
+        let width = width::<S, F>();
+        for first in (0..count).step_by(width) {
             let eight = Eight::read(simd, self, scratch, first);
             let [mut top, mut end] = [[F::ZERO; LANES]; 2];
-            eight.rows.0.store_slice(&mut top);
-            eight.rows.1.store_slice(&mut end);
+            eight.rows.0.store_slice(&mut top[..width]);
+            eight.rows.1.store_slice(&mut end[..width]);
             if self.boxes {
-                boxes.extend_from_slice(&eight.boxes()[..LANES.min(count - first)]);
+                boxes.extend_from_slice(&eight.boxes()[..width.min(count - first)]);
             }
             let rows: [Range<usize>; LANES] = std::array::from_fn(|lane| top[lane].index()..end[lane].index());
             scratch.spans.clear();
             for row in 0..rows.iter().map(Range::len).max().unwrap_or(0) {
                 let mut span = [[F::ZERO; LANES]; 2];
-                let (from, to) = match self.culling {
-                    Culling::Ellipse => eight.span(self, F::of(row as f64)),
-                    Culling::OpacityBox | Culling::BoundingBox => eight.columns(self),
-                };
-                from.store_slice(&mut span[0]);
-                to.store_slice(&mut span[1]);
+                let (from, to) = eight.span(self, F::of(row as f64));
+                from.store_slice(&mut span[0][..width]);
+                to.store_slice(&mut span[1][..width]);
                 scratch.spans.push(span);
             }
-            for (lane, rows) in rows.into_iter().enumerate().take(count - first) {
+            for (lane, rows) in rows.into_iter().enumerate().take(width.min(count - first)) {
                 let before = tiles.len();
                 for (y, [from, to]) in rows.zip(&scratch.spans) {
                     let row = (y * self.grid[0]) as u32;
@@ -167,18 +160,12 @@ impl<S: Simd, F: Real> Eight<S, F> {
         let unit = a.mul_add(a, b * b).sqrt();
         let (h, k, vertical) = (a / unit, b / unit, larger * unit);
         // If `alpha_min` is zero the limit is unbounded, but nothing shows where a float can no longer hold the square.
-        let limit = F::Lanes::<S>::from_slice(simd, &scratch.limits[first..first + LANES]);
+        let limit = F::Lanes::<S>::from_slice(simd, &scratch.limits[first..first + width::<S, F>()]);
         let r = limit.min(lanes(F::MAX.sqrt())).sqrt();
         // `dy − shear dx` loses digits when both terms are large: where it shows, neither exceeds
         // `(|across| + sigma_v) r`.
         let slip = (across.abs() + sigma_v) * r * lanes(F::of(16.0) * F::EPSILON);
-        let (half_width, half_height) = match extent.culling {
-            Culling::Ellipse | Culling::OpacityBox => (r * sigma_u, r * vertical),
-            Culling::BoundingBox => {
-                let long = long_axis([sigma_u, across, sigma_v]);
-                (r * long, r * long)
-            }
-        };
+        let (half_width, half_height) = (r * sigma_u, r * vertical);
         let half = half_height + slip;
         let [margin_x, margin_y] = each!([(x, half_width), (y, half)], |(mean, half)| (mean.abs() + half)
             * lanes(F::of(8.0) * F::EPSILON)
@@ -205,18 +192,11 @@ impl<S: Simd, F: Real> Eight<S, F> {
         let mut found = [PixelBox::default(); LANES];
         let [x, y, half_x, half_y] =
             each!([self.mean[0], self.mean[1], self.half[0], self.half[1]], |value| value.max(-limit).min(limit));
-        for (lane, found) in found.iter_mut().enumerate() {
+        for (lane, found) in found.iter_mut().enumerate().take(width::<S, F>()) {
             found.middle = [x[lane].f64() as f32, y[lane].f64() as f32];
             found.half = [half_x[lane].f64() as f32, half_y[lane].f64() as f32];
         }
         found
-    }
-
-    /// Returns the first tile of the box and the tile after its last, the same on every row of tiles.
-    #[inline(always)]
-    fn columns(&self, extent: &ExtentRules<F>) -> (F::Lanes<S>, F::Lanes<S>) {
-        let x = self.mean[0];
-        tiles((x - self.half[0], x + self.half[0]), self.margin, extent.size[0])
     }
 
     /// Returns the first tile, and the tile after the last, on the row of tiles `row` rows after each Gaussian's first.
@@ -237,21 +217,6 @@ impl<S: Simd, F: Real> Eight<S, F> {
         let high = self.mean[0] + self.sigma_u * (high.0 + high.1);
         tiles((low, high), self.margin, extent.size[0])
     }
-}
-
-/// Returns the standard deviation along the long axis: the larger singular value of `[[a, 0], [x, c]]`, the
-/// covariance's root. The two singular values have the sum `√((a + c)² + x²)` and the difference `√((a − c)² + x²)`.
-#[inline(always)]
-fn long_axis<S: Simd, L: SimdFloat<S, Element = F>, F: Real<Lanes<S> = L>>([a, x, c]: [L; 3]) -> L {
-    let lanes = |value: f64| L::splat(a.token(), F::of(value));
-    // Halves, so that nothing overflows before the end.
-    let [a, x, c] = [a * F::of(0.5), x * F::of(0.5), c * F::of(0.5)];
-    let [sum, difference] = each!([a + c, a - c], |along| {
-        let larger = along.abs().max(x.abs()).max(lanes(1e-30));
-        let (along, across) = (along / larger, x / larger);
-        along.mul_add(along, across * across).sqrt() * larger
-    });
-    sum + difference
 }
 
 /// Returns the first tile, and the tile after the last, whose range of pixel centres meets an interval, px, widened by

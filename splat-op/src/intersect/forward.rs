@@ -10,7 +10,6 @@ use cubecl::prelude::*;
 
 use super::TILE;
 use super::sort::HIDDEN;
-use crate::dials::Culling;
 use crate::gpu::math::{Vec3, finite, undefined, within};
 use crate::project::COLUMNS;
 use crate::project::forward::PackedEllipse;
@@ -218,23 +217,13 @@ impl EllipseExtent {
         let v = (dy - self.ellipse.shear * dx) / self.ellipse.sigma_v;
         u * u + v * v
     }
-
-    /// Returns the standard deviation along the long axis: the larger singular value of
-    /// `[[sigma_u, 0], [across, sigma_v]]`. The two singular values have the sum `√((sigma_u + sigma_v)² + across²)`
-    /// and the difference `√((sigma_u − sigma_v)² + across²)`.
-    fn long_axis(&self) -> f32 {
-        // Halves, so that nothing overflows before the end.
-        let e = self.ellipse;
-        let (u, v, across) = (0.5 * e.sigma_u, 0.5 * e.sigma_v, 0.5 * e.shear * e.sigma_u);
-        Vec3::new(u + v, across, 0.0).length() + Vec3::new(u - v, across, 0.0).length()
-    }
 }
 
 /// Returns the first tile, and the tile after the last, along an axis that hold a pixel centre within `half` px of
-/// `mean`; the same tile twice if there is none. For [`Culling::Ellipse`], whose tiles are tested afterwards, the range
-/// may begin less than a pixel earlier.
+/// `mean`; the same tile twice if there is none. The tiles are tested afterwards, and the range may begin less than a
+/// pixel earlier.
 #[cube]
-fn tile_range(mean: f32, half: f32, pixels: u32, #[comptime] culling: Culling) -> (u32, u32) {
+fn tile_range(mean: f32, half: f32, pixels: u32) -> (u32, u32) {
     // The margin covers the rounding of centre and extent.
     let margin = 0.01 + 1e-6 * (mean.abs() + half);
     let last = f32::cast_from(pixels - 1);
@@ -243,7 +232,6 @@ fn tile_range(mean: f32, half: f32, pixels: u32, #[comptime] culling: Culling) -
     let mut first = 0u32;
     let mut end = 0u32;
     if high >= 0.0 && low <= last {
-        let low = if comptime!(culling == Culling::Ellipse) { low } else { low.ceil() };
         first = u32::cast_from(within(low, 0.0, last)) / comptime!(TILE as u32);
         end = u32::cast_from(within(high, 0.0, last)) / comptime!(TILE as u32) + 1;
     }
@@ -260,11 +248,9 @@ pub(super) fn cover_kernel(
     height: u32,
     alpha_min: f32,
     count: u32,
-    #[comptime] culling: Culling,
 ) {
     let gaussian = ABSOLUTE_POS;
     if gaussian < count as usize {
-        let square = comptime!(culling == Culling::BoundingBox);
         let at = gaussian * comptime!(COLUMNS);
         let e = PackedEllipse::load(projected, gaussian);
         let mut cover = TileCoverage { x: 0, y: 0, width: 0, height: 0, low: 0, high: 0 };
@@ -277,24 +263,20 @@ pub(super) fn cover_kernel(
         if usable {
             let mut limit = f32::max_value();
             if alpha_min > 0.0 {
-                // The square encloses an opaque Gaussian; an opacity may exceed one.
-                let shown = if comptime!(square) { max(e.opacity, 1.0) } else { e.opacity };
                 // A relative margin for the logarithm, an absolute one for the exponential.
-                limit = 2.0 * (shown / alpha_min).ln() * 1.00001 + 1e-4;
+                limit = 2.0 * (e.opacity / alpha_min).ln() * 1.00001 + 1e-4;
             }
             let extent = EllipseExtent { ellipse: e, limit };
             let radius = limit.sqrt();
             let vertical = Vec3::new(e.sigma_v, e.shear * e.sigma_u, 0.0).length();
-            let horizontal = if comptime!(square) { extent.long_axis() } else { e.sigma_u };
-            let vertical = if comptime!(square) { horizontal } else { vertical };
-            let (x, end_x) = tile_range(e.x, radius * horizontal, width, culling);
-            let (y, end_y) = tile_range(e.y, radius * vertical, height, culling);
+            let (x, end_x) = tile_range(e.x, radius * e.sigma_u, width);
+            let (y, end_y) = tile_range(e.y, radius * vertical, height);
             if end_x > x && end_y > y {
                 cover.x = x;
                 cover.y = y;
                 cover.width = end_x - x;
                 cover.height = end_y - y;
-                let (low, high) = covered_cells(&cover, &extent, width, height, culling);
+                let (low, high) = covered_cells(&cover, &extent, width, height);
                 cover.low = low;
                 cover.high = high;
                 if (low | high) != 0 {
@@ -309,15 +291,9 @@ pub(super) fn cover_kernel(
     }
 }
 
-/// Returns the bits of the cells that the ellipse reaches, or of all cells of the box if the culling is by a box.
+/// Returns the bits of the cells that the ellipse reaches.
 #[cube]
-fn covered_cells(
-    cover: &TileCoverage,
-    extent: &EllipseExtent,
-    width: u32,
-    height: u32,
-    #[comptime] culling: Culling,
-) -> (u32, u32) {
+fn covered_cells(cover: &TileCoverage, extent: &EllipseExtent, width: u32, height: u32) -> (u32, u32) {
     let mut low = 0u32;
     let mut high = 0u32;
     let (cell_width, cell_height) = (cover.cell_width(), cover.cell_height());
@@ -331,12 +307,7 @@ fn covered_cells(
             let first_y = (cover.y + y) * comptime!(TILE as u32);
             let end_x = (cover.x + min(x + cell_width, cover.width)) * comptime!(TILE as u32);
             let end_y = (cover.y + min(y + cell_height, cover.height)) * comptime!(TILE as u32);
-            let met = if comptime!(culling == Culling::Ellipse) {
-                extent.meets(first_x, min(end_x, width), first_y, min(end_y, height))
-            } else {
-                true.runtime()
-            };
-            if met {
+            if extent.meets(first_x, min(end_x, width), first_y, min(end_y, height)) {
                 let mask = 1u32 << (bit & 31);
                 if bit < 32 {
                     low |= mask;

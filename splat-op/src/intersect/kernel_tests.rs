@@ -16,7 +16,6 @@ use super::launch::{Counted, DeviceIntersections, Room, launch_intersect, launch
 use super::sort::{HIDDEN, Sorted, launch_sort};
 use super::{Cut, IntersectionLists, TILE, tile_grid};
 use crate::camera::Intrinsics;
-use crate::dials::Culling;
 use crate::gpu::reduce::{SUM_ROOM, cube_exclusive_sum};
 use crate::gpu::{Buffer, Gpu, UNITS, cubes, elementwise};
 use crate::project::{COLUMNS, Ellipse};
@@ -339,24 +338,17 @@ fn coarse(row: &[f32], alpha_min: f64) -> bool {
     super::extent::half_extent(&ellipse, limit).iter().any(|half| 2.0 * half > (TILE * 6) as f32)
 }
 
-fn check_lists(count: usize, size: [usize; 2], alpha_min: f64) {
-    check_lists_by(count, size, Cut { alpha_min, culling: Culling::Ellipse, boxes: false });
-}
-
-fn check_lists_by(count: usize, [width, height]: [usize; 2], cut: Cut) {
-    let alpha_min = cut.alpha_min;
+fn check_lists(count: usize, [width, height]: [usize; 2], alpha_min: f64) {
     let camera = Intrinsics::centred(width, height, 30.0);
     let projected: Vec<f32> = ellipses(count as u64, count, &camera, [0.003, 1.0]).iter().map(|&v| v as f32).collect();
     // The device's lists lie between those of a larger and of a smaller threshold: the twin widens an ellipse by a
     // thousandth of a pixel, and the device's margin for the rounding of sheared needles grows with their distance from
-    // the tile. A box on the device is wider by a hundredth of a pixel.
-    let lower = if cut.culling == Culling::Ellipse { 0.999 } else { 0.8 };
-    let [least, most] =
-        [1.03, lower].map(|scale| intersect_cpu(&projected, &camera, Cut { alpha_min: alpha_min * scale, ..cut }));
+    // the tile.
+    let [least, most] = [1.03, 0.999].map(|scale| intersect_cpu(&projected, &camera, (alpha_min * scale).into()));
     let tiles = tile_grid(width, height).iter().product::<usize>();
     if let Some(gpu) = gpu() {
-        let name = format!("{count} splats, {width} × {height}, {cut:?}");
-        let lists = launch_intersect(&gpu, &Buffer::from_slice(&gpu, &projected), &camera, cut);
+        let name = format!("{count} splats, {width} × {height}, alpha_min {alpha_min}");
+        let lists = launch_intersect(&gpu, &Buffer::from_slice(&gpu, &projected), &camera, alpha_min.into());
         let start = lists.tile_start.read(&gpu);
         let (intersection_of_place, gaussian_of_intersection) =
             (lists.intersection_of_place.read(&gpu), lists.gaussian_of_intersection.read(&gpu));
@@ -414,31 +406,4 @@ fn lists_agree_with_the_twin() {
 fn pictures_of_thirty_thousand_px() {
     check_lists(3, [32_768, 20], 1.0 / 255.0);
     check_lists(3, [20, 32_768], 1.0 / 255.0);
-}
-
-#[test]
-fn boxes_agree_with_the_twin() {
-    for culling in [Culling::OpacityBox, Culling::BoundingBox] {
-        for alpha_min in [1.0 / 255.0, 1e-4, 0.3] {
-            check_lists_by(3_000, [331, 203], Cut { alpha_min, culling, boxes: false });
-        }
-        check_lists_by(500, [16, 17], Cut { alpha_min: 1.0 / 255.0, culling, boxes: false });
-        check_lists_by(200, [100, 100], Cut { alpha_min: 0.0, culling, boxes: false });
-    }
-}
-
-#[test]
-fn each_culling_lists_fewer_than_the_coarser_one() {
-    let camera = Intrinsics::centred(331, 203, 30.0);
-    let projected: Vec<f32> = ellipses(8, 2_000, &camera, [0.003, 1.0]).iter().map(|&v| v as f32).collect();
-    if let Some(gpu) = gpu() {
-        let projected = Buffer::from_slice(&gpu, &projected);
-        let by = |culling| {
-            launch_intersect(&gpu, &projected, &camera, Cut { alpha_min: 1.0 / 255.0, culling, boxes: false })
-        };
-        let [square, opacity, ellipse] =
-            [Culling::BoundingBox, Culling::OpacityBox, Culling::Ellipse].map(|culling| by(culling).intersections);
-        println!("{square} intersections by BoundingBox, {opacity} by OpacityBox, {ellipse} by Ellipse");
-        assert!(10 * square > 11 * opacity && 10 * opacity > 11 * ellipse, "{square}, {opacity}, {ellipse}");
-    }
 }

@@ -165,7 +165,6 @@ impl Counted {
                 camera.height as u32,
                 cut.alpha_min as f32,
                 count as u32,
-                cut.culling,
             );
         }
         let by_depth = launch_sort(gpu, depths, None, u32::BITS);

@@ -5,8 +5,7 @@
 //! pixel, and these lists only leave out pairs that cannot contribute. A Gaussian extends as far as its alpha is at
 //! least `alpha_min`: the ellipse `u² + v² <= 2 ln(opacity / alpha_min)`. A tile lists it if the rectangle of the
 //! tile's pixel centres meets that ellipse, with a margin for the rounding of `rasterize`. The CPU twin computes the
-//! interval that the ellipse spans on each row of tiles; the kernel tests each tile of the bounding box. Other choices
-//! of [`Culling`] take a box around the ellipse instead.
+//! interval that the ellipse spans on each row of tiles; the kernel tests each tile of the bounding box.
 //!
 //! The lists live in a cell beside the tensors, because their length depends on the data. See `IntersectionCell`.
 
@@ -29,7 +28,6 @@ mod tests;
 
 use std::sync::{Arc, OnceLock};
 
-use crate::dials::Culling;
 use crate::options::RenderOptions;
 
 /// Pixels along each side of a tile.
@@ -47,22 +45,21 @@ pub(crate) fn tile_grid(width: usize, height: usize) -> [usize; 2] {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Cut {
     pub alpha_min: f64,
-    pub culling: Culling,
     /// Whether the lists of the CPU hold the boxes of the Gaussians.
     pub boxes: bool,
 }
 
 impl Cut {
     pub fn of(options: &RenderOptions) -> Self {
-        Self { alpha_min: options.alpha_min, culling: options.culling, boxes: options.along_rays() }
+        Self { alpha_min: options.alpha_min, boxes: options.along_rays() }
     }
 }
 
-/// Tests and the reference renderer cull by the ellipse, and keep boxes.
+/// Tests keep boxes.
 #[cfg(test)]
 impl From<f64> for Cut {
     fn from(alpha_min: f64) -> Self {
-        Self { alpha_min, culling: Culling::Ellipse, boxes: true }
+        Self { alpha_min, boxes: true }
     }
 }
 
@@ -94,6 +91,14 @@ pub(crate) struct IntersectionLists {
     pub intersection_of_visible: Vec<u32>,
     /// `[N]`, or empty: the boxes of all Gaussians, see [`Cut`].
     pub boxes: Vec<PixelBox>,
+}
+
+#[cfg(test)]
+impl IntersectionLists {
+    /// Returns the number of Gaussians that each tile lists.
+    pub fn counts(&self) -> Vec<u32> {
+        self.tile_start.windows(2).map(|ends| (ends[1] - ends[0]) as u32).collect()
+    }
 }
 
 /// Lists of one view, on the host or on the device where the view's stages run.

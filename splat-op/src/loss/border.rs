@@ -1,9 +1,10 @@
 //! `1 − μ` of the CPU twin, with its digits near the border of a white picture.
 
-use fearless_simd::{Level, dispatch, prelude::*};
+use fearless_simd::prelude::*;
 
 use super::cpu::{HALF, PlaneSize, Sweep, splat};
 use super::taps::{TAPS, half_window};
+use crate::simd::dispatch;
 use crate::simd::real::{LANES, Real};
 
 /// The excess `e` at the pixels whose window leaves the picture; see [`super`].
@@ -19,7 +20,7 @@ impl<F: Real> Excess<F> {
         let height = size.height.min(TAPS);
         let [above, aside] = [height, size.width].map(|len| (0..len).map(|at| beyond(at, len)).collect::<Vec<f64>>());
         let mut rows = Vec::with_capacity(height * size.width.div_ceil(LANES));
-        dispatch!(Level::new(), simd => {
+        dispatch!(F, simd => {
             let mut sweep = Sweep::<F, 1>::new(size.width);
             let fill = |_, [to]: [&mut [F]; 1]| to.fill(F::ONE);
             sweep.run(simd, 0..height, height, fill, #[inline(always)] |row, column, [ones]| {
@@ -40,8 +41,8 @@ impl<F: Real> Excess<F> {
         &self,
         simd: S,
         [row, column]: [usize; 2],
-        means: [F::Lanes<S>; N],
-    ) -> [F::Lanes<S>; N] {
+        means: [F::Eight<S>; N],
+    ) -> [F::Eight<S>; N] {
         let PlaneSize { width, height } = self.size;
         let mut rest = means;
         for (rest, mean) in rest.iter_mut().zip(means) {
@@ -50,7 +51,7 @@ impl<F: Real> Excess<F> {
         let inside = row >= HALF && row + HALF < height && column >= HALF && column + LANES + HALF <= width;
         if !inside {
             let like = row.min(HALF).max((row + height.min(TAPS)).saturating_sub(height));
-            let excess = F::Lanes::<S>::from_slice(simd, &self.rows[like * width.div_ceil(LANES) + column / LANES]);
+            let excess = F::Eight::<S>::from_slice(simd, &self.rows[like * width.div_ceil(LANES) + column / LANES]);
             for (rest, mean) in rest.iter_mut().zip(means) {
                 *rest = mean.mul_add(excess, *rest);
             }

@@ -5,12 +5,13 @@
 
 use std::ops::Range;
 
-use fearless_simd::{Level, dispatch, prelude::*};
-use rayon::prelude::*;
+use fearless_simd::prelude::*;
 
 use super::border::Excess;
 use super::taps::{C1, C2, Compared, TAPS, half_window};
+use crate::simd::dispatch;
 use crate::simd::real::{LANES, Real};
+use crate::tasks;
 
 /// Number of taps on one side of the middle.
 pub(super) const HALF: usize = TAPS / 2;
@@ -55,22 +56,19 @@ pub(crate) fn photometric_cpu<F: Real>(
         (band, rest.split_off_mut(..len).expect("as many rows as the bands have"))
     };
     let parts: Vec<(RowBand, &mut [F])> = bands(inputs.image.len(), size).map(part).collect();
-    let sums: Vec<f64> = parts
-        .into_par_iter()
-        .map_init(Vec::new, |maps, (band, gradient)| {
-            dispatch!(Level::new(), simd => {
-                if !with_gradient {
-                    return job.index(simd, &band, &band.rows, &mut []);
-                }
-                // The rows that the window reaches.
-                let reached = band.rows.start.saturating_sub(HALF)..size.height.min(band.rows.end + HALF);
-                maps.resize(3 * size.width * reached.len(), F::ZERO);
-                let sum = job.index(simd, &band, &reached, maps);
-                job.gradient(simd, &band, (maps, reached.start), gradient);
-                sum
-            })
+    let sums: Vec<f64> = tasks::map_with(parts, Vec::new, |maps, _, (band, gradient)| {
+        dispatch!(F, simd => {
+            if !with_gradient {
+                return job.index(simd, &band, &band.rows, &mut []);
+            }
+            // The rows that the window reaches.
+            let reached = band.rows.start.saturating_sub(HALF)..size.height.min(band.rows.end + HALF);
+            maps.resize(3 * size.width * reached.len(), F::ZERO);
+            let sum = job.index(simd, &band, &reached, maps);
+            job.gradient(simd, &band, (maps, reached.start), gradient);
+            sum
         })
-        .collect();
+    });
     let loss = F::of(sums.iter().sum::<f64>() / inputs.image.len() as f64);
     (loss, with_gradient.then_some(gradient))
 }
@@ -87,8 +85,8 @@ pub(crate) fn moments_cpu<F: Real>(planes: &[F], size: PlaneSize) -> [Vec<F>; 2]
     };
     let parts: Vec<(RowBand, &mut [F], &mut [F])> = bands(planes.len(), size).map(part).collect();
     let excess = Excess::<F>::new(size);
-    parts.into_par_iter().for_each(|(band, mean, variance)| {
-        dispatch!(Level::new(), simd => {
+    tasks::for_each(parts, |_, (band, mean, variance)| {
+        dispatch!(F, simd => {
             let c2 = splat(simd, F::of(C2));
             let mut sweep = Sweep::<F, 2>::new(size.width);
             let fill = |row: usize, [to, own]: [&mut [F]; 2]| {
@@ -110,8 +108,8 @@ pub(crate) fn moments_cpu<F: Real>(planes: &[F], size: PlaneSize) -> [Vec<F>; 2]
 }
 
 #[inline(always)]
-pub(super) fn splat<S: Simd, F: Real>(simd: S, value: F) -> F::Lanes<S> {
-    F::Lanes::<S>::splat(simd, value)
+pub(super) fn splat<S: Simd, F: Real>(simd: S, value: F) -> F::Eight<S> {
+    F::Eight::<S>::splat(simd, value)
 }
 
 /// Returns the bands of planes that have `len` values together.
@@ -145,17 +143,17 @@ impl<F: Real> LossTask<'_, F> {
     #[inline(always)]
     fn index<S: Simd>(&self, simd: S, band: &RowBand, rows: &Range<usize>, maps: &mut [F]) -> f64 {
         let Self { inputs, size, .. } = *self;
-        let lanes = |value: f64| F::Lanes::<S>::splat(simd, F::of(value));
+        let lanes = |value: f64| F::Eight::<S>::splat(simd, F::of(value));
         let (one, two, c1, c2) = (lanes(1.0), lanes(2.0), lanes(C1), lanes(C2));
-        let lambda = F::Lanes::<S>::splat(simd, self.lambda);
-        let scale = F::Lanes::<S>::splat(simd, -self.lambda * self.share * F::of(2.0));
+        let lambda = F::Eight::<S>::splat(simd, self.lambda);
+        let scale = F::Eight::<S>::splat(simd, -self.lambda * self.share * F::of(2.0));
         let line = |row: usize| {
             let first = size.row(band.plane, row);
             first..first + size.width
         };
         let mut sum = 0.0;
         let zero = lanes(0.0);
-        let lane = F::Lanes::<S>::from_fn(simd, |lane| F::of(lane as f64));
+        let lane = F::Eight::<S>::from_fn(simd, |lane| F::of(lane as f64));
         let mut row_sum = zero;
         let mut sweep = Sweep::<F, 3>::new(size.width);
         let fill = |row: usize, [to, own, both]: [&mut [F]; 3]| {
@@ -187,7 +185,7 @@ impl<F: Real> LossTask<'_, F> {
                 if column + LANES < size.width {
                     row_sum += share;
                 } else {
-                    let inside = lane.simd_lt(F::Lanes::<S>::splat(simd, F::of((size.width - column) as f64)));
+                    let inside = lane.simd_lt(F::Eight::<S>::splat(simd, F::of((size.width - column) as f64)));
                     row_sum += inside.select(share, zero);
                     sum += if band.rows.contains(&row) { row_sum.reduce_sum().f64() } else { 0.0 };
                     row_sum = zero;
@@ -217,8 +215,8 @@ impl<F: Real> LossTask<'_, F> {
     fn gradient<S: Simd>(&self, simd: S, band: &RowBand, (maps, first): (&[F], usize), out: &mut [F]) {
         let Self { inputs, size, .. } = *self;
         let weight = (F::ONE - self.lambda) * self.share;
-        let (up, down) = (F::Lanes::<S>::splat(simd, weight), F::Lanes::<S>::splat(simd, -weight));
-        let zero = F::Lanes::<S>::splat(simd, F::ZERO);
+        let (up, down) = (F::Eight::<S>::splat(simd, weight), F::Eight::<S>::splat(simd, -weight));
+        let zero = F::Eight::<S>::splat(simd, F::ZERO);
         let mut sweep = Sweep::<F, 3>::new(size.width);
         let fill = |row: usize, to: [&mut [F]; 3]| {
             let rows = &maps[3 * size.width * (row - first)..][..3 * size.width];
@@ -274,11 +272,11 @@ impl<F: Real, const N: usize> Sweep<F, N> {
         rows: Range<usize>,
         height: usize,
         mut fill: impl FnMut(usize, [&mut [F]; N]),
-        mut each: impl FnMut(usize, usize, [F::Lanes<S>; N]),
+        mut each: impl FnMut(usize, usize, [F::Eight<S>; N]),
     ) {
         let width = self.width;
-        let mut taps = [F::Lanes::<S>::splat(simd, F::ZERO); HALF + 1];
-        taps.iter_mut().zip(half_window()).for_each(|(lanes, tap)| *lanes = F::Lanes::<S>::splat(simd, F::of(tap)));
+        let mut taps = [F::Eight::<S>::splat(simd, F::ZERO); HALF + 1];
+        taps.iter_mut().zip(half_window()).for_each(|(lanes, tap)| *lanes = F::Eight::<S>::splat(simd, F::of(tap)));
         // Rows are counted from HALF above the first, so that none is negative.
         for place in rows.start..rows.end + 2 * HALF {
             let row = place.wrapping_sub(HALF);
@@ -324,26 +322,26 @@ impl<F: Real, const N: usize> Sweep<F, N> {
 #[inline(always)]
 fn filtered<'a, S: Simd, F: Real>(
     simd: S,
-    taps: &[F::Lanes<S>; HALF + 1],
+    taps: &[F::Eight<S>; HALF + 1],
     at: impl Fn(usize) -> &'a [F; LANES],
-) -> F::Lanes<S> {
+) -> F::Eight<S> {
     let pair = |distance: usize| {
-        let above = F::Lanes::<S>::from_slice(simd, at(HALF - distance));
-        above + F::Lanes::<S>::from_slice(simd, at(HALF + distance))
+        let above = F::Eight::<S>::from_slice(simd, at(HALF - distance));
+        above + F::Eight::<S>::from_slice(simd, at(HALF + distance))
     };
     let mut sum = pair(HALF) * taps[HALF];
     for distance in (1..HALF).rev() {
         sum = pair(distance).mul_add(taps[distance], sum);
     }
-    F::Lanes::<S>::from_slice(simd, at(HALF)).mul_add(taps[0], sum)
+    F::Eight::<S>::from_slice(simd, at(HALF)).mul_add(taps[0], sum)
 }
 
 /// Loads the next eight values of a row, with zeros beyond its end.
 #[inline(always)]
-fn load<S: Simd, F: Real>(simd: S, row: &[F]) -> F::Lanes<S> {
+fn load<S: Simd, F: Real>(simd: S, row: &[F]) -> F::Eight<S> {
     match row.first_chunk::<LANES>() {
-        Some(whole) => F::Lanes::<S>::from_slice(simd, whole),
-        None => F::Lanes::<S>::from_fn(simd, |lane| row.get(lane).copied().unwrap_or(F::ZERO)),
+        Some(whole) => F::Eight::<S>::from_slice(simd, whole),
+        None => F::Eight::<S>::from_fn(simd, |lane| row.get(lane).copied().unwrap_or(F::ZERO)),
     }
 }
 

@@ -1,22 +1,20 @@
-//! Backward kernel of the changes of ellipses: one unit per Gaussian recomputes the change and differentiates it. The gradients of the
-//! parameters are added over a cube, and its row over the cubes by another kernel.
+//! Backward kernel of the changes of ellipses: one unit per Gaussian recomputes the change and differentiates it. The gradient of the
+//! twist is added over a cube, and its row over the cubes by another kernel.
 
 use cubecl::prelude::*;
 
-use super::forward::{
-    Change, Kind, Moving, Rolled, Twist, Widened, blur, confusion, defocused, moving, rolled, widened,
-};
+use super::forward::{Change, Kind, Moving, Rolled, Twist, Widened, blur, moving, rolled, widened};
 use crate::gpu::UNITS;
 use crate::gpu::math::{Vec2, Vec3};
 use crate::gpu::reduce::cube_sum;
 use crate::project::forward::PackedEllipse;
 
-/// Returns the gradients of the ellipse, of `w` and of `round`.
+/// Returns the gradients of the ellipse and of `w`.
 #[cube]
-fn widened_backward(f: &Widened, e: &PackedEllipse, grad: &PackedEllipse) -> (PackedEllipse, Vec2, f32) {
+fn widened_backward(f: &Widened, e: &PackedEllipse, grad: &PackedEllipse) -> (PackedEllipse, Vec2) {
     let (of_u, of_v) = (1.0 / f.sigma_u, 1.0 / f.sigma_v);
     // The parts of the new `sigma_v`, whose squares add up to one.
-    let (kept, slanted, round) = (e.sigma_v * of_v, f.share * f.off * of_v, f.round * of_v);
+    let (kept, slanted) = (e.sigma_v * of_v, f.share * f.off * of_v);
     let grad_kept = grad.opacity * e.opacity * f.share;
     let grad_v = grad.sigma_v - grad_kept * kept * of_v;
     let grad_slanted = grad_v * slanted;
@@ -31,12 +29,12 @@ fn widened_backward(f: &Widened, e: &PackedEllipse, grad: &PackedEllipse) -> (Pa
         y: grad.y,
         sigma_u: radial * f.share - turned * f.across,
         shear: grad.shear * f.share * f.share - grad_off * f.w.x,
-        sigma_v: grad.sigma_v * kept + grad_kept * (slanted * slanted + round * round) * of_v,
+        sigma_v: grad.sigma_v * kept + grad_kept * slanted * slanted * of_v,
         depth: grad.depth,
         opacity: grad.opacity * f.share * kept,
     };
     let w = Vec2::new(radial * f.across + turned * f.share - grad_off * e.shear, grad_off + grad_along * of_u);
-    (ellipse, w, grad_v * round)
+    (ellipse, w)
 }
 
 /// Returns the gradients of the ellipse and of the velocity.
@@ -102,11 +100,11 @@ fn moving_backward(
     (ellipse, of_twist)
 }
 
-/// Writes the gradients of the ellipses, `[N, 7]`, and one row per cube of those of the parameters, `[cubes, P]`.
+/// Writes the gradients of the ellipses, `[N, 7]`, and one row per cube of that of the twist, `[cubes, 6]`.
 #[cube(launch_unchecked)]
 pub(super) fn expose_backward_kernel(
     projected: &[f32],
-    parameters: &[f32],
+    twist: &[f32],
     grad: &[f32],
     of_projected: &mut [f32],
     rows: &mut [f32],
@@ -123,48 +121,30 @@ pub(super) fn expose_backward_kernel(
         if e.depth == 0.0 {
             grad.store(of_projected, ABSOLUTE_POS);
         } else {
-            if comptime!(change.kind == Kind::Defocus) {
-                let (radius, aperture) = confusion(&e, parameters);
-                let f = defocused(&e, radius, &change);
-                let (mut of, w, round) = widened_backward(&f, &e, &grad);
-                let of_x = w.x * change.deviation + grad.x * change.x.place;
-                let of_y = round * change.deviation + grad.y * change.y.place;
-                let of_radius = of_x * change.x.focal + of_y * change.y.focal;
-                of.depth -= of_radius * aperture / (e.depth * e.depth);
-                of.store(of_projected, ABSOLUTE_POS);
-                turn = Vec3::new(of_radius * radius, -(of_radius * aperture), zero);
+            let twist = Twist::load(twist);
+            let motion = moving(&e, &twist, &change);
+            let (of, velocity) = if comptime!(change.kind == Kind::MotionBlur) {
+                let (of, w) = widened_backward(&widened(&e, blur(motion.velocity)), &e, &grad);
+                (of, blur(w))
             } else {
-                let twist = Twist::load(parameters);
-                let motion = moving(&e, &twist, &change);
-                let (of, velocity) = if comptime!(change.kind == Kind::MotionBlur) {
-                    let f = widened(&e, blur(motion.velocity), 0.0);
-                    let (of, w, _) = widened_backward(&f, &e, &grad);
-                    (of, blur(w))
-                } else {
-                    rolled_backward(&rolled(&e, motion.velocity, change.height), &e, &grad, change.height)
-                };
-                let (of, of_twist) = moving_backward(&motion, &twist, &change, velocity, &of);
-                of.store(of_projected, ABSOLUTE_POS);
-                turn = of_twist.turn;
-                shift = of_twist.shift;
-            }
+                rolled_backward(&rolled(&e, motion.velocity, change.height), &e, &grad, change.height)
+            };
+            let (of, of_twist) = moving_backward(&motion, &twist, &change, velocity, &of);
+            of.store(of_projected, ABSOLUTE_POS);
+            turn = of_twist.turn;
+            shift = of_twist.shift;
         }
     }
     // A dispatch may hold more cubes than there are rows.
     let mut shared = Shared::<[f32]>::new_slice(comptime!(UNITS));
     if CUBE_POS * comptime!(UNITS) < count as usize {
-        if comptime!(change.kind == Kind::Defocus) {
-            store_sum(turn.x, rows, CUBE_POS * 2, &mut shared);
-            store_sum(turn.y, rows, CUBE_POS * 2 + 1, &mut shared);
-        } else {
-            let row = CUBE_POS * 6;
-            store_sum(turn.x, rows, row, &mut shared);
-            store_sum(turn.y, rows, row + 1, &mut shared);
-            store_sum(turn.z, rows, row + 2, &mut shared);
-            store_sum(shift.x, rows, row + 3, &mut shared);
-            store_sum(shift.y, rows, row + 4, &mut shared);
-            store_sum(shift.z, rows, row + 5, &mut shared);
-        }
+        let row = CUBE_POS * 6;
+        store_sum(turn.x, rows, row, &mut shared);
+        store_sum(turn.y, rows, row + 1, &mut shared);
+        store_sum(turn.z, rows, row + 2, &mut shared);
+        store_sum(shift.x, rows, row + 3, &mut shared);
+        store_sum(shift.y, rows, row + 4, &mut shared);
+        store_sum(shift.z, rows, row + 5, &mut shared);
     }
 }
 

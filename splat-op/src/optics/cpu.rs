@@ -1,14 +1,14 @@
 //! CPU twin, parallel over runs of Gaussians of one length, whose sums are added in their order.
 
 use fearless_simd::prelude::*;
-use fearless_simd::{Level, dispatch};
-use rayon::prelude::*;
 
 use super::simd::{Change, Ellipse};
 use super::{Exposed, OpticsSpec, PARAMETERS};
 use crate::project::COLUMNS;
-use crate::simd::lanes::{BLOCK, Columns};
-use crate::simd::real::{LANES, Real};
+use crate::simd::dispatch;
+use crate::simd::lanes::{BLOCK, Columns, width};
+use crate::simd::real::Real;
+use crate::tasks;
 
 /// Number of Gaussians per task.
 const RUN: usize = 1024;
@@ -16,20 +16,20 @@ const RUN: usize = 1024;
 /// Returns the changed ellipses, `[N, 7]`.
 pub(crate) fn expose_cpu<F: Real>(inputs: Exposed<&[F]>, spec: &OpticsSpec) -> Vec<F> {
     let mut out = vec![F::ZERO; inputs.projected.len()];
-    let runs = out.par_chunks_mut(RUN * COLUMNS).zip(inputs.projected.par_chunks(RUN * COLUMNS));
-    runs.for_each(|(out, rows)| {
-        dispatch!(Level::new(), simd => change_run::<_, F>(simd, inputs.parameters, spec, rows, out));
+    let runs = out.chunks_mut(RUN * COLUMNS).zip(inputs.projected.chunks(RUN * COLUMNS));
+    tasks::for_each(runs, |_, (out, rows)| {
+        dispatch!(F, simd => change_run::<_, F>(simd, inputs.twist, spec, rows, out));
     });
     out
 }
 
 #[inline(always)]
-fn change_run<S: Simd, F: Real>(simd: S, parameters: &[F], spec: &OpticsSpec, rows: &[F], out: &mut [F]) {
-    let change = Change::<S, F>::new(simd, parameters, spec);
+fn change_run<S: Simd, F: Real>(simd: S, twist: &[F], spec: &OpticsSpec, rows: &[F], out: &mut [F]) {
+    let change = Change::<S, F>::new(simd, twist, spec);
     let (mut ellipses, mut changed) = (Columns::<F, COLUMNS>::new(), Columns::<F, COLUMNS>::new());
     for (rows, out) in rows.chunks(BLOCK * COLUMNS).zip(out.chunks_mut(BLOCK * COLUMNS)) {
         ellipses.read(rows);
-        for at in (0..rows.len() / COLUMNS).step_by(LANES) {
+        for at in (0..rows.len() / COLUMNS).step_by(width::<S, F>()) {
             let eight = Ellipse::of_row(ellipses.all_lanes(simd, at));
             for (column, value) in change.of(eight).to_row().into_iter().enumerate() {
                 changed.store(column, at, value);
@@ -39,29 +39,31 @@ fn change_run<S: Simd, F: Real>(simd: S, parameters: &[F], spec: &OpticsSpec, ro
     }
 }
 
-/// Returns the gradients of the ellipses and of the parameters from `grad`, `[N, 7]`.
+/// Returns the gradients of the ellipses and of the twist from `grad`, `[N, 7]`.
 pub(crate) fn expose_backward_cpu<F: Real>(inputs: Exposed<&[F]>, grad: &[F], spec: &OpticsSpec) -> Exposed<Vec<F>> {
     let mut projected = vec![F::ZERO; inputs.projected.len()];
-    let rows = inputs.projected.par_chunks(RUN * COLUMNS).zip(grad.par_chunks(RUN * COLUMNS));
-    let of_run = |(out, (rows, grad)): (&mut [F], (&[F], &[F]))| dispatch!(Level::new(), simd => gradients_of_run::<_, F>(simd, inputs.parameters, spec, (rows, grad), out));
-    let sums: Vec<_> = projected.par_chunks_mut(RUN * COLUMNS).zip(rows).map(of_run).collect();
-    let mut parameters = vec![F::ZERO; inputs.parameters.len()];
+    let rows = inputs.projected.chunks(RUN * COLUMNS).zip(grad.chunks(RUN * COLUMNS));
+    let sums = tasks::map(
+        projected.chunks_mut(RUN * COLUMNS).zip(rows),
+        |_, (out, rows)| dispatch!(F, simd => gradients_of_run::<_, F>(simd, inputs.twist, spec, rows, out)),
+    );
+    let mut twist = vec![F::ZERO; inputs.twist.len()];
     for sums in sums {
-        parameters.iter_mut().zip(sums).for_each(|(total, sum)| *total += sum);
+        twist.iter_mut().zip(sums).for_each(|(total, sum)| *total += sum);
     }
-    Exposed { projected, parameters }
+    Exposed { projected, twist }
 }
 
-/// Writes the gradients of a run of ellipses, and returns its part of those of the parameters.
+/// Writes the gradients of a run of ellipses, and returns its part of those of the twist.
 #[inline(always)]
 fn gradients_of_run<S: Simd, F: Real>(
     simd: S,
-    parameters: &[F],
+    twist: &[F],
     spec: &OpticsSpec,
     (rows, grad): (&[F], &[F]),
     out: &mut [F],
 ) -> [F; PARAMETERS] {
-    let change = Change::<S, F>::new(simd, parameters, spec);
+    let change = Change::<S, F>::new(simd, twist, spec);
     let mut sums = [F::Lanes::<S>::splat(simd, F::ZERO); PARAMETERS];
     let mut found = Columns::<F, COLUMNS>::new();
     let blocks = rows.chunks(BLOCK * COLUMNS).zip(grad.chunks(BLOCK * COLUMNS));
@@ -70,7 +72,7 @@ fn gradients_of_run<S: Simd, F: Real>(
         let (mut ellipses, mut of_ellipses) = (Columns::<F, COLUMNS>::new(), Columns::<F, COLUMNS>::new());
         ellipses.read(rows);
         of_ellipses.read(grad);
-        for at in (0..rows.len() / COLUMNS).step_by(LANES) {
+        for at in (0..rows.len() / COLUMNS).step_by(width::<S, F>()) {
             let eight = Ellipse::of_row(ellipses.all_lanes(simd, at));
             let of_eight = Ellipse::of_row(of_ellipses.all_lanes(simd, at));
             let gradient = change.backward(&eight, &of_eight, &mut sums);

@@ -11,7 +11,6 @@ use crate::project::forward::PackedEllipse;
 pub(super) enum Kind {
     MotionBlur,
     RollingShutter,
-    Defocus,
 }
 
 /// One axis of the picture, px.
@@ -23,8 +22,6 @@ pub(super) struct Axis {
     /// Limits to which a centre is clamped for its velocity.
     pub low: f32,
     pub high: f32,
-    /// The place of the aperture's part, in units of its radius.
-    pub place: f32,
 }
 
 /// Camera and change as arguments of the kernels.
@@ -35,8 +32,6 @@ pub(super) struct Change {
     pub y: Axis,
     /// px.
     pub height: f32,
-    /// Of the aperture's part, in units of its radius.
-    pub deviation: f32,
     #[cube(comptime)]
     pub kind: Kind,
 }
@@ -93,7 +88,6 @@ pub(super) fn moving(e: &PackedEllipse, twist: &Twist, change: &Change) -> Movin
 #[expand(derive(Clone, Copy))]
 pub(super) struct Widened {
     pub w: Vec2,
-    pub round: f32,
     pub sigma_u: f32,
     pub sigma_v: f32,
     pub share: f32,
@@ -103,15 +97,14 @@ pub(super) struct Widened {
 }
 
 #[cube]
-pub(super) fn widened(e: &PackedEllipse, w: Vec2, round: f32) -> Widened {
+pub(super) fn widened(e: &PackedEllipse, w: Vec2) -> Widened {
     let sigma_u = Vec3::new(e.sigma_u, w.x, 0.0).length();
     let share = e.sigma_u / sigma_u;
     let off = w.y - e.shear * w.x;
     Widened {
         w,
-        round,
         sigma_u,
-        sigma_v: Vec3::new(e.sigma_v, share * off, round).length(),
+        sigma_v: Vec3::new(e.sigma_v, share * off, 0.0).length(),
         share,
         across: w.x / sigma_u,
         along: w.y / sigma_u,
@@ -202,40 +195,18 @@ impl Rolled {
     }
 }
 
-/// Radius of the circle of confusion in units of the focal length, and the aperture's.
-#[cube]
-pub(super) fn confusion(e: &PackedEllipse, lens: &[f32]) -> (f32, f32) {
-    let aperture = lens[0].exp();
-    ((1.0 / e.depth - lens[1]) * aperture, aperture)
-}
-
-/// The widening by the circle of confusion of the aperture's part.
-#[cube]
-pub(super) fn defocused(e: &PackedEllipse, confusion: f32, change: &Change) -> Widened {
-    let w = Vec2::new(change.x.focal * confusion * change.deviation, 0.0);
-    widened(e, w, change.y.focal * confusion * change.deviation)
-}
-
 #[cube(launch_unchecked)]
-pub(super) fn expose_kernel(projected: &[f32], parameters: &[f32], out: &mut [f32], change: Change, count: u32) {
+pub(super) fn expose_kernel(projected: &[f32], twist: &[f32], out: &mut [f32], change: Change, count: u32) {
     if ABSOLUTE_POS < count as usize {
         let e = PackedEllipse::load(projected, ABSOLUTE_POS);
         if e.depth == 0.0 {
             e.store(out, ABSOLUTE_POS);
         } else {
-            if comptime!(change.kind == Kind::Defocus) {
-                let (radius, _) = confusion(&e, parameters);
-                let mut row = defocused(&e, radius, &change).of(&e);
-                row.x += change.x.focal * radius * change.x.place;
-                row.y += change.y.focal * radius * change.y.place;
-                row.store(out, ABSOLUTE_POS);
+            let motion = moving(&e, &Twist::load(twist), &change);
+            if comptime!(change.kind == Kind::MotionBlur) {
+                widened(&e, blur(motion.velocity)).of(&e).store(out, ABSOLUTE_POS);
             } else {
-                let motion = moving(&e, &Twist::load(parameters), &change);
-                if comptime!(change.kind == Kind::MotionBlur) {
-                    widened(&e, blur(motion.velocity), 0.0).of(&e).store(out, ABSOLUTE_POS);
-                } else {
-                    rolled(&e, motion.velocity, change.height).of(&e).store(out, ABSOLUTE_POS);
-                }
+                rolled(&e, motion.velocity, change.height).of(&e).store(out, ABSOLUTE_POS);
             }
         }
     }

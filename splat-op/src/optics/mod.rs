@@ -1,19 +1,19 @@
-//! What lens, shutter and sensor do to a picture, done to each Gaussian's ellipse: packed ellipses → packed ellipses.
-//! Differentiable in the ellipses and in the parameters of the change.
+//! What shutter and sensor do to a picture, done to each Gaussian's ellipse: packed ellipses → packed ellipses.
+//! Differentiable in the ellipses and in the motion.
 //!
 //! A pinhole's ellipse `(x, y, sigma_u, shear, sigma_v, z, opacity)` as of [`mod@crate::project`] is moved and widened, or moved and
-//! sheared. A culled Gaussian, of depth 0, stays as it is, and gives the parameters no gradient.
+//! sheared. A culled Gaussian, of depth 0, stays as it is, and gives the motion no gradient.
 //!
 //! # Widening
 //!
-//! For the covariance `Σ + w wᵀ + diag(0, s²)`, with `a = sigma_u² + w_x²` and `c = sigma_u / √a`,
+//! For the covariance `Σ + w wᵀ`, with `a = sigma_u² + w_x²` and `c = sigma_u / √a`,
 //!
 //! ```text
-//! sigma_u' = √a     shear' = c² shear + w_x w_y / a     sigma_v'² = sigma_v² + c² (w_y − shear w_x)² + s²
+//! sigma_u' = √a     shear' = c² shear + w_x w_y / a     sigma_v'² = sigma_v² + c² (w_y − shear w_x)²
 //! opacity' = opacity · sigma_u sigma_v / (sigma_u' sigma_v')
 //! ```
 //!
-//! which is the triangular factor of a rank-one sum (Gill, Golub, Murray and Saunders 1974, method C1), and then of a sum in one axis.
+//! which is the triangular factor of a rank-one sum (Gill, Golub, Murray and Saunders 1974, method C1).
 //! Lengths are computed as hypotenuses, so that no new cancellation or overflow occurs. Where nothing is added, the ellipse stays the
 //! same. Light is conserved: the integral of `opacity · exp(−½ dᵀ Σ⁻¹ d)` is constant. For nearly opaque Gaussians that is an
 //! approximation, because the time average of `1 − Π (1 − α)` is not `1 − Π (1 − α)` of the averages.
@@ -52,15 +52,6 @@
 //!
 //! `v_y` is clamped to half of `H` either way: near `H` a point would stay ahead of the shutter for ever, and beyond it be visible in
 //! no row or upside down.
-//!
-//! # Defocus
-//!
-//! A ray from a point at depth `z` that passes the lens at an offset `a` from its axis hits the picture at a distance of
-//! `f a (1/z − 1/z_focus)` from the point's image (similar triangles; Potmesil and Chakravarty 1981). Over an aperture of radius `R`
-//! with uniform weight, these hits fill a disc of radius `r = R f |1/z − 1/z_focus|`, whose variance along each axis is `r²/4`. The
-//! parameters are `ln R` and `1/z_focus`, `[2]`. For a part of the aperture the centre moves by `r` times the part's place, and the
-//! ellipse widens by `w = (σ r_x, 0)`, `s = σ r_y`, with `σ` the part's deviation. `r` keeps its sign, so that the result is smooth at
-//! the focus. The sharp edge of the disc, which is visible on bright points, is not modelled.
 
 #[cfg(feature = "cube")]
 mod backward;
@@ -88,7 +79,7 @@ use crate::stages::Projected;
 /// Largest vertical motion over a rolling shutter, as a share of the picture's height. Faster points are clamped to it.
 pub(crate) const LARGEST_SHARE: f64 = 0.5;
 
-/// Largest number of parameters of a change.
+/// Number of parameters of a motion.
 pub(crate) const PARAMETERS: usize = 6;
 
 record! {
@@ -96,23 +87,9 @@ record! {
     pub struct Exposed {
         /// `[N, 7]`: packed ellipses.
         projected,
-        /// `[6]` or `[2]`: a twist, or the lens.
-        parameters,
+        /// `[6]`: a twist.
+        twist,
     }
-}
-
-/// A part of a lens's aperture, in units of its radius.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct AperturePart {
-    /// Where its middle is.
-    pub place: [f64; 2],
-    /// Its standard deviation along each axis: ½ for the whole aperture.
-    pub deviation: f64,
-}
-
-impl AperturePart {
-    /// The whole aperture.
-    pub const WHOLE: Self = Self { place: [0.0; 2], deviation: 0.5 };
 }
 
 /// How a picture is exposed.
@@ -122,18 +99,6 @@ pub enum Exposure {
     MotionBlur,
     /// Rows are read one after the other while the camera moves.
     RollingShutter,
-    /// Light passes a part of an aperture.
-    Defocus(AperturePart),
-}
-
-impl Exposure {
-    /// The number of its parameters.
-    pub(crate) fn parameters(self) -> usize {
-        match self {
-            Self::MotionBlur | Self::RollingShutter => 6,
-            Self::Defocus(_) => 2,
-        }
-    }
 }
 
 /// A change of ellipses but for its tensors.
@@ -167,7 +132,7 @@ impl OpticsSpec {
 /// # Errors
 /// If the camera is not a pinhole, if a shape is not as documented, or if float types or devices differ.
 pub fn blurred(projected: &Projected, twist: &Tensor<1>, margin: f64) -> Result<Projected, SplatError> {
-    exposed(projected, ("twist", twist, "[6]"), Exposure::MotionBlur, margin)
+    exposed(projected, twist, Exposure::MotionBlur, margin)
 }
 
 /// Returns the ellipses on a sensor that is read row by row, from the upper border to the lower, while the camera moves by `twist`,
@@ -177,28 +142,10 @@ pub fn blurred(projected: &Projected, twist: &Tensor<1>, margin: f64) -> Result<
 /// # Errors
 /// As [`blurred`].
 pub fn rolled(projected: &Projected, twist: &Tensor<1>, margin: f64) -> Result<Projected, SplatError> {
-    exposed(projected, ("twist", twist, "[6]"), Exposure::RollingShutter, margin)
+    exposed(projected, twist, Exposure::RollingShutter, margin)
 }
 
-/// Returns the ellipses seen through a part of a thin lens's aperture. `lens`, `[2]`, is the natural logarithm of the aperture's
-/// radius, scene units, which keeps it positive, and the inverse of the focus distance along the optical axis, which is 0 at infinity.
-/// Differentiable in both.
-///
-/// The mean of renders through parts that cover the aperture spreads the light of surfaces; [`AperturePart::WHOLE`] in one render
-/// spreads that of each Gaussian.
-///
-/// # Errors
-/// As [`blurred`].
-pub fn defocused(projected: &Projected, lens: &Tensor<1>, part: AperturePart) -> Result<Projected, SplatError> {
-    exposed(projected, ("lens", lens, "[2]"), Exposure::Defocus(part), 0.0)
-}
-
-fn exposed(
-    projected: &Projected,
-    (name, parameters, expected): (&'static str, &Tensor<1>, &'static str),
-    exposure: Exposure,
-    margin: f64,
-) -> Result<Projected, SplatError> {
+fn exposed(projected: &Projected, twist: &Tensor<1>, exposure: Exposure, margin: f64) -> Result<Projected, SplatError> {
     let intrinsics = *projected.intrinsics();
     if intrinsics.model != CameraModel::Pinhole {
         return Err(SplatError::Value {
@@ -209,8 +156,8 @@ fn exposed(
         });
     }
     let reference = Reference::new(projected.packed())?;
-    reference.check(name, parameters, [Some(exposure.parameters())], expected)?;
-    let inputs = Exposed { projected: projected.packed().clone().into(), parameters: parameters.clone().into() };
+    reference.check("twist", twist, [Some(PARAMETERS)], "[6]")?;
+    let inputs = Exposed { projected: projected.packed().clone().into(), twist: twist.clone().into() };
     let spec = OpticsSpec { intrinsics, exposure, margin };
     let packed = Tensor::from_dispatch(<Dispatch as OpticsBackend>::expose(inputs, spec));
     Ok(Projected::of(packed, intrinsics))

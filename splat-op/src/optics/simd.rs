@@ -3,7 +3,7 @@
 
 use fearless_simd::prelude::*;
 
-use super::{AperturePart, Exposure, LARGEST_SHARE, OpticsSpec, PARAMETERS};
+use super::{Exposure, LARGEST_SHARE, OpticsSpec, PARAMETERS};
 use crate::project::COLUMNS;
 use crate::project::simd::{MaskOf, norm};
 use crate::simd::each;
@@ -47,10 +47,9 @@ fn hypotenuse<S: Simd, F: Real>(a: Lanes<S, F>, b: Lanes<S, F>) -> Lanes<S, F> {
     norm::<S, F>(a.token(), [a, b, lanes::<S, F>(a.token(), F::ZERO)])
 }
 
-/// A widening by `w wᵀ + diag(0, round²)`, and its parts that the derivative needs.
+/// A widening by `w wᵀ`, and its parts that the derivative needs.
 pub(super) struct Widened<S: Simd, F: Real> {
     w: [Lanes<S, F>; 2],
-    round: Lanes<S, F>,
     sigma_u: Lanes<S, F>,
     sigma_v: Lanes<S, F>,
     /// `sigma_u`, `w_x` and `w_y` over the new `sigma_u`.
@@ -65,25 +64,15 @@ pub(super) struct Widened<S: Simd, F: Real> {
 pub(super) struct WidenedGrad<L> {
     pub ellipse: Ellipse<L>,
     pub w: [L; 2],
-    pub round: L,
 }
 
 impl<S: Simd, F: Real> Widened<S, F> {
     #[inline(always)]
-    pub fn new(e: &Ellipse<Lanes<S, F>>, w: [Lanes<S, F>; 2], round: Lanes<S, F>) -> Self {
+    pub fn new(e: &Ellipse<Lanes<S, F>>, w: [Lanes<S, F>; 2]) -> Self {
         let sigma_u = hypotenuse::<S, F>(e.sigma_u, w[0]);
         let [share, across, along] = each!([e.sigma_u, w[0], w[1]], |part| part / sigma_u);
         let off = w[1] - e.shear * w[0];
-        Self {
-            w,
-            round,
-            sigma_u,
-            sigma_v: norm::<S, F>(off.token(), [e.sigma_v, share * off, round]),
-            share,
-            across,
-            along,
-            off,
-        }
+        Self { w, sigma_u, sigma_v: hypotenuse::<S, F>(e.sigma_v, share * off), share, across, along, off }
     }
 
     #[inline(always)]
@@ -99,10 +88,10 @@ impl<S: Simd, F: Real> Widened<S, F> {
         let one = lanes::<S, F>(off.token(), F::ONE);
         let [of_u, of_v] = [one / self.sigma_u, one / self.sigma_v];
         // The parts of the new `sigma_v`, whose squares add up to one.
-        let [kept, slanted, round] = each!([e.sigma_v, share * off, self.round], |part| part * of_v);
+        let [kept, slanted] = each!([e.sigma_v, share * off], |part| part * of_v);
         let grad_kept = grad.opacity * e.opacity * share;
         let grad_v = grad.sigma_v - grad_kept * kept * of_v;
-        let sigma_v = grad.sigma_v * kept + grad_kept * (slanted * slanted + round * round) * of_v;
+        let sigma_v = grad.sigma_v * kept + grad_kept * slanted * slanted * of_v;
         let grad_slanted = grad_v * slanted;
         let grad_off = grad_slanted * share;
         let grad_share =
@@ -119,7 +108,7 @@ impl<S: Simd, F: Real> Widened<S, F> {
             ..*grad
         };
         let w = [radial * across + turned * share - grad_off * e.shear, grad_off + grad_along * of_u];
-        WidenedGrad { ellipse, w, round: grad_v * round }
+        WidenedGrad { ellipse, w }
     }
 }
 
@@ -267,27 +256,22 @@ impl<S: Simd, F: Real> Rolled<S, F> {
     }
 }
 
-/// Constants and parameters of a change.
+/// Constants and the motion of a change.
 pub(super) struct Change<S: Simd, F: Real> {
     exposure: Exposure,
     axes: [[Lanes<S, F>; 4]; 2],
     height: Lanes<S, F>,
-    parameters: [Lanes<S, F>; PARAMETERS],
-    /// Radius of the aperture, scene units, of defocus.
-    aperture: Lanes<S, F>,
+    twist: [Lanes<S, F>; PARAMETERS],
 }
 
 impl<S: Simd, F: Real> Change<S, F> {
     #[inline(always)]
-    pub fn new(simd: S, parameters: &[F], spec: &OpticsSpec) -> Self {
-        let mut all = [F::ZERO; PARAMETERS];
-        all[..parameters.len()].copy_from_slice(parameters);
+    pub fn new(simd: S, twist: &[F], spec: &OpticsSpec) -> Self {
         Self {
             exposure: spec.exposure,
             axes: each!(spec.axes(), |axis| each!(axis, |value| lanes::<S, F>(simd, F::of(value)))),
             height: lanes::<S, F>(simd, F::of(spec.intrinsics.height as f64)),
-            parameters: each!(all, |value| lanes::<S, F>(simd, value)),
-            aperture: lanes::<S, F>(simd, F::of(all[0].f64().exp())),
+            twist: each!([0, 1, 2, 3, 4, 5], |i| lanes::<S, F>(simd, twist[i])),
         }
     }
 
@@ -297,44 +281,13 @@ impl<S: Simd, F: Real> Change<S, F> {
         each!(velocity, |v| v * F::of(1.0 / 12_f64.sqrt()))
     }
 
-    /// Radius of the circle of confusion in units of the focal length.
-    #[inline(always)]
-    fn confusion(&self, e: &Ellipse<Lanes<S, F>>) -> Lanes<S, F> {
-        (lanes::<S, F>(e.depth.token(), F::ONE) / e.depth - self.parameters[1]) * self.aperture
-    }
-
-    /// Radii of the circle of confusion along x and y, px, and the widening by the part's.
-    #[inline(always)]
-    fn defocus(
-        &self,
-        e: &Ellipse<Lanes<S, F>>,
-        confusion: Lanes<S, F>,
-        part: AperturePart,
-    ) -> ([Lanes<S, F>; 2], Widened<S, F>) {
-        let radii = [self.axes[0][0] * confusion, self.axes[1][0] * confusion];
-        let (deviation, zero) = (F::of(part.deviation), lanes::<S, F>(confusion.token(), F::ZERO));
-        (radii, Widened::<S, F>::new(e, [radii[0] * deviation, zero], radii[1] * deviation))
-    }
-
     /// Returns changed ellipses; those of culled Gaussians stay.
     #[inline(always)]
     pub fn of(&self, e: Ellipse<Lanes<S, F>>) -> Ellipse<Lanes<S, F>> {
-        let zero = lanes::<S, F>(e.depth.token(), F::ZERO);
+        let velocity = Moving::<S, F>::new(&e, &self.twist, &self.axes).velocity;
         let found = match self.exposure {
-            Exposure::MotionBlur => {
-                let velocity = Moving::<S, F>::new(&e, &self.parameters, &self.axes).velocity;
-                Widened::<S, F>::new(&e, Self::blur(velocity), zero).of(e)
-            }
-            Exposure::RollingShutter => {
-                let velocity = Moving::<S, F>::new(&e, &self.parameters, &self.axes).velocity;
-                Rolled::<S, F>::new(&e, velocity, self.height).of(e)
-            }
-            Exposure::Defocus(part) => {
-                let (radii, widened) = self.defocus(&e, self.confusion(&e), part);
-                let [px, py] = part.place;
-                let Ellipse { x, y, .. } = e;
-                Ellipse { x: x + radii[0] * F::of(px), y: y + radii[1] * F::of(py), ..widened.of(e) }
-            }
+            Exposure::MotionBlur => Widened::<S, F>::new(&e, Self::blur(velocity)).of(e),
+            Exposure::RollingShutter => Rolled::<S, F>::new(&e, velocity, self.height).of(e),
         };
         Self::kept(&e, found, e)
     }
@@ -351,7 +304,7 @@ impl<S: Simd, F: Real> Change<S, F> {
         Ellipse::of_row(each!([0, 1, 2, 3, 4, 5, 6], |column| culled.select(other[column], found[column])))
     }
 
-    /// Returns the gradients of the ellipses, and adds those of the parameters.
+    /// Returns the gradients of the ellipses, and adds those of the twist.
     #[inline(always)]
     pub fn backward(
         &self,
@@ -359,35 +312,22 @@ impl<S: Simd, F: Real> Change<S, F> {
         grad: &Ellipse<Lanes<S, F>>,
         sums: &mut [Lanes<S, F>; PARAMETERS],
     ) -> Ellipse<Lanes<S, F>> {
-        let Self { parameters, axes, .. } = self;
-        let zero = lanes::<S, F>(e.depth.token(), F::ZERO);
-        let (ellipse, of_parameters) = match self.exposure {
+        let moving = Moving::<S, F>::new(e, &self.twist, &self.axes);
+        let (mut ellipse, of_velocity) = match self.exposure {
             Exposure::MotionBlur => {
-                let moving = Moving::<S, F>::new(e, parameters, axes);
-                let WidenedGrad { mut ellipse, w, .. } =
-                    Widened::<S, F>::new(e, Self::blur(moving.velocity), zero).backward(e, grad);
-                let twist = moving.backward(parameters, axes, Self::blur(w), &mut ellipse);
-                (ellipse, twist)
+                let WidenedGrad { ellipse, w } = Widened::<S, F>::new(e, Self::blur(moving.velocity)).backward(e, grad);
+                (ellipse, Self::blur(w))
             }
             Exposure::RollingShutter => {
-                let moving = Moving::<S, F>::new(e, parameters, axes);
-                let RolledGrad { mut ellipse, velocity } =
+                let RolledGrad { ellipse, velocity } =
                     Rolled::<S, F>::new(e, moving.velocity, self.height).backward(e, grad, self.height);
-                let twist = moving.backward(parameters, axes, velocity, &mut ellipse);
-                (ellipse, twist)
-            }
-            Exposure::Defocus(part) => {
-                let (confusion, aperture) = (self.confusion(e), self.aperture);
-                let WidenedGrad { mut ellipse, w, round } = self.defocus(e, confusion, part).1.backward(e, grad);
-                let (px, py, deviation) = (F::of(part.place[0]), F::of(part.place[1]), F::of(part.deviation));
-                let of_radii = [w[0] * deviation + grad.x * px, round * deviation + grad.y * py];
-                let of_confusion = of_radii[0] * axes[0][0] + of_radii[1] * axes[1][0];
-                ellipse.depth -= of_confusion * aperture / (e.depth * e.depth);
-                (ellipse, [of_confusion * confusion, -(of_confusion * aperture), zero, zero, zero, zero])
+                (ellipse, velocity)
             }
         };
+        let of_twist = moving.backward(&self.twist, &self.axes, of_velocity, &mut ellipse);
+        let zero = lanes::<S, F>(e.depth.token(), F::ZERO);
         let culled = e.depth.simd_eq(zero);
-        for (sum, value) in sums.iter_mut().zip(of_parameters) {
+        for (sum, value) in sums.iter_mut().zip(of_twist) {
             *sum += culled.select(zero, value);
         }
         Self::kept(e, ellipse, *grad)

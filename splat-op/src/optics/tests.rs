@@ -1,28 +1,29 @@
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use fearless_simd::prelude::*;
-use fearless_simd::{Level, dispatch};
 use glam::{DQuat, DVec3};
 
 use super::cpu::{expose_backward_cpu, expose_cpu};
 use super::simd::{Ellipse, Moving, Rolled, Widened};
 use super::*;
 use crate::project::COLUMNS;
-use crate::simd::real::{LANES, Real};
+use crate::simd::dispatch;
+use crate::simd::real::Real;
 use crate::testing::finite::{check_gradient, inner_product};
 use crate::testing::random::Random;
 
 pub(super) const CAMERA: Intrinsics = Intrinsics { fy: 44.0, cx: 23.0, cy: 19.0, ..Intrinsics::centred(48, 36, 40.0) };
 
-pub(super) const PART: AperturePart = AperturePart { place: [0.3, -0.6], deviation: 0.2 };
-
 const MARGIN: f64 = 0.3;
 
-/// All exposures, with parameters of a common size, exact in f32.
-pub(super) fn exposures() -> [(OpticsSpec, Vec<f64>); 3] {
-    let twist = [0.125, -0.09375, 0.1875, 0.375, -0.3125, 0.125].to_vec();
-    let lens = vec![-0.75, 0.28125];
-    [(Exposure::MotionBlur, twist.clone()), (Exposure::RollingShutter, twist), (Exposure::Defocus(PART), lens)]
-        .map(|(exposure, parameters)| (OpticsSpec { intrinsics: CAMERA, exposure, margin: MARGIN }, parameters))
+/// A motion, exact in f32.
+pub(super) const TWIST: [f64; PARAMETERS] = [0.125, -0.09375, 0.1875, 0.375, -0.3125, 0.125];
+
+pub(super) fn exposures() -> [OpticsSpec; 2] {
+    [Exposure::MotionBlur, Exposure::RollingShutter].map(|exposure| OpticsSpec {
+        intrinsics: CAMERA,
+        exposure,
+        margin: MARGIN,
+    })
 }
 
 /// `[count, 7]`: ellipses in and around a picture of 48 × 36 px, every fourth a needle, every fifth far outside; exact in f32.
@@ -43,10 +44,10 @@ pub(super) fn ellipses(count: usize, seed: u64) -> Vec<f64> {
     (0..count).flat_map(|i| row(i).map(|value| f64::from(value as f32))).collect()
 }
 
-fn exposed<F: Real>(projected: &[f64], parameters: &[f64], spec: &OpticsSpec) -> Vec<f64> {
+fn exposed<F: Real>(projected: &[f64], twist: &[f64], spec: &OpticsSpec) -> Vec<f64> {
     let of = |values: &[f64]| values.iter().map(|value| F::of(*value)).collect::<Vec<F>>();
-    let (projected, parameters) = (of(projected), of(parameters));
-    let found = expose_cpu(Exposed { projected: &projected[..], parameters: &parameters[..] }, spec);
+    let (projected, twist) = (of(projected), of(twist));
+    let found = expose_cpu(Exposed { projected: &projected[..], twist: &twist[..] }, spec);
     found.into_iter().map(Real::f64).collect()
 }
 
@@ -80,23 +81,21 @@ fn check_covariance(before: &[f64], after: &[f64], right: [f64; 3], grows: bool,
 
 /// Returns the first of the lanes, which hold the same value.
 fn first<S: Simd, F: Real>(lanes: F::Lanes<S>) -> f64 {
-    let mut all = [F::ZERO; LANES];
-    lanes.store_slice(&mut all);
-    all[0].f64()
+    lanes[0].f64()
 }
 
-fn widened<F: Real>(row: &[f64], w: [f64; 2], round: f64) -> [f64; COLUMNS] {
-    dispatch!(Level::new(), simd => widened_by::<_, F>(simd, row, w, round))
+fn widened<F: Real>(row: &[f64], w: [f64; 2]) -> [f64; COLUMNS] {
+    dispatch!(F, simd => widened_by::<_, F>(simd, row, w))
 }
 
-fn widened_by<S: Simd, F: Real>(simd: S, row: &[f64], w: [f64; 2], round: f64) -> [f64; COLUMNS] {
+fn widened_by<S: Simd, F: Real>(simd: S, row: &[f64], w: [f64; 2]) -> [f64; COLUMNS] {
     let lanes = |value: f64| F::Lanes::<S>::splat(simd, F::of(value));
     let e = Ellipse::of_row(std::array::from_fn(|i| lanes(row[i])));
-    Widened::<S, F>::new(&e, w.map(lanes), lanes(round)).of(e).to_row().map(first::<S, F>)
+    Widened::<S, F>::new(&e, w.map(lanes)).of(e).to_row().map(first::<S, F>)
 }
 
 fn rolled<F: Real>(row: &[f64], velocity: [f64; 2], height: f64) -> [f64; COLUMNS] {
-    dispatch!(Level::new(), simd => rolled_by::<_, F>(simd, row, velocity, height))
+    dispatch!(F, simd => rolled_by::<_, F>(simd, row, velocity, height))
 }
 
 fn rolled_by<S: Simd, F: Real>(simd: S, row: &[f64], velocity: [f64; 2], height: f64) -> [f64; COLUMNS] {
@@ -112,24 +111,24 @@ fn velocity_by<S: Simd>(simd: S, row: [f64; COLUMNS], twist: [f64; PARAMETERS], 
     moving.velocity.map(first::<S, f64>)
 }
 
-/// The gradients of `sigma_u`, the shear, `sigma_v`, the opacity, `w` and `round`.
-fn widened_backward<S: Simd, F: Real>(simd: S, [row, grad]: [[f64; COLUMNS]; 2], w: [f64; 2], round: f64) -> [f64; 7] {
+/// The gradients of `sigma_u`, the shear, `sigma_v`, the opacity and `w`.
+fn widened_backward<S: Simd, F: Real>(simd: S, [row, grad]: [[f64; COLUMNS]; 2], w: [f64; 2]) -> [f64; 6] {
     let lanes = |value: f64| F::Lanes::<S>::splat(simd, F::of(value));
     let [e, grad] = [row, grad].map(|row| Ellipse::of_row(row.map(lanes)));
-    let of = Widened::<S, F>::new(&e, w.map(lanes), lanes(round)).backward(&e, &grad);
+    let of = Widened::<S, F>::new(&e, w.map(lanes)).backward(&e, &grad);
     let row = of.ellipse.to_row();
-    [row[2], row[3], row[4], row[6], of.w[0], of.w[1], of.round].map(first::<S, F>)
+    [row[2], row[3], row[4], row[6], of.w[0], of.w[1]].map(first::<S, F>)
 }
 
 #[test]
 fn a_widened_ellipse_has_the_sum_of_the_covariances() {
     let mut random = Random::new(3);
     for row in ellipses(24, 1).chunks(COLUMNS) {
-        let [wx, wy, round] = [(); 3].map(|()| f64::from(random.between(-2.5, 2.5) as f32));
+        let [wx, wy] = [(); 2].map(|()| f64::from(random.between(-2.5, 2.5) as f32));
         let [xx, xy, yy] = covariance(row);
-        let right = [xx + wx * wx, xy + wx * wy, yy + wy * wy + round * round];
-        check_covariance(row, &widened::<f64>(row, [wx, wy], round), right, true, 1e-13);
-        check_covariance(row, &widened::<f32>(row, [wx, wy], round), right, true, 2e-6);
+        let right = [xx + wx * wx, xy + wx * wy, yy + wy * wy];
+        check_covariance(row, &widened::<f64>(row, [wx, wy]), right, true, 1e-13);
+        check_covariance(row, &widened::<f32>(row, [wx, wy]), right, true, 2e-6);
     }
 }
 
@@ -152,7 +151,7 @@ fn a_rolled_ellipse_is_that_of_the_linear_map() {
 fn extents_whose_squares_no_f32_holds_are_widened() {
     for size in [1e-30, 1e30] {
         let given = [0.0, 0.0, size, 0.5, 2.0 * size, 1.0, 0.8];
-        let after = widened::<f32>(&given, [0.75 * size, -size], 0.0);
+        let after = widened::<f32>(&given, [0.75 * size, -size]);
         // (1, ½, 2) and w = (¾, −1), by hand: a = 1.5625, cov = ½ − ¾, det = 4 + (−1 − ⅜)² + 4 · 0.5625.
         let det: f64 = 4.0 + 1.375 * 1.375 + 2.25;
         let expected = [1.25 * size, -0.25 / 1.5625, (det / 1.5625).sqrt() * size, 1.0, 0.8 * 2.0 / det.sqrt()];
@@ -182,7 +181,7 @@ fn a_rolling_shutter_by_hand() {
 
 #[test]
 fn velocities_are_the_slopes_of_where_points_go() {
-    let axes = exposures()[0].0.axes();
+    let axes = exposures()[0].axes();
     let px = |point: DVec3| CAMERA.projector().px_from_cam(point).unwrap();
     for point in [DVec3::new(-0.4, 0.3, 2.0), DVec3::new(0.7, -0.9, 3.5), DVec3::new(0.0, 0.0, 1.0)] {
         let centre = px(point);
@@ -190,7 +189,7 @@ fn velocities_are_the_slopes_of_where_points_go() {
         for axis in 0..6 {
             let mut unit = [0.0; PARAMETERS];
             unit[axis] = 1.0;
-            let found = dispatch!(Level::new(), simd => velocity_by(simd, row, unit, axes));
+            let found = dispatch!(f64, simd => velocity_by(simd, row, unit, axes));
             let moved = |by: f64| {
                 let (rotation, shift) = (DVec3::from_slice(&unit[..3]) * by, DVec3::from_slice(&unit[3..]) * by);
                 px(DQuat::from_scaled_axis(rotation) * point + shift)
@@ -204,51 +203,29 @@ fn velocities_are_the_slopes_of_where_points_go() {
 }
 
 #[test]
-fn circles_of_confusion_are_those_of_a_thin_lens() {
-    // Aperture ½, focus 3.6: 0 in focus, −½ · 1/7.2 behind it, ½ (1/0.9 − 1/3.6) = 5/12 in front of it; times 40 px and 44 px.
-    let part = AperturePart { place: [1.0, 1.0], deviation: 0.0 };
-    let spec = OpticsSpec { intrinsics: CAMERA, exposure: Exposure::Defocus(part), margin: 0.0 };
-    for (depth, radii) in [(3.6, [0.0; 2]), (7.2, [-20.0 / 7.2, -22.0 / 7.2]), (0.9, [50.0 / 3.0, 55.0 / 3.0])] {
-        let row = [1.0, 2.0, 1.0, 0.0, 1.0, depth, 1.0];
-        let after = exposed::<f64>(&row, &[0.5_f64.ln(), 1.0 / 3.6], &spec);
-        for axis in 0..2 {
-            let moved = after[axis] - row[axis];
-            assert!((moved - radii[axis]).abs() < 1e-12, "at {depth}: {moved} instead of {}", radii[axis]);
-        }
-        assert_eq!(after[2..], row[2..], "a point of the aperture blurs nothing");
-    }
-}
-
-#[test]
-fn without_motion_and_aperture_nothing_changes() {
+fn without_motion_nothing_changes() {
     let given = ellipses(9, 5);
-    for (spec, parameters) in exposures() {
-        let nothing = match parameters.len() {
-            2 => vec![f64::NEG_INFINITY, 0.25],
-            more => vec![0.0; more],
-        };
-        assert_eq!(exposed::<f64>(&given, &nothing, &spec), given, "to the last bit");
-        assert_eq!(exposed::<f32>(&given, &nothing, &spec), given, "to the last bit");
+    for spec in exposures() {
+        assert_eq!(exposed::<f64>(&given, &[0.0; PARAMETERS], &spec), given, "to the last bit");
+        assert_eq!(exposed::<f32>(&given, &[0.0; PARAMETERS], &spec), given, "to the last bit");
     }
 }
 
 #[test]
 fn gradients_are_the_differences_of_the_change() {
-    // More than a run of the twin, and Gaussians in focus.
+    // More than a run of the twin.
     let count = 1_100;
     let mut projected = ellipses(count, 6);
-    projected[5] = 1.0 / 0.28125;
     // Steps of differences are too long for thinner needles.
     projected.chunks_mut(COLUMNS).for_each(|row| row[4] = row[4].max(0.2));
     let weights = Random::new(7).fill(COLUMNS * count, -1.0, 1.0);
-    for (spec, parameters) in exposures() {
-        let found =
-            expose_backward_cpu(Exposed { projected: &projected[..], parameters: &parameters[..] }, &weights, &spec);
+    for spec in exposures() {
+        let found = expose_backward_cpu(Exposed { projected: &projected[..], twist: &TWIST[..] }, &weights, &spec);
         check_gradient("projected", &projected[..70 * COLUMNS], &found.projected[..70 * COLUMNS], 1, |rows| {
-            inner_product(&exposed::<f64>(rows, &parameters, &spec), &weights[..rows.len()])
+            inner_product(&exposed::<f64>(rows, &TWIST, &spec), &weights[..rows.len()])
         });
-        check_gradient("parameters", &parameters, &found.parameters, 1, |parameters| {
-            inner_product(&exposed::<f64>(&projected, parameters, &spec), &weights)
+        check_gradient("twist", &TWIST, &found.twist, 1, |twist| {
+            inner_product(&exposed::<f64>(&projected, twist, &spec), &weights)
         });
     }
 }
@@ -256,12 +233,12 @@ fn gradients_are_the_differences_of_the_change() {
 /// A much wider blur than ellipse, where a derivative by differences of shares would lose all digits.
 #[test]
 fn gradients_keep_their_digits_where_widths_differ() {
-    for (w, round) in [([3e4, -2e4], 0.0), ([0.0, 0.0], 3e4), ([1e-4, 2e-4], 1e-4)] {
+    for w in [[3e4, -2e4], [1e-4, 2e-4]] {
         let row = [0.0, 0.0, 0.7, -0.4, 1.3, 1.0, 0.8];
         let grad = [0.0, 0.0, 0.3, -0.7, 0.9, 0.0, 0.6];
         let rounded = [row, grad].map(|row| row.map(|value| f64::from(value as f32)));
-        let in_f32 = dispatch!(Level::new(), simd => widened_backward::<_, f32>(simd, rounded, w, round));
-        let expected = dispatch!(Level::new(), simd => widened_backward::<_, f64>(simd, rounded, w, round));
+        let in_f32 = dispatch!(f32, simd => widened_backward::<_, f32>(simd, rounded, w));
+        let expected = dispatch!(f64, simd => widened_backward::<_, f64>(simd, rounded, w));
         for (i, (found, expected)) in in_f32.into_iter().zip(expected).enumerate() {
             let error = (found - expected).abs();
             assert!(error <= 4e-6 * expected.abs() + 1e-30, "{w:?}, {i}: {found:e} instead of {expected:e}");
@@ -273,10 +250,10 @@ fn gradients_keep_their_digits_where_widths_differ() {
 fn a_culled_gaussian_stays_and_has_no_say() {
     let row = [0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0];
     let grad = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0];
-    for (spec, parameters) in exposures() {
-        assert_eq!(exposed::<f32>(&row, &parameters, &spec), row);
-        let found = expose_backward_cpu(Exposed { projected: &row[..], parameters: &parameters[..] }, &grad, &spec);
-        assert_eq!((&found.projected[..], &found.parameters[..]), (&grad[..], &vec![0.0; parameters.len()][..]));
+    for spec in exposures() {
+        assert_eq!(exposed::<f32>(&row, &TWIST, &spec), row);
+        let found = expose_backward_cpu(Exposed { projected: &row[..], twist: &TWIST[..] }, &grad, &spec);
+        assert_eq!((&found.projected[..], &found.twist[..]), (&grad[..], &[0.0; PARAMETERS][..]));
     }
 }
 
@@ -291,14 +268,10 @@ fn tensors_get_their_gradients() {
     let rows = ellipses(5, 8);
     let before = Projected::of(projected(&rows, &CAMERA, &device).packed().clone().require_grad(), CAMERA);
     let twist = Tensor::<1>::from_floats([0.01, -0.02, 0.03, 0.1, 0.2, -0.1], &device).require_grad();
-    let lens = Tensor::<1>::from_floats([-2.0, 0.3], &device).require_grad();
-    let after = defocused(&before, &lens, PART).unwrap();
-    let after = super::rolled(&blurred(&after, &twist, MARGIN).unwrap(), &twist, MARGIN).unwrap();
+    let after = super::rolled(&blurred(&before, &twist, MARGIN).unwrap(), &twist, MARGIN).unwrap();
     assert_eq!(after.len(), 5);
     let gradients = after.packed().clone().sum().backward();
-    for grad in [twist.grad(&gradients), lens.grad(&gradients)] {
-        assert!(grad.unwrap().abs().min().into_scalar::<f32>() > 0.0);
-    }
+    assert!(twist.grad(&gradients).unwrap().abs().min().into_scalar::<f32>() > 0.0);
     assert_eq!(before.packed().grad(&gradients).unwrap().dims(), [5, COLUMNS]);
     // Neither is tracked, and one of the two.
     let still = projected(&rows, &CAMERA, &Device::flex());
@@ -315,8 +288,6 @@ fn what_cannot_be_changed_is_refused() {
     let short = Tensor::<1>::zeros([5], &device);
     let error = blurred(&projected(&rows, &CAMERA, &device), &short, MARGIN).unwrap_err();
     assert!(matches!(error, SplatError::Shape { name: "twist", expected: "[6]", .. }), "{error}");
-    let error = defocused(&projected(&rows, &CAMERA, &device), &short, PART).unwrap_err();
-    assert!(matches!(error, SplatError::Shape { name: "lens", expected: "[2]", .. }), "{error}");
     let bent = Intrinsics { model: CameraModel::Fisheye, ..CAMERA };
     let error =
         blurred(&projected(&rows, &bent, &device), &Tensor::zeros([6], &device), MARGIN).unwrap_err().to_string();

@@ -2,14 +2,14 @@
 //! loops.
 
 use fearless_simd::prelude::*;
-use fearless_simd::{Level, dispatch};
-use rayon::prelude::*;
 
 use super::simd::{GaussiansSimd, GradientsSimd, ProjectCameraSimd, ProjectionTermsSimd};
 use super::{COLUMNS, Ellipse, Geometry, ProjectSpec, WIDTHS};
 use crate::camera::CameraModel;
-use crate::simd::lanes::{BLOCK, Columns};
-use crate::simd::real::{LANES, Real};
+use crate::simd::dispatch;
+use crate::simd::lanes::{BLOCK, Columns, width};
+use crate::simd::real::Real;
+use crate::tasks;
 
 /// Number of Gaussians per task. Sums over all Gaussians add one partial sum per chunk in order, so the number of threads never
 /// changes a result.
@@ -133,9 +133,9 @@ pub(crate) fn stage_rows<F: Real, T: GaussianStage<C>, const C: usize, const BEN
 ) -> Vec<F> {
     let lens = ProjectCameraSimd::new(inputs.cam_from_world, spec);
     let mut all = vec![F::ZERO; inputs.opacities.len() * C];
-    all.par_chunks_mut(CHUNK * C).enumerate().for_each(|(chunk, rows)| {
+    tasks::for_each(all.chunks_mut(CHUNK * C), |chunk, rows| {
         let first = chunk * CHUNK;
-        dispatch!(Level::new(), simd => rows_of_chunk::<_, F, T, C, BENDS>(simd, &inputs, &lens, first, rows));
+        dispatch!(F, simd => rows_of_chunk::<_, F, T, C, BENDS>(simd, &inputs, &lens, first, rows));
     });
     all
 }
@@ -152,7 +152,7 @@ fn rows_of_chunk<S: Simd, F: Real, T: GaussianStage<C>, const C: usize, const BE
     let (mut parameters, mut found) = (Parameters::new(), Columns::<F, C>::new());
     for (block, rows) in rows.chunks_mut(BLOCK * C).enumerate() {
         parameters.read(inputs, first + block * BLOCK);
-        for at in (0..rows.len() / C).step_by(LANES) {
+        for at in (0..rows.len() / C).step_by(width::<S, F>()) {
             let eight = parameters.eight(simd, at);
             for (column, value) in T::rows::<S, F, BENDS>(simd, &eight, &lens).into_iter().enumerate() {
                 found.store(column, at, value);
@@ -174,19 +174,14 @@ pub(crate) fn stage_gradients<F: Real, T: GaussianStage<C>, const C: usize, cons
     let mut grads = needs.zip(WIDTHS).map(|(needed, width)| vec![F::ZERO; if needed { count * width } else { 0 }]);
     let mut rows = grads.each_mut().zip(WIDTHS).map(|(rows, width)| rows.chunks_mut((CHUNK * width).max(1)));
     let chunks = (0..count.div_ceil(CHUNK)).map(|_| rows.each_mut().map(|rows| rows.next().unwrap_or_default()));
-    let chunks: Vec<Geometry<&mut [F]>> = chunks.collect();
-    let pose: Vec<[F; 12]> = chunks
-        .into_par_iter()
-        .enumerate()
-        .map(|(chunk, mut out)| {
-            let first = chunk * CHUNK;
-            let grad = &grad[first * C..count.min(first + CHUNK) * C];
-            let (part, pose) = ((first, grad), needs.cam_from_world);
-            dispatch!(Level::new(), simd => {
-                gradients_of_chunk::<_, F, T, C, BENDS>(simd, &inputs, &lens, part, pose, &mut out)
-            })
+    let pose = tasks::map(chunks, |chunk, mut out| {
+        let first = chunk * CHUNK;
+        let grad = &grad[first * C..count.min(first + CHUNK) * C];
+        let (part, pose) = ((first, grad), needs.cam_from_world);
+        dispatch!(F, simd => {
+            gradients_of_chunk::<_, F, T, C, BENDS>(simd, &inputs, &lens, part, pose, &mut out)
         })
-        .collect();
+    });
     if needs.cam_from_world {
         let mut total = [F::ZERO; 12];
         for part in pose {
@@ -243,7 +238,7 @@ fn gradients_of_chunk<S: Simd, F: Real, T: GaussianStage<C>, const C: usize, con
         }
         grads.read(grad);
         parameters.read(inputs, first + block * BLOCK);
-        for at in (0..count).step_by(LANES) {
+        for at in (0..count).step_by(width::<S, F>()) {
             let eight = parameters.eight(simd, at);
             let row = grads.all_lanes(simd, at);
             let one = T::gradients::<S, F, BENDS>(simd, &eight, &lens, &row, needs_pose.then_some(&mut pose));

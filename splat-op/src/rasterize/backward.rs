@@ -160,7 +160,7 @@ pub(super) fn rasterize_backward_kernel<A: FloatCell>(
                     while word != 0 {
                         let i = word.trailing_zeros();
                         word &= word - 1;
-                        let value = LayerEllipse::load(&ellipses, i as usize).alpha(pixel.x, pixel.row, &frame, shape);
+                        let value = LayerEllipse::load(&ellipses, i as usize).alpha(pixel.x, pixel.row, &frame);
                         let (_, next, stops) = layer(value, through, stopped, before, frame.transmittance_min);
                         through = next;
                         stopped = stops;
@@ -209,8 +209,7 @@ pub(super) fn rasterize_backward_kernel<A: FloatCell>(
                         while left != 0 {
                             let i = left.trailing_zeros();
                             left &= left - 1;
-                            let value =
-                                LayerEllipse::load(&ellipses, i as usize).alpha(pixel.x, pixel.row, &frame, shape);
+                            let value = LayerEllipse::load(&ellipses, i as usize).alpha(pixel.x, pixel.row, &frame);
                             let (alpha, next, stops) = layer(value, through, stopped, before, frame.transmittance_min);
                             let at = (i * comptime!(STRIDE as u32) + lane) as usize;
                             alphas[at] = alpha;

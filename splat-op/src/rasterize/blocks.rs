@@ -93,7 +93,7 @@ fn whitened(ellipse: &LayerEllipse, dx: f32, dy: f32) -> f32 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::layer::{KernelShape, RasterFrame, TilePixel, tile_origin};
+    use super::super::layer::{RasterFrame, TilePixel, tile_origin};
     use super::*;
     use crate::camera::Intrinsics;
     use crate::gpu::{Buffer, cubes};
@@ -108,14 +108,7 @@ mod tests {
 
     /// For each ellipse, at the tile of its number, writes whether each pixel sees an alpha and whether its block is met.
     #[cube(launch_unchecked)]
-    fn pixels_kernel(
-        projected: &[f32],
-        tiles: &[u32],
-        sees: &mut [u32],
-        frame: RasterFrame,
-        count: u32,
-        #[comptime] shape: KernelShape,
-    ) {
+    fn pixels_kernel(projected: &[f32], tiles: &[u32], sees: &mut [u32], frame: RasterFrame, count: u32) {
         if CUBE_POS < count as usize {
             let tile = tiles[CUBE_POS];
             let pixel = TilePixel::of(tile_origin(tile, &frame), pixel_of(UNIT_POS), &frame);
@@ -124,7 +117,7 @@ mod tests {
             let block = UNIT_POS / comptime!(BLOCK as u32);
             let half = block / comptime!(HALF as u32);
             let met = (blocks_met(ellipse, left, half, &frame) >> (block % comptime!(HALF as u32))) & 1;
-            let alpha = ellipse.alpha(pixel.x, pixel.row, &frame, shape);
+            let alpha = ellipse.alpha(pixel.x, pixel.row, &frame);
             sees[CUBE_POS * comptime!(TILE_PIXELS) + UNIT_POS as usize] = met * 2 + select(alpha > 0.0, 1u32, 0u32);
         }
     }
@@ -184,7 +177,6 @@ mod tests {
                 sees.arg(),
                 frame(&spec),
                 COUNT as u32,
-                KernelShape::of(3, &options),
             );
         }
         let sees = sees.read(&gpu);
@@ -202,23 +194,18 @@ mod tests {
     fn no_pixel_that_sees_an_alpha_is_left_out() {
         let mut random = Random::new(31);
         for alpha_min in [1.0 / 255.0, 0.5, 1.0 / 67_108_864.0, 0.0] {
-            for exponential in [crate::Exponential::Library, crate::Exponential::Polynomial] {
-                let options = RenderOptions { alpha_min, ..RenderOptions::standard() }.with_exponential(exponential);
-                for (ordinary, opacity) in [(true, [0.004, 1.0]), (false, [0.004, 1.0]), (false, [0.5, 1e6])] {
-                    let opacity = opacity.map(|opacity: f64| opacity.max(alpha_min));
-                    let Some([seen, lost, needed, met]) = counts(&mut random, options, ordinary, opacity) else {
-                        return;
-                    };
-                    let what = format!("alpha_min {alpha_min}, {exponential:?}, ordinary {ordinary}, {opacity:?}");
-                    println!("{what}: {seen} pixels see an alpha, {needed} blocks needed, {met} met");
-                    assert!(seen > 2_500, "{what}: {seen} pixels prove nothing");
-                    assert_eq!(lost, 0, "{what}: {lost} of {seen}");
-                    // Thin ellipses may pass between the centres of a block's pixels.
-                    assert!(
-                        !ordinary || met as f64 <= 1.2 * needed as f64,
-                        "{what}: {met} blocks met, {needed} needed"
-                    );
-                }
+            let options = RenderOptions { alpha_min, ..RenderOptions::standard() };
+            for (ordinary, opacity) in [(true, [0.004, 1.0]), (false, [0.004, 1.0]), (false, [0.5, 1e6])] {
+                let opacity = opacity.map(|opacity: f64| opacity.max(alpha_min));
+                let Some([seen, lost, needed, met]) = counts(&mut random, options, ordinary, opacity) else {
+                    return;
+                };
+                let what = format!("alpha_min {alpha_min}, ordinary {ordinary}, {opacity:?}");
+                println!("{what}: {seen} pixels see an alpha, {needed} blocks needed, {met} met");
+                assert!(seen > 2_500, "{what}: {seen} pixels prove nothing");
+                assert_eq!(lost, 0, "{what}: {lost} of {seen}");
+                // Thin ellipses may pass between the centres of a block's pixels.
+                assert!(!ordinary || met as f64 <= 1.2 * needed as f64, "{what}: {met} blocks met, {needed} needed");
             }
         }
     }

@@ -3,10 +3,6 @@
 
 use std::borrow::Cow;
 
-use burn::tensor::DType;
-use fearless_simd::{Level, dispatch};
-use rayon::prelude::*;
-
 use super::footprint::{Footprint, UNWHITEN, WIDTH};
 use super::prepared::Prepared;
 use super::tile::{Plane, Thresholds, TileTrace, in_block_order, rasterize_tile};
@@ -17,6 +13,8 @@ use crate::intersect::{IntersectionLists, TILE, TILE_PIXELS, tile_grid};
 use crate::project::{COLUMNS, Ellipse, OPACITY};
 use crate::ray_space::{SHAPE, SLOPES};
 use crate::simd::real::Real;
+use crate::simd::{dispatch, is_f32};
+use crate::tasks;
 
 /// Number of Gaussians per task.
 pub(super) const CHUNK: usize = 1024;
@@ -30,35 +28,25 @@ pub(crate) struct Trace<F> {
 }
 
 /// Runs `$body` with the SIMD level of this processor as `$simd` and the number of channels as the constant `$c`, or
-/// zero if no specialised version exists. `$long` is the constant of [`is_long`], and `$library` says whether `exp` is
-/// the standard library's function.
+/// zero if no specialised version exists. `$long` is the constant of [`is_long`].
 #[rustfmt::skip] // rustfmt indents the inner macro further at every run
 macro_rules! specialised {
-    ($prepared:expr, $tile:expr, $simd:ident, $c:ident, $long:ident, $library:ident => $body:expr) => {{
+    ($prepared:expr, $tile:expr, $simd:ident, $c:ident, $long:ident => $body:expr) => {{
         macro_rules! with {
-            ($count:literal, $is_long:literal, $is_library:literal) => {{
+            ($count:literal, $is_long:literal) => {{
                 const $c: usize = $count;
                 const $long: bool = $is_long;
-                const $library: bool = $is_library;
-                dispatch!(Level::new(), $simd => $body)
+                dispatch!(F, $simd => $body)
             }};
         }
-        // Versions in f64, which serves as a reference, would take as long to compile as those in f32.
-        match ($prepared.channels, $prepared.is_long($tile), $prepared.library) {
-            (1, false, false) if const { is_f32::<F>() } => with!(1, false, false),
-            (3, false, false) if const { is_f32::<F>() } => with!(3, false, false),
-            (4, false, false) if const { is_f32::<F>() } => with!(4, false, false),
-            (_, false, false) => with!(0, false, false),
-            (_, true, false) => with!(0, true, false),
-            (3, false, true) if const { is_f32::<F>() } => with!(3, false, true),
-            (_, false, true) => with!(0, false, true),
-            (_, true, true) => with!(0, true, true),
+        match ($prepared.channels, $prepared.is_long($tile)) {
+            (1, false) if const { is_f32::<F>() } => with!(1, false),
+            (3, false) if const { is_f32::<F>() } => with!(3, false),
+            (4, false) if const { is_f32::<F>() } => with!(4, false),
+            (_, false) => with!(0, false),
+            (_, true) => with!(0, true),
         }
     }};
-}
-
-const fn is_f32<F: Real>() -> bool {
-    matches!(F::DTYPE, DType::F32)
 }
 
 /// Runs the forward pass. Returns the planes `[C + 1 (+ 1), H, W]`, and the trace if `keep` is set.
@@ -77,9 +65,9 @@ pub(crate) fn rasterize_cpu<F: Real>(
         |(), tile, planes| {
             let view = prepared.view(tile);
             let mut trace = TileTrace::default();
-            specialised!(prepared, tile, simd, C, IS_LONG, LIBRARY => {
-                let thresholds = Thresholds::<_, F, LIBRARY>::new(simd, prepared.thresholds);
-                rasterize_tile::<_, F, C, IS_LONG, LIBRARY>(simd, &view, &thresholds, planes, keep.then_some(&mut trace));
+            specialised!(prepared, tile, simd, C, IS_LONG => {
+                let thresholds = Thresholds::<_, F>::new(simd, prepared.thresholds);
+                rasterize_tile::<_, F, C, IS_LONG>(simd, &view, &thresholds, planes, keep.then_some(&mut trace));
             });
             trace
         },
@@ -108,11 +96,11 @@ impl PictureSize {
 
 /// Runs `tile` on all tiles in parallel, each time with the `buffers` of its thread. It writes a tile's sums and, last, its transmittance, `[channels + 1, 256]`. Returns
 /// the picture's planes `[C + 1 (+ 1), H, W]` over the background, and the results of `tile`.
-pub(crate) fn picture<F: Real, B, T: Send>(
+pub(crate) fn picture<F: Real, B: Send, T: Send>(
     size: &PictureSize,
     background: &[F],
-    buffers: impl Fn() -> B + Send + Sync,
-    tile: impl Fn(&mut B, usize, &mut [F]) -> T + Send + Sync,
+    buffers: impl Fn() -> B + Sync,
+    tile: impl Fn(&mut B, usize, &mut [F]) -> T + Sync,
 ) -> (Vec<F>, Vec<T>) {
     let plane_count = size.channels() + 1;
     let [width, height] = size.pixels;
@@ -123,15 +111,14 @@ pub(crate) fn picture<F: Real, B, T: Send>(
     for plane in planes.chunks_mut(width * height) {
         strips.iter_mut().zip(plane.chunks_mut(TILE * width)).for_each(|(strip, rows)| strip.push(rows));
     }
-    let rasterize_strip = |(y, mut strip): (usize, Vec<&mut [F]>)| {
+    let rasterize_strip = |y: usize, mut strip: Vec<&mut [F]>| {
         let mut by_tile = vec![F::ZERO; grid[0] * plane_count * TILE_PIXELS];
-        let tiles = by_tile.par_chunks_mut(plane_count * TILE_PIXELS).enumerate();
-        let results: Vec<T> =
-            tiles.map_init(&buffers, |buffers, (x, planes)| tile(buffers, y * grid[0] + x, planes)).collect();
+        let tiles = by_tile.chunks_mut(plane_count * TILE_PIXELS);
+        let results = tasks::map_with(tiles, &buffers, |buffers, x, planes| tile(buffers, y * grid[0] + x, planes));
         compose(&by_tile, background, size, &mut strip);
         results
     };
-    let results: Vec<Vec<T>> = strips.into_par_iter().enumerate().map(rasterize_strip).collect();
+    let results: Vec<Vec<T>> = tasks::map(strips, rasterize_strip);
     (planes, results.into_iter().flatten().collect())
 }
 
@@ -194,19 +181,17 @@ pub(crate) fn rasterize_backward_cpu<F: Real>(
 
 /// Runs `tile` on each tile's rows, `columns` values per intersection, in parallel. Returns all rows, and the sums of
 /// the `features` values, or none, that `tile` returns.
-pub(crate) fn tile_rows<F: Real, B>(
+pub(crate) fn tile_rows<F: Real, B: Send>(
     intersections: &IntersectionLists,
     [columns, features]: [usize; 2],
-    buffers: impl Fn() -> B + Send + Sync,
-    tile: impl Fn(&mut B, usize, &mut [F]) -> Vec<F> + Send + Sync,
+    buffers: impl Fn() -> B + Sync,
+    tile: impl Fn(&mut B, usize, &mut [F]) -> Vec<F> + Sync,
 ) -> (Vec<F>, Vec<F>) {
     let mut rows = vec![F::ZERO; intersections.gaussian.len() * columns];
     let mut rest = rows.as_mut_slice();
     let counts = intersections.tile_start.windows(2).map(|ends| ends[1] - ends[0]);
     let of_tile = |count: usize| rest.split_off_mut(..count * columns).expect("as many intersections as their lists");
-    let tasks: Vec<&mut [F]> = counts.map(of_tile).collect();
-    let tasks = tasks.into_par_iter().enumerate();
-    let parts: Vec<Vec<F>> = tasks.map_init(buffers, |buffers, (index, rows)| tile(buffers, index, rows)).collect();
+    let parts = tasks::map_with(counts.map(of_tile), buffers, tile);
     let mut sums = vec![F::ZERO; features];
     for part in parts {
         sums.iter_mut().zip(part).for_each(|(sum, value)| *sum += value);
@@ -242,10 +227,10 @@ fn tile_sums<F: Real>(
     let TilePlanes { planes, background_rho } = of_planes;
     let tile_grad = TileGrad { planes, background_rho, trace, absolute: needs.mean2d_abs };
     let mut transmittance = [F::ZERO; TILE_PIXELS];
-    specialised!(prepared, tile, simd, C, IS_LONG, LIBRARY => {
-        let thresholds = Thresholds::<_, F, LIBRARY>::new(simd, prepared.thresholds);
+    specialised!(prepared, tile, simd, C, IS_LONG => {
+        let thresholds = Thresholds::<_, F>::new(simd, prepared.thresholds);
         let out = (sums, &mut transmittance);
-        rasterize_tile_backward::<_, F, C, IS_LONG, LIBRARY>(simd, &view, &tile_grad, &thresholds, out, scratch);
+        rasterize_tile_backward::<_, F, C, IS_LONG>(simd, &view, &tile_grad, &thresholds, out, scratch);
     });
     of_planes.background_gradient(&transmittance, wanted)
 }
@@ -340,13 +325,11 @@ pub(crate) fn gather<F: Real>(
         mean2d_abs: zeros(needs.mean2d_abs, 2),
     };
     let mut grad_rays = zeros(true, ray_columns);
-    let parts = (
-        chunks(&mut grads.projected, COLUMNS, count),
-        chunks(&mut grads.features, features, count),
-        chunks(&mut grads.mean2d_abs, 2, count),
-        chunks(&mut grad_rays, ray_columns, count),
-    );
-    parts.into_par_iter().enumerate().for_each(|(chunk, (projected, feature, absolute, ray))| {
+    let of_ellipses = chunks(&mut grads.projected, COLUMNS, count).into_iter();
+    let of_features = chunks(&mut grads.features, features, count);
+    let others = chunks(&mut grads.mean2d_abs, 2, count).into_iter().zip(chunks(&mut grad_rays, ray_columns, count));
+    let parts = of_ellipses.zip(of_features).zip(others);
+    tasks::for_each(parts, |chunk, ((projected, feature), (absolute, ray))| {
         let mut sum = vec![F::ZERO; columns];
         let first = chunk * CHUNK;
         let place = |gaussian: usize| lists.visible.partition_point(|&visible| (visible as usize) < gaussian);

@@ -183,15 +183,15 @@ pub(super) struct Column<S: Simd, F: Real> {
 
 #[cfg(test)]
 mod tests {
-    use fearless_simd::{Level, dispatch};
 
     use super::*;
     use crate::rasterize::tile::BLOCK;
+    use crate::simd::dispatch;
     use crate::testing::random::Random;
 
     fn met<F: Real>(corner: [f64; 2], middle: [f64; 2], half: [f64; 2]) -> u16 {
         let [corner, middle, half] = [corner, middle, half].map(|pair| pair.map(F::of));
-        dispatch!(Level::new(), simd => TileBlocks::new(corner).met(simd, middle, half))
+        dispatch!(F, simd => TileBlocks::new(corner).met(simd, middle, half))
     }
 
     /// Boxes in, around and beside a tile against its pixels.

@@ -162,7 +162,7 @@ pub(super) fn rasterize_forward_kernel(
                     word &= word - 1;
                     passed += 1;
                     let place = (bucket * comptime!(BUCKET as u32) + i) as usize;
-                    let value = LayerEllipse::load(&ellipses, place).alpha(pixel.x, pixel.row, &frame, shape);
+                    let value = LayerEllipse::load(&ellipses, place).alpha(pixel.x, pixel.row, &frame);
                     let (alpha, next, stops) = layer(value, through, stopped, before, frame.transmittance_min);
                     let weight = alpha * (before * through);
                     through = next;

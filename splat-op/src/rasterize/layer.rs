@@ -3,8 +3,6 @@
 
 use cubecl::prelude::*;
 
-use super::power::power;
-use crate::dials::Exponential;
 use crate::gpu::math::Vec3;
 use crate::intersect::TILE;
 use crate::options::RenderOptions;
@@ -33,9 +31,6 @@ pub(super) const FOOTPRINT: usize = 2;
 
 /// The least normal f32. Devices may take smaller numbers for zero.
 const SMALLEST: f32 = f32::MIN_POSITIVE;
-
-/// `log₂e / 2`
-const HALF_LOG2_E: f32 = 0.5 * core::f32::consts::LOG2_E;
 
 /// Size of the picture in pixels, its tiles along x, and thresholds of the render.
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
@@ -97,14 +92,11 @@ pub(crate) struct KernelShape {
     pub depth: bool,
     /// Whether the picture's alpha has a gradient. If not, the gradient of the planes lacks the plane of alpha.
     pub grad_alpha: bool,
-    /// Whether `exp` is a polynomial rather than the device's function.
-    pub polynomial: bool,
 }
 
 impl KernelShape {
     pub fn of(features: usize, options: &RenderOptions) -> Self {
-        let polynomial = options.exponential == Exponential::Polynomial;
-        Self { features, depth: options.depth, grad_alpha: true, polynomial }
+        Self { features, depth: options.depth, grad_alpha: true }
     }
 
     pub const fn channels(&self) -> usize {
@@ -204,11 +196,11 @@ impl LayerEllipse {
     ///
     /// Every kernel takes its alphas from here. Products that are added are written as `fma`, so that no compiler can
     /// choose whether to round them, and all kernels see the same bits.
-    pub fn alpha(&self, x: f32, row: f32, frame: &RasterFrame, #[comptime] shape: KernelShape) -> f32 {
+    pub fn alpha(&self, x: f32, row: f32, frame: &RasterFrame) -> f32 {
         let (u, below) = self.along_column(x);
         let v = (below + row) * self.inverse_v;
         let square = fma(u, u, v * v);
-        let share = if comptime!(shape.polynomial) { power(square * HALF_LOG2_E) } else { (square * -0.5f32).exp() };
+        let share = (square * -0.5f32).exp();
         let value = min(self.opacity * share, frame.alpha_max);
         select(value >= frame.alpha_min, value, 0.0)
     }

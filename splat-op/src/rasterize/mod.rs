@@ -20,10 +20,6 @@ mod backward_planes;
 #[cfg(feature = "cube")]
 pub(crate) mod blocks;
 pub(crate) mod cpu;
-#[cfg(all(test, feature = "cube"))]
-mod dial_kernel_tests;
-#[cfg(test)]
-mod dial_tests;
 pub(crate) mod footprint;
 #[cfg(feature = "cube")]
 mod forward;
@@ -35,8 +31,6 @@ mod kernel_tests;
 pub(crate) mod launch;
 #[cfg(feature = "cube")]
 pub(crate) mod layer;
-#[cfg(feature = "cube")]
-mod power;
 mod prepared;
 #[cfg(feature = "cube")]
 pub(crate) mod rows;

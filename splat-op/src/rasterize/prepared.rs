@@ -2,17 +2,14 @@
 
 use std::borrow::Cow;
 
-use rayon::prelude::*;
-
 use super::cpu::{CHUNK, Trace};
 use super::footprint::Footprint;
 use super::tile::{TileView, is_long};
 use super::{Layers, RasterizeSpec};
-use crate::dials::{Culling, Exponential};
-use crate::intersect::cpu::needed_intersections;
 use crate::intersect::{IntersectionLists, TILE, tile_grid};
 use crate::project::{COLUMNS, Ellipse};
 use crate::simd::real::Real;
+use crate::tasks;
 
 /// Inputs in the form that the loops over the tiles read.
 pub(super) struct Prepared<'a, F: Real> {
@@ -24,19 +21,13 @@ pub(super) struct Prepared<'a, F: Real> {
     pub size: [usize; 2],
     pub intersections: &'a IntersectionLists,
     pub thresholds: [F; 3],
-    /// Number of Gaussians that each tile would list under [`Culling::Ellipse`]. Present if another culling made the
-    /// lists and [`is_long`] may tell them apart: the arithmetic of a tile must not depend on the Gaussians that it
-    /// lists in vain.
-    needed: Option<Vec<u32>>,
-    /// Whether `exp` is the standard library's function.
-    pub library: bool,
 }
 
 /// Returns the features of each Gaussian, followed by its depth: `[N, features + 1]`.
 fn with_depth<F: Real>(inputs: Layers<&[F]>, features: usize) -> Vec<F> {
     let mut out = vec![F::ZERO; inputs.projected.len() / COLUMNS * (features + 1)];
-    let chunks = inputs.projected.par_chunks(COLUMNS * CHUNK).zip(inputs.features.par_chunks(features * CHUNK));
-    out.par_chunks_mut((features + 1) * CHUNK).zip(chunks).for_each(|(out, (ellipses, of_chunk))| {
+    let chunks = inputs.projected.chunks(COLUMNS * CHUNK).zip(inputs.features.chunks(features * CHUNK));
+    tasks::for_each(out.chunks_mut((features + 1) * CHUNK).zip(chunks), |_, (out, (ellipses, of_chunk))| {
         let rows = of_chunk.chunks_exact(features).zip(ellipses.chunks_exact(COLUMNS));
         for (out, (row, ellipse)) in out.chunks_exact_mut(features + 1).zip(rows) {
             out[..features].copy_from_slice(row);
@@ -44,6 +35,15 @@ fn with_depth<F: Real>(inputs: Layers<&[F]>, features: usize) -> Vec<F> {
         }
     });
     out
+}
+
+/// Returns what `of` makes of each packed ellipse.
+fn footprints<F: Real>(projected: &[F], of: impl Fn(&[F]) -> Footprint<F> + Sync) -> Vec<Footprint<F>> {
+    let mut all = vec![Footprint::default(); projected.len() / COLUMNS];
+    tasks::for_each(all.chunks_mut(CHUNK).zip(projected.chunks(COLUMNS * CHUNK)), |_, (out, rows)| {
+        out.iter_mut().zip(rows.chunks_exact(COLUMNS)).for_each(|(out, row)| *out = of(row));
+    });
+    all
 }
 
 impl<'a, F: Real> Prepared<'a, F> {
@@ -67,12 +67,10 @@ impl<'a, F: Real> Prepared<'a, F> {
             Some(trace) => trace.colours.as_slice().into(),
             None => with_depth(inputs, features).into(),
         };
-        let listed = intersections.tile_start.windows(2).map(|ends| ends[1] - ends[0]);
-        let apart = options.culling != Culling::Ellipse && listed.max().is_some_and(|most| is_long(most, alpha_min));
         Self {
             footprints: match trace {
                 Some(trace) => trace.footprints.as_slice().into(),
-                None => inputs.projected.par_chunks_exact(COLUMNS).with_min_len(CHUNK).map(footprint).collect(),
+                None => footprints(inputs.projected, footprint).into(),
             },
             colours,
             channels: features + usize::from(options.depth),
@@ -80,15 +78,13 @@ impl<'a, F: Real> Prepared<'a, F> {
             size: [spec.intrinsics.width, spec.intrinsics.height],
             intersections,
             thresholds: [alpha_min, F::of(options.alpha_max), F::of(options.transmittance_min)],
-            needed: apart.then(|| needed_intersections(inputs.projected, &spec.intrinsics, options.alpha_min)),
-            library: options.exponential == Exponential::Library,
         }
     }
 
     /// Whether the tile's list is long; see [`fn@is_long`].
     pub fn is_long(&self, tile: usize) -> bool {
         let listed = self.intersections.tile_start[tile + 1] - self.intersections.tile_start[tile];
-        is_long(self.needed.as_ref().map_or(listed, |needed| needed[tile] as usize), self.thresholds[0])
+        is_long(listed, self.thresholds[0])
     }
 
     pub fn view(&self, tile: usize) -> TileView<'_, F> {

@@ -131,7 +131,7 @@ pub(super) fn rasterize_suffix_kernel(
                         let i = word.trailing_zeros();
                         word &= word - 1;
                         let place = (bucket * comptime!(BUCKET as u32) + i) as usize;
-                        let value = LayerEllipse::load(&ellipses, place).alpha(pixel.x, pixel.row, &frame, shape);
+                        let value = LayerEllipse::load(&ellipses, place).alpha(pixel.x, pixel.row, &frame);
                         let (alpha, next, stops) =
                             layer(value, through, stopped, transmittance, frame.transmittance_min);
                         if alpha > 0.0 {

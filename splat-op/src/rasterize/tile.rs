@@ -128,9 +128,7 @@ pub(crate) fn store<S: Simd, L: SimdFloat<S>>(lanes: L, plane: &mut [L::Element]
 }
 
 /// Thresholds of the render, one copy in each lane.
-///
-/// `LIBRARY` says whether `exp` is the standard library's function; see [`crate::Exponential`].
-pub(super) struct Thresholds<S: Simd, F: Real, const LIBRARY: bool> {
+pub(super) struct Thresholds<S: Simd, F: Real> {
     alpha_min: F::Block<S>,
     pub alpha_max: F::Block<S>,
     transmittance_min: F::Block<S>,
@@ -140,7 +138,7 @@ pub(super) struct Thresholds<S: Simd, F: Real, const LIBRARY: bool> {
     exp2: [F::Block<S>; EXP2_CONSTANTS],
 }
 
-impl<S: Simd, F: Real, const LIBRARY: bool> Thresholds<S, F, LIBRARY> {
+impl<S: Simd, F: Real> Thresholds<S, F> {
     #[inline(always)]
     pub fn new(simd: S, [alpha_min, alpha_max, transmittance_min]: [F; 3]) -> Self {
         let lanes = |value| F::Block::<S>::splat(simd, value);
@@ -182,7 +180,7 @@ impl<S: Simd, F: Real, const LIBRARY: bool> Thresholds<S, F, LIBRARY> {
         let q = v.mul_add(v, column.square);
         let near = q.simd_le(splat.extent) & before[0].simd_ge(self.zero);
         // A branch on whether the Gaussian reaches any of the pixels would be mispredicted too often.
-        let power = if LIBRARY { F::exp2_library(q) } else { F::exp2_lanes(q, &self.exp2) };
+        let power = F::exp2_lanes(q, &self.exp2);
         let value = (splat.opacity * power).min(self.alpha_max);
         let shows = near & value.simd_ge(self.alpha_min);
         let mut alpha = shows.select(value, self.zero);
@@ -352,10 +350,10 @@ pub(super) struct TileTrace<F> {
 ///
 /// `C` is the number of channels if it is known at compile time, else zero.
 #[inline(always)]
-pub(super) fn rasterize_tile<S: Simd, F: Real, const C: usize, const LONG: bool, const LIBRARY: bool>(
+pub(super) fn rasterize_tile<S: Simd, F: Real, const C: usize, const LONG: bool>(
     simd: S,
     view: &TileView<F>,
-    thresholds: &Thresholds<S, F, LIBRARY>,
+    thresholds: &Thresholds<S, F>,
     planes: &mut [F],
     mut trace: Option<&mut TileTrace<F>>,
 ) {

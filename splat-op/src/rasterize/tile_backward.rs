@@ -56,11 +56,11 @@ impl<F: Real> Default for TileScratch<F> {
 /// Fills `intersections`, `[layers, MOMENTS + channels (+ 2)]`, with each intersection's sums over the tile. Sets
 /// `final_transmittance` to the transmittances behind all layers (negated where finished).
 #[inline(always)]
-pub(super) fn rasterize_tile_backward<S: Simd, F: Real, const C: usize, const LONG: bool, const LIBRARY: bool>(
+pub(super) fn rasterize_tile_backward<S: Simd, F: Real, const C: usize, const LONG: bool>(
     simd: S,
     view: &TileView<F>,
     grad: &TileGrad<F>,
-    thresholds: &Thresholds<S, F, LIBRARY>,
+    thresholds: &Thresholds<S, F>,
     (intersections, final_transmittance): (&mut [F], &mut [F; TILE_PIXELS]),
     scratch: &mut TileScratch<F>,
 ) {
@@ -83,13 +83,7 @@ pub(super) fn rasterize_tile_backward<S: Simd, F: Real, const C: usize, const LO
         };
         let mut near = Near::<F, C>::default();
         near.gather(view, gaussians);
-        forwards::<S, F, LONG, LIBRARY>(
-            thresholds,
-            view.corner(),
-            (&near.footprints, reached),
-            &mut transmittance,
-            scratch,
-        );
+        forwards::<S, F, LONG>(thresholds, view.corner(), (&near.footprints, reached), &mut transmittance, scratch);
         if chunk + 1 == chunks {
             *final_transmittance = transmittance.kept;
         }
@@ -103,15 +97,15 @@ pub(super) fn rasterize_tile_backward<S: Simd, F: Real, const C: usize, const LO
             let layers = (&mut scratch.layers[layers.start * pair..layers.end * pair], &scratch.places[layers]);
             let splat = FootprintSimd::new(simd, near.footprints[i], view.corner()[1]);
             let colour = if C == 0 { view.colour(gaussian) } else { &near.colours[i] };
-            backwards::<S, F, C, LONG, LIBRARY>(grad, (&splat, colour, thresholds), &x, layers, (&mut rho, row));
+            backwards::<S, F, C, LONG>(grad, (&splat, colour, thresholds), &x, layers, (&mut rho, row));
         }
     }
 }
 
 /// Runs the forward pass over one chunk, in the blocks that each Gaussian is known to reach, and stores the layers.
 #[inline(always)]
-fn forwards<S: Simd, F: Real, const LONG: bool, const LIBRARY: bool>(
-    thresholds: &Thresholds<S, F, LIBRARY>,
+fn forwards<S: Simd, F: Real, const LONG: bool>(
+    thresholds: &Thresholds<S, F>,
     corner: [F; 2],
     (near, reached): (&[Footprint<F>], &[u16]),
     transmittance: &mut Transmittances<F>,
@@ -151,9 +145,9 @@ fn forwards<S: Simd, F: Real, const LONG: bool, const LIBRARY: bool>(
 /// Passes one Gaussian back to front: writes its sums over the pixels that it shows in to `row`, and updates `rho` to
 /// its value in front of the Gaussian.
 #[inline(always)]
-fn backwards<S: Simd, F: Real, const C: usize, const LONG: bool, const LIBRARY: bool>(
+fn backwards<S: Simd, F: Real, const C: usize, const LONG: bool>(
     grad: &TileGrad<F>,
-    (splat, colour, thresholds): (&FootprintSimd<S, F>, &[F], &Thresholds<S, F, LIBRARY>),
+    (splat, colour, thresholds): (&FootprintSimd<S, F>, &[F], &Thresholds<S, F>),
     x: &[F; BLOCK_ROW],
     (layers, places): (&mut [F], &[u16]),
     (rho, row): (&mut Transmittances<F>, &mut [F]),

@@ -1,103 +1,68 @@
-//! Backward kernels with the per-pixel sort. No float is accumulated by two units, so every run gives the same bits.
+//! Backward kernels of `rasterize_rays`. No pair of a Gaussian and a pixel goes through memory. No float is accumulated by two units, so
+//! every run gives the same bits.
 //!
-//! 1. *Walk*: a cube per tile, a unit per pixel. A unit goes front to back as in the forward pass and stores, at each layer, the
-//!    transmittance before it and a link to the previous layer. It then follows these links back, as many as it stored, and
-//!    replaces them by `h = α ∂L/∂α` and by the weight `α T`. Both numbers lie in a table `[places, 256, 2]` of all layers and pixels of a run of
-//!    tiles; many tiles take several launches, so that the table does not grow with the picture.
-//! 2. *Sums*: a unit per place of these tiles computes a row, the sums over the tile's pixels.
+//! A tile's list is cut into buckets of 32 places.
+//!
+//! 1. *Checkpoints*: a cube per tile, a unit per pixel. It goes front to back as in the forward pass and keeps, for each bucket, the
+//!    transmittance before it, `ρ = g·R` behind it, and for each block of 32 pixels a word with the places that some pixel needs.
+//! 2. *Rows*: a cube per bucket. At each block its units are first pixels, which go through the places of the word forwards for `α` and
+//!    `T` and backwards for `h = α ∂L/∂α`, and leave `h` and the weights `α T` in shared memory. Then they are places, and each sums its
+//!    own row over the pixels.
 //!
 //! The gather kernel of `rasterize` adds a Gaussian's rows in the order of its intersections and turns them into gradients.
 
 use cubecl::prelude::*;
 
-use super::layer::{RayFrame, RayGaussian, RayInputs, RayPixel};
+use super::layer::{RayFrame, RayGaussian, RayInputs, RayPixel, shared_len};
 use super::pair_sums::{PairSums, row_len};
-use super::walk::front_to_back;
 use crate::intersect::TILE_PIXELS;
 use crate::intersect::forward::TileLists;
 use crate::rasterize::backward::MOMENTS;
-use crate::rasterize::layer::{TilePixel, tile_origin};
+use crate::rasterize::blocks::{BLOCK, BLOCKS, pixel_of};
+use crate::rasterize::layer::{FEW, TilePixel, add_compensated, tile_origin};
+use crate::rasterize::suffix::FAINTEST;
 
-/// Returns the link to the next layer in front, a place plus one, from the link that the table holds; zero ends the way. `layers` is
-/// the number of layers in front. It bounds the way, whatever the table holds, and a link beyond the list ends it.
-#[cube]
-fn link_before(held: u32, layers: u32, places: u32) -> u32 {
-    select(layers > 0 && held <= places, held, 0u32)
+/// Number of places in a bucket, and of units that compute its rows.
+pub(super) const BUCKET: usize = 32;
+const _: () = assert!(BUCKET == BLOCK);
+
+/// Number of buckets whose Gaussians a tile loads together.
+const TOGETHER: usize = 4;
+
+/// Distance of the rows of a table of places and pixels. Neither direction of reading has bank conflicts.
+const STRIDE: usize = BLOCK + 1;
+
+/// What is kept of the buckets of a run of tiles.
+#[derive(CubeType, CubeLaunch)]
+pub(super) struct Buckets {
+    /// `[slot, 256]`: the transmittance before the bucket, negative where the pixel is finished.
+    pub transmittance: Box<[f32]>,
+    /// `[slot, 256]`: `ρ` behind the bucket.
+    pub rho: Box<[f32]>,
+    /// `[slot, 8]`: a bit for each place that some pixel of the block needs.
+    pub words: Box<[u32]>,
 }
 
-/// Fills the table with bits of floats, and `left`, `[H W]`, with the transmittances behind all layers.
-#[cube(launch_unchecked)]
-pub(super) fn rasterize_rays_walk_kernel(
-    inputs: RayInputs,
-    grad: &[f32],
-    table: &mut [u32],
-    left: &mut [f32],
-    view: RayFrame,
-) {
-    let tile = view.first_tile + CUBE_POS as u32;
-    if tile < view.end_tile {
-        let unit = UNIT_POS % comptime!(TILE_PIXELS as u32);
-        let pixel = TilePixel::of(tile_origin(tile, &view.frame), unit, &view.frame);
-        let plane = (view.frame.width * view.frame.height) as usize;
-        let channels = comptime!(view.shape.features);
-        let first = inputs.lists.start(tile);
-        let places = inputs.lists.start(tile + 1) - first;
-        // Index of this unit's two numbers at the tile's first place.
-        let own =
-            (first - inputs.lists.start(view.first_tile)) as usize * comptime!(2 * TILE_PIXELS) + 2 * unit as usize;
-        for place in 0..places {
-            let at = own + place as usize * comptime!(2 * TILE_PIXELS);
-            table[at] = 0u32;
-            table[at + 1] = 0u32;
-        }
-        let ray = RayPixel::of(pixel, &inputs);
-        let front = front_to_back(&inputs, first, places, &ray, pixel.inside, table, own, &view, true);
-        if pixel.inside {
-            left[pixel.index] = front.transmittance();
-            let mut link = front.link();
-            let mut layers = front.layers();
-
-            // Contribution of everything behind the layer, as the gradient weighs it: g·R.
-            let mut behind = 0.0f32;
-            for channel in 0..channels {
-                behind += grad[channel * plane + pixel.index] * inputs.background[channel];
-            }
-            let grad_alpha = grad[channels * plane + pixel.index];
-            let mut grad_depth = 0.0f32;
-            if comptime!(view.shape.depth) {
-                grad_depth = grad[(channels + 1) * plane + pixel.index];
-            }
-            while link > 0 {
-                let place = link - 1;
-                let at = own + place as usize * comptime!(2 * TILE_PIXELS);
-                let before = f32::reinterpret(table[at]);
-                layers -= 1u32;
-                link = link_before(table[at + 1], layers, places);
-                let gaussian = inputs.lists.gaussian(first + place) as usize;
-                let footprint = RayGaussian::load(&inputs, gaussian, &view);
-                let layer = footprint.at(&ray, &view);
-                // Alpha acts as one more channel of colour one.
-                let mut here = grad_alpha + grad_depth * footprint.depth_of(&layer, &view);
-                for channel in 0..channels {
-                    here += grad[channel * plane + pixel.index] * inputs.features[gaussian * channels + channel];
-                }
-                let h = select(layer.free, layer.alpha * before * (here - behind), 0.0);
-                behind = layer.alpha * here + (1.0 - layer.alpha) * behind;
-                table[at] = u32::reinterpret(h);
-                table[at + 1] = u32::reinterpret(layer.alpha * before);
-            }
-        }
-    }
+/// Returns the number of slots of the tiles `first..end`, whose lists hold the places `start..stop`.
+pub(super) const fn slots([first, end]: [usize; 2], [start, stop]: [usize; 2]) -> usize {
+    stop / BUCKET - start / BUCKET + (end - first)
 }
 
-/// Returns the last of the tiles `first..end` whose list begins at or before `place`: the tile whose list holds it.
+/// Returns the slot of a tile's first bucket, of those of a launch; see [`slots`]. Each begun bucket has one, so no two tiles share one.
 #[cube]
-fn tile_of(lists: &TileLists, first: u32, end: u32, place: u32) -> u32 {
-    let mut low = first;
-    let mut high = end;
+fn first_slot(lists: &TileLists, tile: u32, view: &RayFrame) -> u32 {
+    let before = lists.start(view.first_tile) / comptime!(BUCKET as u32);
+    lists.start(tile) / comptime!(BUCKET as u32) - before + (tile - view.first_tile)
+}
+
+/// Returns the tile of the launch to which a slot belongs.
+#[cube]
+fn tile_of(lists: &TileLists, slot: u32, view: &RayFrame) -> u32 {
+    let mut low = view.first_tile;
+    let mut high = view.end_tile;
     while high - low > 1 {
         let middle = low + (high - low) / 2;
-        if lists.start(middle) <= place {
+        if first_slot(lists, middle, view) <= slot {
             low = middle;
         } else {
             high = middle;
@@ -106,114 +71,318 @@ fn tile_of(lists: &TileLists, first: u32, end: u32, place: u32) -> u32 {
     low
 }
 
-/// Writes the rows of those of the intersections `first_row..end_row` that a run of tiles has.
+/// The gradients of the planes at a pixel.
+#[derive(CubeType)]
+struct PixelGrad {
+    index: usize,
+    /// Those of the features, if they are few.
+    features: Array<f32>,
+    alpha: f32,
+    depth: f32,
+}
+
+#[cube]
+impl PixelGrad {
+    /// Reads them; zero outside the picture.
+    fn of(grad: &[f32], pixel: TilePixel, view: &RayFrame) -> PixelGrad {
+        let plane = (view.frame.width * view.frame.height) as usize;
+        let few = comptime!(view.shape.features <= FEW);
+        let count = comptime!(if few { view.shape.features } else { 1 });
+        let index = select(pixel.inside, pixel.index, 0usize);
+        let mut features = Array::<f32>::new(count);
+        #[unroll]
+        for channel in 0..count {
+            features[channel] = select(pixel.inside, grad[channel * plane + index], 0.0);
+        }
+        let alpha = select(pixel.inside, grad[comptime!(view.shape.features) * plane + index], 0.0);
+        let mut depth = 0.0f32;
+        if comptime!(view.shape.depth) {
+            depth = select(pixel.inside, grad[comptime!(view.shape.features + 1) * plane + index], 0.0);
+        }
+        PixelGrad { index, features, alpha, depth }
+    }
+
+    /// Returns a layer's values along the gradient. Alpha acts as one more channel of colour one.
+    fn along(&self, inputs: &RayInputs, grad: &[f32], gaussian: usize, depth: f32, view: &RayFrame) -> f32 {
+        let count = comptime!(view.shape.features);
+        let mut along = fma(self.depth, depth, self.alpha);
+        if comptime!(count <= FEW) {
+            #[unroll]
+            for channel in 0..count {
+                along += self.features[channel] * inputs.features[gaussian * count + channel];
+            }
+        } else {
+            let plane = (view.frame.width * view.frame.height) as usize;
+            for channel in 0..count {
+                along += grad[channel * plane + self.index] * inputs.features[gaussian * count + channel];
+            }
+        }
+        along
+    }
+}
+
+/// Fills the buckets, and `left`, `[H W]`, with the transmittances behind all layers.
 #[cube(launch_unchecked)]
-pub(super) fn rasterize_rays_sums_kernel(
+pub(super) fn rasterize_rays_checkpoints_kernel(
     inputs: RayInputs,
     grad: &[f32],
-    table: &[u32],
+    mut buckets: Buckets,
+    left: &mut [f32],
+    view: RayFrame,
+) {
+    let mut near = Shared::<[f32]>::new_slice(comptime!(TOGETHER * BUCKET * shared_len(inputs.rays.is_some())));
+    let mut gaussians = Shared::<[u32]>::new_slice(comptime!(TOGETHER * BUCKET));
+    let needed = Shared::<[Atomic<u32>]>::new_slice(comptime!(TOGETHER * BLOCKS));
+    let mut anybody = Shared::<[u32]>::new_slice(1usize);
+    let tile = view.first_tile + CUBE_POS as u32;
+    if tile < view.end_tile {
+        let unit = UNIT_POS;
+        let pixel = TilePixel::of(tile_origin(tile, &view.frame), pixel_of(unit), &view.frame);
+        let ray = RayPixel::of(pixel, &inputs);
+        let own = PixelGrad::of(grad, pixel, &view);
+        let first = inputs.lists.start(tile);
+        let places = inputs.lists.start(tile + 1) - first;
+        let slot = first_slot(&inputs.lists, tile, &view);
+        let count = (places + comptime!(BUCKET as u32 - 1)) / comptime!(BUCKET as u32);
+        let mut transmittance = select(pixel.inside, 1.0f32, -1.0f32);
+        let mut passed = 0u32;
+        // DirectX wants a barrier between the reading of `places` and a branch with barriers.
+        sync_cube();
+        let mut running = places > 0;
+        while running {
+            let start = passed * comptime!(BUCKET as u32);
+            if unit < comptime!((TOGETHER * BUCKET) as u32) && start + unit < places {
+                let gaussian = inputs.lists.gaussian(first + start + unit);
+                RayGaussian::load(&inputs, gaussian as usize, &view).store(&mut near, unit as usize, &inputs);
+                gaussians[unit as usize] = gaussian;
+            }
+            if unit < comptime!((TOGETHER * BLOCKS) as u32) {
+                needed[unit as usize].store(0u32);
+            }
+            if unit == 0 {
+                anybody[0usize] = 0u32;
+            }
+            sync_cube();
+
+            for k in 0..comptime!(TOGETHER as u32) {
+                let bucket = passed + k;
+                if bucket < count {
+                    let at = (slot + bucket) as usize * comptime!(TILE_PIXELS) + unit as usize;
+                    buckets.transmittance[at] = transmittance;
+                    let here = min(places - bucket * comptime!(BUCKET as u32), comptime!(BUCKET as u32));
+                    let mut added = 0.0f32;
+                    let mut shown = 0u32;
+                    let mut i = 0u32;
+                    while i < here && transmittance >= 0.0 {
+                        let place = (k * comptime!(BUCKET as u32) + i) as usize;
+                        let layer = RayGaussian::stored(&near, place, &inputs).at(&ray, &view);
+                        if layer.alpha > 0.0 {
+                            // A layer that finishes a pixel is needed too.
+                            shown |= 1u32 << i;
+                            let behind = fma(-layer.alpha, transmittance, transmittance);
+                            if behind > view.frame.transmittance_min {
+                                let along = own.along(&inputs, grad, gaussians[place] as usize, layer.depth, &view);
+                                added += layer.alpha * transmittance * along;
+                                transmittance = behind;
+                            } else {
+                                transmittance = -transmittance;
+                            }
+                        }
+                        i += 1;
+                    }
+                    buckets.rho[at] = added;
+                    if shown != 0 {
+                        let word = k * comptime!(BLOCKS as u32) + unit / comptime!(BLOCK as u32);
+                        needed[word as usize].fetch_or(shown);
+                    }
+                }
+            }
+            if transmittance >= 0.0 {
+                anybody[0usize] = 1u32;
+            }
+            sync_cube();
+
+            if unit < comptime!((TOGETHER * BLOCKS) as u32) && passed + unit / comptime!(BLOCKS as u32) < count {
+                let at = (slot + passed) * comptime!(BLOCKS as u32) + unit;
+                buckets.words[at as usize] = needed[unit as usize].load();
+            }
+            passed = min(passed + comptime!(TOGETHER as u32), count);
+            running = anybody[0usize] != 0 && passed < count;
+            sync_cube();
+        }
+        // No pixel needs the buckets behind these.
+        let mut word = passed * comptime!(BLOCKS as u32) + unit;
+        while word < count * comptime!(BLOCKS as u32) {
+            buckets.words[(slot * comptime!(BLOCKS as u32) + word) as usize] = 0u32;
+            word += comptime!(TILE_PIXELS as u32);
+        }
+
+        if pixel.inside {
+            let mut behind = transmittance.abs();
+            left[pixel.index] = behind;
+            let plane = (view.frame.width * view.frame.height) as usize;
+            let channels = comptime!(view.shape.features);
+            let mut farthest = 0.0f32;
+            for channel in 0..channels {
+                farthest += grad[channel * plane + pixel.index] * inputs.background[channel];
+            }
+            // The sums of the buckets are weighted by the whole transmittance, so those behind a bucket are added up from the last. Where
+            // nothing is behind, `ρ` is not rounded.
+            let last = behind;
+            let mut sum = 0.0f32;
+            let mut lost = 0.0f32;
+            for step in 0..passed {
+                let at = (slot + passed - 1 - step) as usize * comptime!(TILE_PIXELS) + unit as usize;
+                let added = buckets.rho[at];
+                let divisor = max(behind, FAINTEST);
+                let rho = fma(farthest, last / divisor, sum / divisor);
+                buckets.rho[at] = select(behind > FAINTEST, rho, farthest);
+                let (total, lost_total) = add_compensated(sum, lost, added);
+                sum = total;
+                lost = lost_total;
+                behind = buckets.transmittance[at].abs();
+            }
+        }
+    }
+}
+
+/// Writes the rows of those of the intersections `first_row..end_row` that a run of tiles has.
+#[cube(launch_unchecked)]
+pub(super) fn rasterize_rays_rows_kernel(
+    inputs: RayInputs,
+    grad: &[f32],
+    buckets: Buckets,
     rows: &mut [f32],
+    slots: u32,
     first_row: u32,
     end_row: u32,
     view: RayFrame,
     #[comptime] absolute: bool,
 ) {
-    let place = inputs.lists.start(view.first_tile) + ABSOLUTE_POS as u32;
-    let mut row = end_row;
-    if place < inputs.lists.start(view.end_tile) {
-        row = inputs.lists.intersection(place) - first_row;
-    }
-    if row < end_row - first_row {
-        let tile = tile_of(&inputs.lists, view.first_tile, view.end_tile, place);
-        let origin = tile_origin(tile, &view.frame);
-        let gaussian = inputs.lists.gaussian(place) as usize;
-        let footprint = RayGaussian::load(&inputs, gaussian, &view);
-        let plane = (view.frame.width * view.frame.height) as usize;
-        let features = comptime!(view.shape.features);
-        let columns = comptime!(row_len(view.shape, absolute));
-        let own = ABSOLUTE_POS * comptime!(2 * TILE_PIXELS);
-        let mut sums = PairSums::new();
-        for unit in 0..comptime!(TILE_PIXELS as u32) {
-            let weight = f32::reinterpret(table[own + 2 * unit as usize + 1]);
-            if weight > 0.0 {
-                let pixel = TilePixel::of(origin, unit, &view.frame);
-                let layer = footprint.at(&RayPixel::of(pixel, &inputs), &view);
-                let h = f32::reinterpret(table[own + 2 * unit as usize]);
-                let mut seen = 0.0f32;
-                if comptime!(view.shape.depth) {
-                    seen = weight * grad[comptime!(features + 1) * plane + pixel.index];
-                }
-                sums.add(&footprint, &layer, h, seen, &view, absolute);
+    let mut near = Shared::<[f32]>::new_slice(comptime!(BUCKET * shared_len(inputs.rays.is_some())));
+    // Alphas, negative at their limit, then `h`; weights; values along the gradient.
+    let mut alphas = Shared::<[f32]>::new_slice(comptime!(BUCKET * STRIDE));
+    let mut weights = Shared::<[f32]>::new_slice(comptime!(BUCKET * STRIDE));
+    let mut alongs = Shared::<[f32]>::new_slice(comptime!(BUCKET * STRIDE));
+    let mut gaussians = Shared::<[u32]>::new_slice(comptime!(BUCKET));
+    let slot = CUBE_POS as u32;
+    if slot < slots {
+        let lane = UNIT_POS;
+        let tile = tile_of(&inputs.lists, slot, &view);
+        let first = inputs.lists.start(tile);
+        let places = inputs.lists.start(tile + 1) - first;
+        let start = (slot - first_slot(&inputs.lists, tile, &view)) * comptime!(BUCKET as u32);
+        let mut here = 0u32;
+        // The last slot of a tile may have no places.
+        if start < places {
+            let count = min(places - start, comptime!(BUCKET as u32));
+            // Intersections ascend along a tile's list.
+            let last = inputs.lists.intersection(first + start + count - 1);
+            if inputs.lists.intersection(first + start) < end_row && last >= first_row {
+                here = count;
             }
         }
-        sums.write(rows, row, &view, absolute);
-        let at = row as usize * columns + comptime!(MOMENTS);
-        for channel in 0..features {
-            let mut sum = 0.0f32;
-            for unit in 0..comptime!(TILE_PIXELS as u32) {
-                let weight = f32::reinterpret(table[own + 2 * unit as usize + 1]);
-                if weight > 0.0 {
-                    sum += weight * grad[channel * plane + TilePixel::of(origin, unit, &view.frame).index];
-                }
+        // DirectX wants a barrier between such readings and a branch with barriers.
+        sync_cube();
+        if here > 0 {
+            let origin = tile_origin(tile, &view.frame);
+            let plane = (view.frame.width * view.frame.height) as usize;
+            let features = comptime!(view.shape.features);
+            let mut target = end_row - first_row;
+            if lane < here {
+                let intersection = inputs.lists.intersection(first + start + lane);
+                let gaussian = inputs.lists.gaussian_of_intersection[intersection as usize];
+                RayGaussian::load(&inputs, gaussian as usize, &view).store(&mut near, lane as usize, &inputs);
+                gaussians[lane as usize] = gaussian;
+                target = intersection - first_row;
             }
-            rows[at + channel] = sum;
-        }
-    }
-}
+            let mut sums = PairSums::new();
+            let mut of_features = Array::<f32>::new(features);
+            for channel in 0..features {
+                of_features[channel] = 0.0f32;
+            }
+            sync_cube();
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::gpu::Buffer;
-    use crate::testing::gpu::gpus;
-
-    const PLACES: u32 = 5;
-
-    /// Steps after which the test gives up.
-    const PATIENCE: u32 = 1_000;
-
-    /// Follows the links of a table of one unit from `last`, as the walk does, and counts the layers.
-    #[cube(launch_unchecked)]
-    fn follow_kernel(table: &[u32], steps: &mut [u32], last: u32, layers: u32) {
-        let mut link = last;
-        let mut left = layers;
-        let mut count = 0u32;
-        while link > 0 && count < comptime!(PATIENCE) {
-            left -= 1u32;
-            link = link_before(table[(2 * link - 1) as usize], left, comptime!(PLACES));
-            count += 1u32;
-        }
-        steps[0] = count;
-    }
-
-    #[test]
-    fn no_table_makes_the_way_back_endless() {
-        // The links of five places, the link to the last layer, the number of layers, and the number of steps.
-        let tables = [
-            ([0, 1, 2, 3, 4], 5, 5, 5),
-            ([3, 0, 5, 0, 2], 1, 4, 4),
-            ([2, 1, 0, 0, 0], 1, 3, 3),
-            ([1, 0, 0, 0, 0], 1, 1, 1),
-            ([u32::MAX, 0, 0, 0, 0], 1, 5, 1),
-            ([6, 0, 0, 0, 0], 1, 5, 1),
-        ];
-        for (form, gpu) in gpus() {
-            for (links, last, layers, expected) in tables {
-                let table = Buffer::from_slice(&gpu, &links.map(|link| [0, link]).concat());
-                let steps = Buffer::<u32>::new(&gpu, 1);
-                // SAFETY: links within the table are read, and one number is written.
-                unsafe {
-                    follow_kernel::launch_unchecked(
-                        &gpu.client,
-                        CubeCount::Static(1, 1, 1),
-                        CubeDim::new_1d(1),
-                        table.arg(),
-                        steps.arg(),
-                        last,
-                        layers,
-                    );
+            for block in 0..comptime!(BLOCKS as u32) {
+                let word = buckets.words[(slot * comptime!(BLOCKS as u32) + block) as usize];
+                if word != 0 {
+                    // The units are pixels.
+                    let unit = block * comptime!(BLOCK as u32) + lane;
+                    let pixel = TilePixel::of(origin, pixel_of(unit), &view.frame);
+                    let ray = RayPixel::of(pixel, &inputs);
+                    let own = PixelGrad::of(grad, pixel, &view);
+                    let at_unit = slot as usize * comptime!(TILE_PIXELS) + unit as usize;
+                    let mut transmittance = buckets.transmittance[at_unit];
+                    let mut left = word;
+                    while left != 0 {
+                        let i = left.trailing_zeros();
+                        left &= left - 1;
+                        let at = (i * comptime!(STRIDE as u32) + lane) as usize;
+                        let mut alpha = 0.0f32;
+                        let mut weight = 0.0f32;
+                        let mut along = 0.0f32;
+                        if transmittance >= 0.0 {
+                            let layer = RayGaussian::stored(&near, i as usize, &inputs).at(&ray, &view);
+                            let behind = fma(-layer.alpha, transmittance, transmittance);
+                            if layer.alpha > 0.0 && behind > view.frame.transmittance_min {
+                                alpha = select(layer.free, layer.alpha, -layer.alpha);
+                                weight = layer.alpha * transmittance;
+                                along = own.along(&inputs, grad, gaussians[i as usize] as usize, layer.depth, &view);
+                                transmittance = behind;
+                            } else if layer.alpha > 0.0 {
+                                transmittance = -transmittance;
+                            }
+                        }
+                        alphas[at] = alpha;
+                        weights[at] = weight;
+                        alongs[at] = along;
+                    }
+                    let mut behind = buckets.rho[at_unit];
+                    let mut left = word;
+                    while left != 0 {
+                        let i = 31u32 - left.leading_zeros();
+                        left ^= 1u32 << i;
+                        let at = (i * comptime!(STRIDE as u32) + lane) as usize;
+                        let alpha = alphas[at];
+                        let ahead = alongs[at] - behind;
+                        // Where alpha is nearly one, the layer hides what is behind together with its rounding.
+                        behind = fma(alpha.abs(), alongs[at], (1.0 - alpha.abs()) * behind);
+                        alphas[at] = select(alpha > 0.0, weights[at] * ahead, 0.0);
+                    }
                 }
-                assert_eq!(steps.read(&gpu), [expected], "{form}: {links:?} from {last}, {layers} layers");
+                // Outside the branch: DirectX refuses barriers in branches on what was read.
+                sync_cube();
+
+                // The units are places.
+                if ((word >> lane) & 1) != 0 {
+                    let footprint = RayGaussian::stored(&near, lane as usize, &inputs);
+                    for other in 0..comptime!(BLOCK as u32) {
+                        let at = (lane * comptime!(STRIDE as u32) + other) as usize;
+                        let weight = weights[at];
+                        if weight > 0.0 {
+                            let unit = block * comptime!(BLOCK as u32) + other;
+                            let pixel = TilePixel::of(origin, pixel_of(unit), &view.frame);
+                            let layer = footprint.at(&RayPixel::of(pixel, &inputs), &view);
+                            let mut of_depth = 0.0f32;
+                            if comptime!(view.shape.depth) {
+                                of_depth = weight * grad[comptime!(features + 1) * plane + pixel.index];
+                            }
+                            sums.add(&footprint, &layer, alphas[at], of_depth, &view, absolute);
+                            for channel in 0..features {
+                                of_features[channel] += weight * grad[channel * plane + pixel.index];
+                            }
+                        }
+                    }
+                }
+                sync_cube();
+            }
+
+            if target < end_row - first_row {
+                sums.write(rows, target, &view, absolute);
+                let at = target as usize * comptime!(row_len(view.shape, absolute)) + comptime!(MOMENTS);
+                for channel in 0..features {
+                    rows[at + channel] = of_features[channel];
+                }
             }
         }
     }

@@ -4,22 +4,20 @@
 use std::borrow::Cow;
 use std::sync::Arc;
 
-use fearless_simd::{Level, dispatch};
-use rayon::prelude::*;
-
 use super::RayLayers;
 use super::footprint::{RayFootprint, RayRules};
 use super::reach::Reach;
-use super::tile::{ColourSlots, RayTile, RayTileView, rasterize_tile};
+use super::tile::{RayTile, RayTileView, rasterize_tile};
 use super::tile_backward::{RayScratch, RayTileGrad, columns, rasterize_tile_backward};
 use crate::camera::PictureRays;
 use crate::intersect::{IntersectionLists, TILE, tile_grid};
-use crate::options::{Order, Projection};
 use crate::project::COLUMNS;
 use crate::rasterize::cpu::{PictureSize, RowSums, TilePlanes, gather, picture, tile_rows};
 use crate::rasterize::{Layers, PlaneParts, RasterizeSpec};
 use crate::ray_space::{self, LensLimits};
+use crate::simd::dispatch;
 use crate::simd::real::Real;
+use crate::tasks;
 
 /// Number of Gaussians per task.
 const CHUNK: usize = 1024;
@@ -67,9 +65,14 @@ impl<'a, F: Real> PreparedRayView<'a, F> {
         let footprints = match footprints {
             Some(footprints) => Cow::Borrowed(footprints),
             None => {
-                let gaussians = (0..inputs.projected.len() / COLUMNS).into_par_iter().with_min_len(CHUNK);
                 let lens = rays.as_ref().map(|rays| LensLimits::new(&spec.intrinsics, rays));
-                Cow::Owned(gaussians.map(|i| RayFootprint::new(inputs, i, (spec, lens.as_ref()))).collect())
+                let mut all = vec![RayFootprint::default(); inputs.projected.len() / COLUMNS];
+                tasks::for_each(all.chunks_mut(CHUNK), |chunk, out| {
+                    for (i, out) in (chunk * CHUNK..).zip(out) {
+                        *out = RayFootprint::new(inputs, i, (spec, lens.as_ref()));
+                    }
+                });
+                Cow::Owned(all)
             }
         };
         Self {
@@ -104,27 +107,6 @@ impl<'a, F: Real> PreparedRayView<'a, F> {
     }
 }
 
-/// Runs `$body` with the SIMD level of this processor as `$simd`, and with the render's projection and order as the constants
-/// `$exact` and `$sorted`.
-#[rustfmt::skip] // rustfmt indents the inner macro further at every run
-macro_rules! specialised {
-    ($spec:expr, $simd:ident, $exact:ident, $sorted:ident => $body:expr) => {{
-        macro_rules! with {
-            ($is_exact:literal, $is_sorted:literal) => {{
-                const $exact: bool = $is_exact;
-                const $sorted: bool = $is_sorted;
-                dispatch!(Level::new(), $simd => $body)
-            }};
-        }
-        match ($spec.options.projection == Projection::RayMax, $spec.options.order != Order::CentreDepth) {
-            (false, false) => with!(false, false),
-            (false, true) => with!(false, true),
-            (true, false) => with!(true, false),
-            (true, true) => with!(true, true),
-        }
-    }};
-}
-
 /// Returns the planes `[C + 1 (+ 1), H, W]`, and the trace if `keep` is set.
 pub(crate) fn rasterize_rays_cpu<F: Real>(
     inputs: RayLayers<&[F]>,
@@ -133,13 +115,12 @@ pub(crate) fn rasterize_rays_cpu<F: Real>(
     keep: bool,
 ) -> (Vec<F>, Option<RayTrace<F>>) {
     let prepared = PreparedRayView::new(&inputs, spec, intersections, None);
-    let buffers = || (RayTile::default(), ColourSlots::default());
-    let (planes, seen) = picture(&prepared.size, inputs.background, buffers, |(tile, slots), index, planes| {
+    let (planes, seen) = picture(&prepared.size, inputs.background, RayTile::default, |tile, index, planes| {
         let view = prepared.view(index);
-        let seen = specialised!(spec, simd, EXACT, SORTED => {
+        let seen = dispatch!(F, simd => {
             let rules = RayRules::new(simd, spec);
-            tile.read::<_, SORTED>(simd, &view, Reach::Boxes(&intersections.boxes));
-            rasterize_tile::<_, F, EXACT, SORTED>(simd, tile, &rules, planes, slots)
+            tile.read(simd, &view, Reach::Boxes(&intersections.boxes));
+            rasterize_tile(simd, tile, &rules, planes)
         });
         if keep { seen } else { Vec::new() }
     });
@@ -177,31 +158,22 @@ pub(crate) fn rasterize_rays_backward_cpu<F: Real>(
             return vec![F::ZERO; wanted];
         }
         let grad = RayTileGrad { planes, depth: size.depth, absolute: needs.mean2d_abs };
-        let transmittance = specialised!(spec, simd, EXACT, SORTED => {
+        let transmittance = dispatch!(F, simd => {
             let rules = RayRules::new(simd, spec);
-            tile.read::<_, SORTED>(simd, &view, Reach::Blocks(&trace.seen[index]));
-            rasterize_tile_backward::<_, F, EXACT, SORTED>(simd, tile, &rules, &grad, rows, scratch)
+            tile.read(simd, &view, Reach::Blocks(&trace.seen[index]));
+            rasterize_tile_backward(simd, tile, &rules, &grad, rows, scratch)
         });
         planes.background_gradient(&transmittance, wanted)
     });
     let sums = RowSums { rows: &rows, columns, channels: size.channels(), unscale: 1.0 };
     let RayLayers { projected, ray_space, features, mean2d_abs, .. } = needs;
     let needed = Layers { projected, features, background: false, mean2d_abs };
-    let ray_columns = match spec.options.projection {
-        Projection::RayMax => ray_space::columns(&spec.intrinsics),
-        Projection::Affine => 0,
-    };
-    let (grads, mut of_rays) = gather(inputs.projected, size.features, intersections, &sums, (needed, ray_columns));
+    let ray_columns = ray_space::columns(&spec.intrinsics);
+    let (grads, of_rays) = gather(inputs.projected, size.features, intersections, &sums, (needed, ray_columns));
     let Layers { projected, features, mean2d_abs, .. } = grads;
-    match (ray_space, spec.options.projection) {
-        (false, _) => of_rays.clear(),
-        // With the affine projection the row decides nothing but the order.
-        (true, Projection::Affine) => of_rays.resize(inputs.ray_space.len(), F::ZERO),
-        (true, Projection::RayMax) => {}
-    }
     RayLayers {
         projected,
-        ray_space: of_rays,
+        ray_space: if ray_space { of_rays } else { Vec::new() },
         features,
         background: if needs.background { background } else { Vec::new() },
         mean2d_abs,

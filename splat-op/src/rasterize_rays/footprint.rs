@@ -3,9 +3,7 @@
 use fearless_simd::prelude::*;
 
 use super::{D_MIN, RayLayers, WHITENED_MAX};
-use crate::dials::Exponential;
 use crate::intersect::extent::widened_limit;
-use crate::options::{Order, Projection};
 use crate::project::{COLUMNS, Ellipse};
 use crate::rasterize::RasterizeSpec;
 use crate::rasterize::footprint::WHITEN;
@@ -35,8 +33,6 @@ pub(super) struct RayFootprint<F> {
     pub gamma: F,
     /// Whether the centre is not the origin.
     pub beyond: bool,
-    /// With the order of each pixel: no pixel that sees the Gaussian has a smaller sort key.
-    pub least_key: F,
 }
 
 impl<F: Real> RayFootprint<F> {
@@ -49,12 +45,9 @@ impl<F: Real> RayFootprint<F> {
         if !(ellipse.opacity > F::ZERO && row.iter().chain(slopes).all(|value| value.finite())) {
             return Self { extent: -F::ONE, ..Self::default() };
         }
-        let (mut base_px, mut away, mut centre_depth) = (ellipse.mean_px, [F::ZERO; 2], F::ONE);
-        if spec.options.projection == Projection::RayMax {
-            (base_px, _) = beyond(ellipse.mean_px, &spec.intrinsics);
-            (centre_depth, away) = (slopes[3], [slopes[4], slopes[5]]);
-            [ellipse.sigma_u, ellipse.shear, ellipse.sigma_v] = [slopes[6], slopes[7], slopes[8]];
-        }
+        let (base_px, _) = beyond(ellipse.mean_px, &spec.intrinsics);
+        let (centre_depth, away) = (slopes[3], [slopes[4], slopes[5]]);
+        [ellipse.sigma_u, ellipse.shear, ellipse.sigma_v] = [slopes[6], slopes[7], slopes[8]];
         // Limits at which no product of `u`, `v` and `s` overflows anywhere in the picture.
         let widest = F::of(WHITENED_MAX);
         let size = [spec.intrinsics.width, spec.intrinsics.height].map(|px| F::of(px as f64));
@@ -75,7 +68,7 @@ impl<F: Real> RayFootprint<F> {
         let centre = [away[0] * inverse_u, (away[1] - ellipse.shear * away[0]) * inverse_v];
         let centre = centre.map(|value| value.within(-widest, widest));
         let limit = widened_limit(ellipse.opacity, alpha_min) * F::of(WHITEN * WHITEN);
-        let mut footprint = Self {
+        Self {
             base_px,
             inverse_u,
             inverse_v,
@@ -88,39 +81,7 @@ impl<F: Real> RayFootprint<F> {
             centre,
             gamma: centre_depth - depth_slope[0] * centre[0] - depth_slope[1] * centre[1],
             beyond: away != [F::ZERO; 2] || centre_depth != F::ONE,
-            least_key: -F::MAX,
-        };
-        if spec.options.order != Order::CentreDepth {
-            footprint.least_key = footprint.bound_of_keys(spec.options.projection, lens.is_some());
         }
-        footprint
-    }
-
-    /// Returns a lower bound of the sort keys `λ z` where the Gaussian shows.
-    ///
-    /// There `2E` is at most the square of an extent `r`. With the maximum along the ray, the point on the ray lies `x` from the centre across
-    /// it and `w` along it with `|(x, w)| = √(2E)`, and `λ = 1 + depth_slope·x + thickness w`. With the affine projection `ρ <= r`, and
-    /// `λ = s / D` is least at an end of the range of `s`, with the largest `ρ`.
-    fn bound_of_keys(&self, projection: Projection, lens: bool) -> F {
-        // Beyond the roundings of an ordinary Gaussian.
-        let (slack, wider) = (F::of(1e-3), F::of(1.01));
-        let extent = wider * (F::of(2.0 * std::f64::consts::LN_2) * self.extent.max_of(F::ZERO)).sqrt();
-        let [u, v] = self.depth_slope;
-        let slope = u * u + v * v;
-        let least = match projection {
-            Projection::RayMax => F::ONE - slack - extent * (slope + self.thick).sqrt(),
-            Projection::Affine => {
-                let reach = extent * slope.sqrt() + slack;
-                // A lens takes `λ` elsewhere, and behind the camera there is no bound.
-                if lens || !(reach < F::ONE) {
-                    return -F::MAX;
-                }
-                let across = self.thick * extent * extent;
-                let at = |s: F| s / (s * s + across);
-                at(F::ONE - reach).min_of(at(F::ONE + reach)) * (F::ONE - slack)
-            }
-        };
-        if self.depth > F::ZERO { least * self.depth } else { -F::MAX }
     }
 
     /// Returns the columns of a lens that take the slopes of a ray to its whitened coordinates, from those that take them to px.
@@ -130,26 +91,6 @@ impl<F: Real> RayFootprint<F> {
         let u = each!(x, |by| by * self.inverse_u);
         let v = each!([0, 1], |slope| (y[slope] - self.shear * x[slope]) * self.inverse_v);
         LensFrame { by: [u, v], ..frame }
-    }
-
-    /// Returns the sort key `λ z` at the pixel whose centre is at `px`. `lens` is [`Self::whitening`] and the slopes of the pixel's ray. The
-    /// rounding is not that of [`RayRules::layer`]: it decides in which order layers come to be sorted, and not the result.
-    #[inline(always)]
-    pub fn key(&self, px: [F; 2], lens: Option<(&LensFrame<F>, [F; 2])>) -> F {
-        let [u, v] = match lens {
-            Some((frame, slopes)) => {
-                let [x, y] = [slopes[0] - frame.centre[0], slopes[1] - frame.centre[1]];
-                each!(frame.by, |[by_x, by_y]| by_x * x + by_y * y)
-            }
-            None => {
-                let [dx, dy] = [px[0] - self.base_px[0], px[1] - self.base_px[1]];
-                [dx * self.inverse_u, (dy - self.shear * dx) * self.inverse_v]
-            }
-        };
-        let s = F::ONE - self.depth_slope[0] * u - self.depth_slope[1] * v;
-        let d = s * s + self.thick * (u * u + v * v);
-        let product = self.gamma * s + self.thick * (self.centre[0] * u + self.centre[1] * v);
-        product / d.max_of(F::of(D_MIN)) * self.depth
     }
 
     /// Returns the whitened coordinates `u` and `v` of pixels.
@@ -169,7 +110,7 @@ pub(super) struct RayRules<S: Simd, F: Real> {
     half_log2_e: F::Block<S>,
     /// At least the smallest positive number: an alpha of zero contributes nothing.
     alpha_min: F::Block<S>,
-    /// Limits of `s`, `D` and the sort key.
+    /// Limits of `s`, `D` and the depth.
     nearest: F::Block<S>,
     d_min: F::Block<S>,
     farthest: F::Block<S>,
@@ -177,8 +118,6 @@ pub(super) struct RayRules<S: Simd, F: Real> {
     /// A value below zero disables the threshold.
     pub transmittance_min: F::Block<S>,
     exp2: [F::Block<S>; EXP2_CONSTANTS],
-    /// Whether `exp` is the standard library's function.
-    library: bool,
 }
 
 /// Centres of a vector of pixels, px, and the slopes of their rays if the camera has a lens.
@@ -198,8 +137,8 @@ pub(super) struct RayLayerSimd<S: Simd, F: Real> {
     /// `s/D`; `a`, `b` and `c`.
     pub along: F::Block<S>,
     pub apart: [F::Block<S>; 3],
-    /// Sort key `λ z`.
-    pub key: F::Block<S>,
+    /// `λ z`, scene units.
+    pub depth: F::Block<S>,
     /// Zero where the Gaussian does not show.
     pub alpha: F::Block<S>,
     pub shows: <F::Block<S> as SimdBase<S>>::Mask,
@@ -227,14 +166,13 @@ impl<S: Simd, F: Real> RayRules<S, F> {
             // A threshold of zero omits nothing, not even layers behind an alpha of one.
             transmittance_min: lanes(if options.transmittance_min > 0.0 { options.transmittance_min } else { -1.0 }),
             exp2: std::hint::black_box(exp2),
-            library: options.exponential == Exponential::Library,
         }
     }
 
-    /// Evaluates a Gaussian, whose frame is [`RayFootprint::whitening`] if there is a lens. With `EXACT` its value is its maximum along the ray; without
-    /// `EXACT` and `KEYED`, `lambda`, `inverse` and `key` are arbitrary. `known` is `inverse`, if it is known from before.
+    /// Evaluates a Gaussian, whose frame is [`RayFootprint::whitening`] if there is a lens. `known` is `inverse`, if it is known from
+    /// before.
     #[inline(always)]
-    pub fn layer<const EXACT: bool, const KEYED: bool>(
+    pub fn layer(
         &self,
         (splat, frame): (&RayFootprint<F>, Option<&LensFrame<F>>),
         pixels: &RayPixels<S, F>,
@@ -242,71 +180,51 @@ impl<S: Simd, F: Real> RayRules<S, F> {
     ) -> RayLayerSimd<S, F> {
         let simd = self.simd;
         let lanes = |value: F| F::Block::<S>::splat(simd, value);
-        // Of the pixel's ray, by which the projection of a lens is exact, and of its position.
-        let ray = match (pixels.slopes, frame) {
-            (Some([x, y]), Some(frame)) if EXACT || KEYED => {
+        // Of the pixel's ray where there is a lens, and of its position.
+        let [u, v] = match (pixels.slopes, frame) {
+            (Some([x, y]), Some(frame)) => {
                 let (x, y) = (x - lanes(frame.centre[0]), y - lanes(frame.centre[1]));
-                Some(each!(frame.by, |[by_x, by_y]| lanes(by_x).mul_add(x, y * lanes(by_y))))
+                each!(frame.by, |[by_x, by_y]| lanes(by_x).mul_add(x, y * lanes(by_y)))
             }
-            _ => None,
-        };
-        let [u, v] = match ray {
-            Some(ray) if EXACT => ray,
             _ => splat.whiten(pixels),
         };
-        let [met_u, met_v] = ray.unwrap_or([u, v]);
         let square = u.mul_add(u, v * v);
-        let (mut inverse, mut key, mut along) = (self.zero, self.zero, self.zero);
-        let mut apart = [self.zero; 3];
-        let mut exponent = square * self.half_log2_e;
-        let mut near = exponent.simd_le(lanes(splat.extent));
-        if EXACT || KEYED {
-            let [slope_u, slope_v] = each!(splat.depth_slope, |slope| lanes(-slope));
-            let s = slope_u.mul_add(met_u, slope_v.mul_add(met_v, self.one));
-            let d = lanes(splat.thick).mul_add(met_u.mul_add(met_u, met_v * met_v), s * s);
-            let lambda;
-            let mut sound = if EXACT { s.simd_gt(self.nearest) } else { d.simd_gt(self.d_min) };
-            if EXACT && splat.beyond {
-                let ([alpha, beta], gamma, thick) =
-                    (each!(splat.centre, |value| lanes(value)), lanes(splat.gamma), lanes(splat.thick));
-                let dot = alpha.mul_add(u, beta * v);
-                let product = gamma.mul_add(s, thick * dot);
-                sound = d.simd_gt(self.d_min) & product.simd_gt(self.zero);
-                inverse = match known {
-                    Some(inverse) => inverse,
-                    None => sound.select(self.one / d, self.zero),
-                };
-                (lambda, along) = (product * inverse, s * inverse);
-                let [a, b] = [lambda.mul_add(u, -alpha), lambda.mul_add(v, -beta)];
-                let c = inverse * gamma.mul_add(square, -s * dot);
-                apart = [a, b, c];
-                exponent = a.mul_add(a, b.mul_add(b, thick * c * c)) * self.half_log2_e;
-            } else {
-                inverse = match known {
-                    Some(inverse) => inverse,
-                    None => sound.select(self.one / d, self.zero),
-                };
-                lambda = s * inverse;
-                along = lambda;
-                if EXACT {
-                    apart = [lambda * u, lambda * v, square * inverse];
-                    exponent = apart[2] * self.half_log2_e;
-                }
-            }
-            key = lambda * lanes(splat.depth);
-            if EXACT {
-                near = exponent.simd_le(lanes(splat.extent)) & sound;
-            }
-            near &= key.abs().simd_le(self.farthest);
-        }
-        let power = if self.library {
-            F::exp2_library(exponent)
+        let [slope_u, slope_v] = each!(splat.depth_slope, |slope| lanes(-slope));
+        let s = slope_u.mul_add(u, slope_v.mul_add(v, self.one));
+        let d = lanes(splat.thick).mul_add(square, s * s);
+        let (lambda, along, apart, exponent, inverse, sound);
+        if splat.beyond {
+            let ([alpha, beta], gamma, thick) =
+                (each!(splat.centre, |value| lanes(value)), lanes(splat.gamma), lanes(splat.thick));
+            let dot = alpha.mul_add(u, beta * v);
+            let product = gamma.mul_add(s, thick * dot);
+            sound = d.simd_gt(self.d_min) & product.simd_gt(self.zero);
+            inverse = match known {
+                Some(inverse) => inverse,
+                None => sound.select(self.one / d, self.zero),
+            };
+            (lambda, along) = (product * inverse, s * inverse);
+            let [a, b] = [lambda.mul_add(u, -alpha), lambda.mul_add(v, -beta)];
+            let c = inverse * gamma.mul_add(square, -s * dot);
+            apart = [a, b, c];
+            exponent = a.mul_add(a, b.mul_add(b, thick * c * c)) * self.half_log2_e;
         } else {
-            F::exp2_lanes::<S, F::Block<S>>(exponent, &self.exp2)
-        };
+            sound = s.simd_gt(self.nearest);
+            inverse = match known {
+                Some(inverse) => inverse,
+                None => sound.select(self.one / d, self.zero),
+            };
+            lambda = s * inverse;
+            along = lambda;
+            apart = [lambda * u, lambda * v, square * inverse];
+            exponent = apart[2] * self.half_log2_e;
+        }
+        let depth = lambda * lanes(splat.depth);
+        let near = exponent.simd_le(lanes(splat.extent)) & sound & depth.abs().simd_le(self.farthest);
+        let power = F::exp2_lanes::<S, F::Block<S>>(exponent, &self.exp2);
         let value = (lanes(splat.opacity) * power).min(self.alpha_max);
         let shows = near & value.simd_ge(self.alpha_min);
         let alpha = shows.select(value, self.zero);
-        RayLayerSimd { u, v, inverse, along, apart, key, alpha, shows }
+        RayLayerSimd { u, v, inverse, along, apart, depth, alpha, shows }
     }
 }

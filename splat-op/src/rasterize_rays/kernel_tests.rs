@@ -1,21 +1,21 @@
 //! Compares the kernels of `rasterize_rays` with the CPU twin in f64, within f32 precision.
 
+use super::RayLayers;
 use super::cpu::{rasterize_rays_backward_cpu, rasterize_rays_cpu};
 use super::launch::{launch_rasterize_rays, launch_rasterize_rays_backward};
 use super::pair_sums::row_len;
-use super::{D_MIN, RayLayers};
 use crate::camera::Intrinsics;
 use crate::gpu::{Buffer, Gpu};
 use crate::intersect::cpu::intersect_cpu;
 use crate::intersect::launch::{DeviceIntersections, launch_intersect};
 use crate::intersect::{IntersectionLists, TILE_PIXELS};
-use crate::options::{Order, Projection, RenderOptions};
-use crate::project::{COLUMNS, Ellipse};
+use crate::options::{Projection, RenderOptions};
+use crate::project::COLUMNS;
 use crate::rasterize::layer::KernelShape;
 use crate::rasterize::rows::Rows;
 use crate::rasterize::{PlaneParts, RasterizeSpec};
 use crate::ray_space::launch::launch_bounds;
-use crate::ray_space::{RAY_SPACE, beyond, bounds_cpu};
+use crate::ray_space::{RAY_SPACE, bounds_cpu};
 use crate::testing::ceiling::{PerturbedReference, rounded, to_f32};
 use crate::testing::ellipses::{ellipses, ray_rows};
 use crate::testing::gpu::{gpu, gpus};
@@ -23,15 +23,6 @@ use crate::testing::random::Random;
 
 const ALL: RayLayers<bool> =
     RayLayers { projected: true, ray_space: true, features: true, background: true, mean2d_abs: true };
-
-const CHOICES: [(Projection, Order); 3] = [
-    (Projection::RayMax, Order::CentreDepth),
-    (Projection::Affine, Order::PerPixelSort),
-    (Projection::RayMax, Order::PerPixelSort),
-];
-
-/// Relative distance of two keys below which rounding may swap them.
-const NEAR: f64 = 2e-5;
 
 /// Packed ellipses, rows in ray space, features, background.
 #[derive(Clone)]
@@ -63,10 +54,7 @@ impl StageInputs {
         let rows = ray_rows(&packed, &depth_slopes, &intrinsics);
         let inputs = [packed, rows, features, random.fill(channels, -1.0, 1.0)];
         Self {
-            name: format!(
-                "{count} splats, {width} × {height}, {channels} channels, {:?}, {:?}",
-                options.projection, options.order
-            ),
+            name: format!("{count} splats, {width} × {height}, {channels} channels"),
             inputs: inputs.iter().map(|values| rounded(values)).collect(),
             spec: RasterizeSpec { intrinsics, options },
         }
@@ -83,14 +71,8 @@ impl StageInputs {
 
     fn lists(&self) -> IntersectionLists {
         let (camera, options) = (&self.spec.intrinsics, &self.spec.options);
-        match options.extends_by_bounds() {
-            true => intersect_cpu(
-                &bounds_cpu(&self.inputs[0], &self.inputs[1], &self.spec),
-                camera,
-                options.alpha_min.into(),
-            ),
-            false => intersect_cpu(&self.inputs[0], camera, options.alpha_min.into()),
-        }
+        let bounds = bounds_cpu(&self.inputs[0], &self.inputs[1], &self.spec);
+        intersect_cpu(&bounds, camera, options.alpha_min.into())
     }
 
     fn planes(&self) -> Vec<f64> {
@@ -102,10 +84,9 @@ impl StageInputs {
         rasterize_rays_backward_cpu(self.view(), grad, &self.spec, (&self.lists(), None), ALL)
     }
 
-    /// Marks the pixels whose result jumps when rounding moves a threshold or swaps layers.
+    /// Marks the pixels whose result jumps when rounding moves a threshold.
     fn band(&self) -> Vec<bool> {
-        let width = self.spec.intrinsics.width;
-        let mut band = vec![false; width * self.spec.intrinsics.height];
+        let mut band = vec![false; self.spec.intrinsics.width * self.spec.intrinsics.height];
         let plain = self.planes();
         for shift in [1.0 - 1e-4, 1.0 + 1e-4] {
             let mut alpha = self.clone();
@@ -118,47 +99,7 @@ impl StageInputs {
                 }
             }
         }
-        if self.spec.options.order == Order::PerPixelSort {
-            for (pixel, band) in band.iter_mut().enumerate() {
-                let keys = self.keys([(pixel % width) as f64 + 0.5, (pixel / width) as f64 + 0.5]);
-                *band |= keys.windows(2).any(|pair| pair[1] - pair[0] <= NEAR * pair[1].abs());
-            }
-        }
         band
-    }
-
-    /// Returns the sort keys of the Gaussians that show at the pixel with its centre at `at`, px, in ascending order.
-    fn keys(&self, at: [f64; 2]) -> Vec<f64> {
-        let options = &self.spec.options;
-        let rows = self.inputs[0].chunks_exact(COLUMNS).zip(self.inputs[1].chunks_exact(RAY_SPACE));
-        let key = |(row, slope): (&[f64], &[f64])| {
-            let e = Ellipse::from_row(row);
-            let (base, away) = match options.projection {
-                Projection::RayMax => (beyond(e.mean_px, &self.spec.intrinsics).0, [slope[4], slope[5]]),
-                Projection::Affine => (e.mean_px, [0.0; 2]),
-            };
-            let whitened = |[dx, dy]: [f64; 2]| {
-                let (u, v) = (dx / e.sigma_u, (dy - e.shear * dx) / e.sigma_v);
-                [u, v, 1.0 - slope[0] * u - slope[1] * v]
-            };
-            let [[u, v, s], [of_u, of_v, of_s]] = [[at[0] - base[0], at[1] - base[1]], away].map(whitened);
-            let (square, thick) = (u * u + v * v, slope[2] * slope[2]);
-            let (d, product) = (s * s + thick * square, s * of_s + thick * (u * of_u + v * of_v));
-            let lambda = if d > D_MIN { product / d } else { 0.0 };
-            let (seen, exponent) = match options.projection {
-                Projection::RayMax => {
-                    let apart = (of_s * square - s * (u * of_u + v * of_v)) / d;
-                    let across = (of_u - lambda * u).powi(2) + (of_v - lambda * v).powi(2);
-                    (product > 0.0 && d > D_MIN, across + thick * apart * apart)
-                }
-                Projection::Affine => (true, square),
-            };
-            let alpha = e.opacity * (-0.5 * exponent).exp();
-            (e.depth > 0.0 && seen && alpha > 0.0 && alpha >= options.alpha_min).then_some(lambda * e.depth)
-        };
-        let mut keys: Vec<f64> = rows.filter_map(key).collect();
-        keys.sort_by(f64::total_cmp);
-        keys
     }
 
     fn device(&self, gpu: &Gpu) -> (RayLayers<Buffer<f32>>, DeviceIntersections) {
@@ -171,15 +112,12 @@ impl StageInputs {
             mean2d_abs: Buffer::new(gpu, 0),
         };
         let (camera, options) = (&self.spec.intrinsics, &self.spec.options);
-        let rows = match options.extends_by_bounds() {
-            true => launch_bounds(gpu, &inputs.projected, &inputs.ray_space, &self.spec),
-            false => inputs.projected.clone(),
-        };
+        let rows = launch_bounds(gpu, &inputs.projected, &inputs.ray_space, &self.spec);
         let lists = launch_intersect(gpu, &rows, camera, options.alpha_min.into());
         (inputs, lists)
     }
 
-    /// Returns planes and gradients computed on the device, with a table of `room` places.
+    /// Returns planes and gradients computed on the device, with room for so many buckets at a time.
     fn on(
         &self,
         gpu: &Gpu,
@@ -203,8 +141,7 @@ impl StageInputs {
         let planes = self.spec.planes(channels);
         let grad = mask(rounded(&Random::new(3).fill(planes * band.len(), -1.0, 1.0)));
         let inputs: Vec<Vec<f64>> = self.inputs.iter().cloned().chain([grad.clone()]).collect();
-        // The gradient of a pixel in the band is set to zero, so that the other pixels are compared in full. The expected
-        // layers are those of the unperturbed inputs; one ulp in every input may swap layers too.
+        // The gradient of a pixel in the band is set to zero, so that the other pixels are compared in full.
         let reference = PerturbedReference::new(&inputs, |inputs| {
             let scene = self.with(inputs);
             let g = scene.backward(&inputs[4]);
@@ -229,61 +166,52 @@ impl StageInputs {
 
 #[test]
 fn pictures_and_gradients_agree_with_the_twin() {
-    for (projection, order) in CHOICES {
-        let options = RenderOptions::standard().with_projection(projection).with_order(order);
-        for (count, size) in [(1, [1, 1]), (3, [17, 5]), (100, [33, 47]), (1_000, [70, 50])] {
-            StageInputs::random(count, size, 3, [0.02, 1.0], options.with_depth(count != 3)).check();
-        }
+    let options = RenderOptions::standard().with_projection(Projection::RayMax);
+    for (count, size) in [(1, [1, 1]), (3, [17, 5]), (100, [33, 47]), (1_000, [70, 50])] {
+        StageInputs::random(count, size, 3, [0.02, 1.0], options.with_depth(count != 3)).check();
     }
 }
 
 #[test]
 fn any_number_of_channels_and_other_thresholds() {
-    for (projection, order) in CHOICES {
-        let options = RenderOptions::standard().with_projection(projection).with_order(order);
-        StageInputs::random(200, [40, 35], 1, [0.05, 0.9], options).check();
-        StageInputs::random(200, [40, 35], 17, [0.05, 0.9], options.with_depth(true)).check();
-        let faint = RenderOptions { alpha_min: 1e-6, transmittance_min: 0.0, alpha_max: 1.0, ..options };
-        StageInputs::random(150, [40, 35], 3, [0.02, 1.0], faint.with_depth(true)).check();
-    }
+    let options = RenderOptions::standard().with_projection(Projection::RayMax);
+    StageInputs::random(200, [40, 35], 1, [0.05, 0.9], options).check();
+    StageInputs::random(200, [40, 35], 17, [0.05, 0.9], options.with_depth(true)).check();
+    let faint = RenderOptions { alpha_min: 1e-6, transmittance_min: 0.0, alpha_max: 1.0, ..options };
+    StageInputs::random(150, [40, 35], 3, [0.02, 1.0], faint.with_depth(true)).check();
 }
 
-/// Renders many times more layers than a unit finds in one pass.
+/// Renders many times more layers than a tile loads together.
 #[test]
 fn hundreds_of_layers() {
-    for (projection, order) in CHOICES {
-        let options = RenderOptions::standard().with_projection(projection).with_order(order);
-        StageInputs::random(600, [20, 17], 3, [0.9, 1.0], options.with_depth(true)).check();
-        // Faint, so that no pixel ends early; far apart in depth, so that few layers are close to swapping.
-        let mut scene = StageInputs::random(300, [20, 17], 3, [0.006, 0.02], options.with_depth(true));
-        let (packed, rows) = scene.inputs.split_at_mut(1);
-        for (i, row) in packed[0].chunks_exact_mut(COLUMNS).enumerate().filter(|(_, row)| row[5] > 0.0) {
-            row[5] = f64::from(1.05_f64.powi((171 * i % 300) as i32) as f32);
-            row[2] = row[2].max(3.0);
-            row[4] = row[4].max(3.0);
-            let ray = &mut rows[0][i * RAY_SPACE..][..RAY_SPACE];
-            (ray[6], ray[8]) = (row[2], row[4]);
-        }
-        scene.check();
+    let options = RenderOptions::standard().with_projection(Projection::RayMax);
+    StageInputs::random(600, [20, 17], 3, [0.9, 1.0], options.with_depth(true)).check();
+    // Faint, so that no pixel ends early.
+    let mut scene = StageInputs::random(300, [20, 17], 3, [0.006, 0.02], options.with_depth(true));
+    let (packed, rows) = scene.inputs.split_at_mut(1);
+    for (i, row) in packed[0].chunks_exact_mut(COLUMNS).enumerate().filter(|(_, row)| row[5] > 0.0) {
+        row[2] = row[2].max(3.0);
+        row[4] = row[4].max(3.0);
+        let ray = &mut rows[0][i * RAY_SPACE..][..RAY_SPACE];
+        (ray[6], ray[8]) = (row[2], row[4]);
     }
+    scene.check();
 }
 
 #[test]
-fn the_same_bits_in_every_run_and_for_any_table() {
+fn the_same_bits_in_every_run_and_for_any_room() {
     let Some(gpu) = gpu() else { return };
-    for order in [Order::CentreDepth, Order::PerPixelSort] {
-        let options = RenderOptions::standard().with_projection(Projection::RayMax).with_order(order);
-        let scene = StageInputs::random(400, [70, 50], 3, [0.02, 1.0], options.with_depth(true));
-        let grad = Random::new(4).fill(5 * 70 * 50, -1.0, 1.0);
-        let bits = |room: usize| {
-            let (planes, g) = scene.on(&gpu, &grad, ALL, room);
-            let grads = [g.projected, g.ray_space, g.features, g.background, g.mean2d_abs];
-            (planes, grads.map(|buffer| buffer.expect("asked for").read(&gpu)))
-        };
-        let first = bits(1 << 20);
-        assert!(first.1.iter().all(|g| g.iter().any(|value| *value != 0.0)));
-        assert!(bits(1 << 20) == first && bits(50) == first && bits(1) == first, "{order:?}");
-    }
+    let options = RenderOptions::standard().with_projection(Projection::RayMax);
+    let scene = StageInputs::random(400, [70, 50], 3, [0.02, 1.0], options.with_depth(true));
+    let grad = Random::new(4).fill(5 * 70 * 50, -1.0, 1.0);
+    let bits = |room: usize| {
+        let (planes, g) = scene.on(&gpu, &grad, ALL, room);
+        let grads = [g.projected, g.ray_space, g.features, g.background, g.mean2d_abs];
+        (planes, grads.map(|buffer| buffer.expect("asked for").read(&gpu)))
+    };
+    let first = bits(1 << 20);
+    assert!(first.1.iter().all(|g| g.iter().any(|value| *value != 0.0)));
+    assert!(bits(1 << 20) == first && bits(50) == first && bits(1) == first);
 }
 
 #[test]
@@ -293,7 +221,7 @@ fn rows_in_several_buffers_change_nothing() {
     let scene = StageInputs::random(3_000, [160, 130], 1, [0.02, 1.0], options);
     let grad = Random::new(4).fill(2 * 160 * 130, -1.0, 1.0);
     let lists = scene.device(&gpu).1;
-    // Room for the planes, and for the table of the tile with the longest list.
+    // Room for the planes, and for the buckets of the tile with the longest list.
     let longest = lists.counts.read(&gpu).into_iter().max().expect("there are tiles");
     let limited = Gpu { buffer_limit: (8 * 160 * 130).max(8 * TILE_PIXELS as u64 * longest as u64), ..gpu.clone() };
     let parts = Rows::of_intersections(&limited, &lists, row_len(KernelShape::of(1, &scene.spec.options), true)).len();
@@ -349,31 +277,24 @@ fn only_what_is_needed_and_nothing_to_draw() {
 /// Gaussians that are listed and then have values that are not finite are as invisible as those of opacity zero.
 #[test]
 fn what_is_not_finite_shows_in_no_pixel() {
-    for (projection, order) in CHOICES {
-        let options = RenderOptions::standard().with_projection(projection).with_order(order);
-        let scene = StageInputs::random(60, [40, 33], 3, [0.3, 1.0], options.with_depth(true));
-        let grad = Random::new(4).fill(5 * 40 * 33, -1.0, 1.0);
-        for (form, gpu) in gpus() {
-            let (inputs, lists) = scene.device(&gpu);
-            let grad = Buffer::from_slice(&gpu, &to_f32(&grad));
-            let with = |column: usize, value: f32| {
-                let mut rows = inputs.projected.read(&gpu);
-                rows.chunks_exact_mut(COLUMNS).step_by(3).for_each(|row| row[column] = value);
-                let inputs = RayLayers { projected: Buffer::from_slice(&gpu, &rows), ..inputs.clone() };
-                let planes = launch_rasterize_rays(&gpu, &inputs, &lists, &scene.spec).read(&gpu);
-                let found = launch_rasterize_rays_backward(&gpu, &inputs, &grad, (&lists, 1 << 20), &scene.spec, ALL);
-                (planes, found.features.expect("asked for").read(&gpu))
-            };
-            let expected = with(6, 0.0);
-            // The key matters to the per-pixel sort alone.
-            let by_key = (order == Order::PerPixelSort).then_some((5, f32::NAN));
-            let cases = [(6, f32::NAN), (6, f32::INFINITY), (3, f32::NAN), (0, f32::NAN)].into_iter().chain(by_key);
-            for (column, value) in cases {
-                assert!(
-                    with(column, value) == expected,
-                    "{projection:?}, {order:?}, {form}: {value} in column {column}"
-                );
-            }
+    let options = RenderOptions::standard().with_projection(Projection::RayMax);
+    let scene = StageInputs::random(60, [40, 33], 3, [0.3, 1.0], options.with_depth(true));
+    let grad = Random::new(4).fill(5 * 40 * 33, -1.0, 1.0);
+    for (form, gpu) in gpus() {
+        let (inputs, lists) = scene.device(&gpu);
+        let grad = Buffer::from_slice(&gpu, &to_f32(&grad));
+        let with = |column: usize, value: f32| {
+            let mut rows = inputs.projected.read(&gpu);
+            rows.chunks_exact_mut(COLUMNS).step_by(3).for_each(|row| row[column] = value);
+            let inputs = RayLayers { projected: Buffer::from_slice(&gpu, &rows), ..inputs.clone() };
+            let planes = launch_rasterize_rays(&gpu, &inputs, &lists, &scene.spec).read(&gpu);
+            let found = launch_rasterize_rays_backward(&gpu, &inputs, &grad, (&lists, 1 << 20), &scene.spec, ALL);
+            (planes, found.features.expect("asked for").read(&gpu))
+        };
+        let expected = with(6, 0.0);
+        let cases = [(6, f32::NAN), (6, f32::INFINITY), (5, f32::NAN), (3, f32::NAN), (0, f32::NAN)];
+        for (column, value) in cases {
+            assert!(with(column, value) == expected, "{form}: {value} in column {column}");
         }
     }
 }

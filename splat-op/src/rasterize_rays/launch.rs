@@ -5,18 +5,16 @@ use std::ops::Range;
 use cubecl::prelude::CubeDim;
 
 use super::RayLayers;
-use super::backward::{rasterize_rays_sums_kernel, rasterize_rays_walk_kernel};
-use super::buckets::{BUCKET, BucketsLaunch, rasterize_rays_checkpoints_kernel, rasterize_rays_rows_kernel, slots};
+use super::backward::{BUCKET, BucketsLaunch, rasterize_rays_checkpoints_kernel, rasterize_rays_rows_kernel, slots};
 use super::forward::rasterize_rays_forward_kernel;
 use super::layer::{RayFrameLaunch, RayInputsLaunch};
 use super::pair_sums::row_len;
 use crate::camera::{Intrinsics, PictureRays};
 use crate::gpu::reduce::launch_sums;
-use crate::gpu::{Buffer, Gpu, cubes, elementwise, split};
+use crate::gpu::{Buffer, Gpu, cubes, split};
 use crate::intersect::TILE_PIXELS;
 use crate::intersect::launch::DeviceIntersections;
 use crate::limits::Need;
-use crate::options::{Order, Projection};
 use crate::rasterize::blocks::BLOCKS;
 use crate::rasterize::launch::{frame, launch_gather};
 use crate::rasterize::layer::KernelShape;
@@ -24,9 +22,8 @@ use crate::rasterize::rows::Rows;
 use crate::rasterize::{Layers, RasterizeSpec};
 use crate::ray_space;
 
-/// Number of places in the table of layers and pixels, unless one tile has more: 64 MiB. In the order of the list a bucket takes as much as
-/// a place of the table.
-pub(crate) const TABLE: usize = 32_768;
+/// Number of buckets of a launch of the backward pass, unless one tile has more: 64 MiB.
+pub(crate) const ROOM: usize = 32_768;
 
 /// Hint for a render whose backward pass needs too much memory.
 const FEWER_INTERSECTIONS: &str = "train on smaller pictures, raise `alpha_min`, or use fewer Gaussians";
@@ -48,9 +45,7 @@ fn rays(gpu: &Gpu, camera: &Intrinsics) -> Option<Buffer<f32>> {
 
 /// The view as a kernel argument, for the tiles `first..end`.
 fn view(spec: &RasterizeSpec, shape: KernelShape, (first, end): (usize, usize)) -> RayFrameLaunch {
-    let (ray_max, per_pixel) = (Projection::RayMax, Order::PerPixelSort);
-    let (exact, per_pixel) = (spec.options.projection == ray_max, spec.options.order == per_pixel);
-    RayFrameLaunch::new(frame(spec), first as u32, end as u32, exact, per_pixel, shape)
+    RayFrameLaunch::new(frame(spec), first as u32, end as u32, shape)
 }
 
 /// Launches the forward pass and returns the planes `[C + 1 (+ 1), H, W]`.
@@ -71,14 +66,13 @@ pub(crate) fn launch_rasterize_rays(
             CubeDim::new_1d(TILE_PIXELS as u32),
             inputs.arg(lists, &rays),
             planes.arg(),
-            Buffer::<u32>::new(gpu, 1).arg(),
             view(spec, shape, (0, tiles)),
         );
     }
     planes
 }
 
-/// What the launches of the backward pass over layers share.
+/// What the launches of the backward pass share.
 struct LayersTask<'a> {
     gpu: &'a Gpu,
     inputs: &'a RayLayers<Buffer<f32>>,
@@ -113,53 +107,7 @@ impl LayersTask<'_> {
         Need { what, bytes: 4 * values as u64, hint: FEWER_INTERSECTIONS }.assert_fits(self.gpu.buffer_limit);
     }
 
-    /// With the per-pixel sort: by a table with two values for each place and pixel.
-    fn by_table(&self, room: usize) {
-        let gpu = self.gpu;
-        let runs = self.runs(room.min(gpu.buffer_limit as usize / (8 * TILE_PIXELS)));
-        let len = |[start, end]: [usize; 2]| (end - start) * 2 * TILE_PIXELS;
-        let table_len = runs.iter().map(|run| len(self.places(run))).max().unwrap_or(0);
-        self.assert_fits("the layers of a tile's pixels", table_len);
-        let table: Buffer<u32> = Buffer::with_headroom(gpu, table_len);
-        for run in runs {
-            let [start, end] = self.places(&run);
-            // SAFETY: as in the forward pass; the table holds all places of a run.
-            unsafe {
-                rasterize_rays_walk_kernel::launch_unchecked(
-                    &gpu.client,
-                    cubes(run.len()),
-                    CubeDim::new_1d(TILE_PIXELS as u32),
-                    self.inputs.arg(self.lists, self.rays),
-                    self.grad.arg(),
-                    table.arg(),
-                    self.left.arg(),
-                    self.view(&run),
-                );
-            }
-            for part in self.rows.iter().filter(|_| end > start) {
-                let (grid, dim) = elementwise(end - start);
-                // SAFETY: as above; rows are guarded.
-                unsafe {
-                    rasterize_rays_sums_kernel::launch_unchecked(
-                        &gpu.client,
-                        grid,
-                        dim,
-                        self.inputs.arg(self.lists, self.rays),
-                        self.grad.arg(),
-                        table.arg(),
-                        part.sums.arg(),
-                        part.intersections.start as u32,
-                        part.intersections.end as u32,
-                        self.view(&run),
-                        self.absolute,
-                    );
-                }
-            }
-        }
-    }
-
-    /// In the order of the list: by buckets.
-    fn by_buckets(&self, room: usize) {
+    fn launch(&self, room: usize) {
         let gpu = self.gpu;
         let runs = self.runs(BUCKET * room.min(gpu.buffer_limit as usize / (8 * TILE_PIXELS)));
         let slots = |run: &Range<usize>| slots([run.start, run.end], self.places(run));
@@ -205,8 +153,7 @@ impl LayersTask<'_> {
     }
 }
 
-/// Returns the gradients of the inputs from `grad`, the gradient of the planes, with as much memory as a table of `room` places takes.
-/// Waits for the device once, to read the lengths of the lists.
+/// Returns the gradients of the inputs from `grad`, the gradient of the planes, with memory for `room` buckets at a time. Waits for the device once, to read the lengths of the lists.
 pub(crate) fn launch_rasterize_rays_backward(
     gpu: &Gpu,
     inputs: &RayLayers<Buffer<f32>>,
@@ -228,24 +175,16 @@ pub(crate) fn launch_rasterize_rays_backward(
     };
     let absolute = needs.mean2d_abs;
     let task = LayersTask { gpu, inputs, rays, grad, lists, spec, shape, left, rows: &rows, absolute, starts };
-    match spec.options.order {
-        Order::CentreDepth => task.by_buckets(room),
-        _ => task.by_table(room),
-    }
+    task.launch(room);
     let background = needs.background.then(|| launch_sums(gpu, grad, Some(left), [pixels, shape.features]));
     if !of_intersections {
         return RayLayers { background, ..RayLayers::default() };
     }
     let RayLayers { projected, ray_space, features, mean2d_abs, .. } = needs;
     let needed = Layers { projected, features, background: false, mean2d_abs };
-    let ray_columns = match spec.options.projection {
-        Projection::RayMax => ray_space::columns(&spec.intrinsics),
-        Projection::Affine => 0,
-    };
+    let ray_columns = ray_space::columns(&spec.intrinsics);
     let (grads, of_rays) =
         launch_gather(gpu, &inputs.projected, lists, (&rows, columns, true), shape, (needed, ray_columns));
     let Layers { projected, features, mean2d_abs, .. } = grads;
-    // With the affine projection the row decides nothing but the order.
-    let of_rays = of_rays.or_else(|| ray_space.then(|| Buffer::zeros(gpu, inputs.ray_space.len)));
     RayLayers { projected, ray_space: of_rays.filter(|_| ray_space), features, background, mean2d_abs }
 }

@@ -31,10 +31,6 @@ pub(super) struct RayFrame {
     pub first_tile: u32,
     pub end_tile: u32,
     #[cube(comptime)]
-    pub exact: bool,
-    #[cube(comptime)]
-    pub per_pixel: bool,
-    #[cube(comptime)]
     pub shape: KernelShape,
 }
 
@@ -130,12 +126,12 @@ fn stored_frame(from: &Shared<[f32]>, at: usize, inputs: &RayInputs) -> Comptime
     }
 }
 
-/// Returns the point of the picture next to a centre, px, with a lens and with the affine projection the centre itself.
+/// Returns the point of the picture next to a centre, px, with a lens the centre itself.
 #[cube]
 fn base_of(x: f32, y: f32, inputs: &RayInputs, view: &RayFrame) -> (f32, f32) {
     let mut base_x = x;
     let mut base_y = y;
-    if comptime!(view.exact && inputs.rays.is_none()) {
+    if comptime!(inputs.rays.is_none()) {
         base_x = within(x, 0.0, f32::cast_from(view.frame.width));
         base_y = within(y, 0.0, f32::cast_from(view.frame.height));
     }
@@ -143,7 +139,7 @@ fn base_of(x: f32, y: f32, inputs: &RayInputs, view: &RayFrame) -> (f32, f32) {
 }
 
 /// A Gaussian evaluated at a pixel, with the names of the module's documentation. Alpha is zero where the Gaussian is not
-/// visible, or has no alpha or sort key that is a number.
+/// visible, or has no alpha or depth that is a number.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub(super) struct RayLayer {
@@ -155,8 +151,8 @@ pub(super) struct RayLayer {
     pub apart_v: f32,
     pub apart_s: f32,
     pub phi: f32,
-    /// Sort key `λ z`.
-    pub key: f32,
+    /// `λ z`, scene units.
+    pub depth: f32,
     pub alpha: f32,
     /// Whether alpha is below its limit.
     pub free: bool,
@@ -170,17 +166,8 @@ impl RayGaussian {
         let e = PackedEllipse::load(&inputs.projected, gaussian);
         let (base_x, base_y) = base_of(e.x, e.y, inputs, view);
         let (depth_slope_u, depth_slope_v) = (row[at], row[at + 1]);
-        let (mut sigma_u, mut shear, mut sigma_v) = (e.sigma_u, e.shear, e.sigma_v);
-        let (mut alpha, mut beta, mut gamma) = (0.0f32.runtime(), 0.0f32.runtime(), 1.0f32.runtime());
-        if comptime!(view.exact) {
-            sigma_u = row[at + 6];
-            shear = row[at + 7];
-            sigma_v = row[at + 8];
-            let centre = whiten(row[at + 4], row[at + 5], sigma_u, shear, sigma_v);
-            alpha = centre.u;
-            beta = centre.v;
-            gamma = row[at + 3] - (depth_slope_u * alpha + depth_slope_v * beta);
-        }
+        let (sigma_u, shear, sigma_v) = (row[at + 6], row[at + 7], row[at + 8]);
+        let centre = whiten(row[at + 4], row[at + 5], sigma_u, shear, sigma_v);
         RayGaussian {
             base_x,
             base_y,
@@ -193,9 +180,9 @@ impl RayGaussian {
             depth_slope_u,
             depth_slope_v,
             thickness: row[at + 2],
-            alpha,
-            beta,
-            gamma,
+            alpha: centre.u,
+            beta: centre.v,
+            gamma: row[at + 3] - (depth_slope_u * centre.u + depth_slope_v * centre.v),
             frame: frame_of(inputs, gaussian),
         }
     }
@@ -281,16 +268,11 @@ impl RayGaussian {
         let pixel = at.pixel;
         let own = self.whitened(pixel.x - self.base_x, (pixel.top + pixel.row) - self.base_y);
         let (ray, sees) = self.ray(at, own);
-        let ray_square = ray.u * ray.u + ray.v * ray.v;
-        let (mut u, mut v, mut square) = (ray.u, ray.v, ray_square);
-        if comptime!(!view.exact) {
-            u = own.u;
-            v = own.v;
-            square = u * u + v * v;
-        }
-        let s = within(1.0 - (self.depth_slope_u * ray.u + self.depth_slope_v * ray.v), -farthest, farthest);
+        let (u, v) = (ray.u, ray.v);
+        let square = u * u + v * v;
+        let s = within(1.0 - (self.depth_slope_u * u + self.depth_slope_v * v), -farthest, farthest);
         let thick = self.thickness * self.thickness;
-        let d = s * s + thick * ray_square;
+        let d = s * s + thick * square;
         let sound = d > comptime!(D_MIN as f32);
         let inverse = select(sound, 1.0 / select(sound, d, 1.0), 0.0);
         // With the centre as the origin, `α` and `β` are zero and `γ` is one.
@@ -299,29 +281,23 @@ impl RayGaussian {
         let mut apart_u = lambda * u;
         let mut apart_v = lambda * v;
         let mut apart_s = inverse * square;
-        let mut exponent = 0.5 * square;
-        if comptime!(view.exact) {
-            exponent *= inverse;
-            // The same for all pixels.
-            if self.alpha != 0.0 || self.beta != 0.0 || self.gamma != 1.0 {
-                let dot = self.alpha * u + self.beta * v;
-                product = self.gamma * s + thick * dot;
-                lambda = product * inverse;
-                apart_u = lambda * u - self.alpha;
-                apart_v = lambda * v - self.beta;
-                apart_s = inverse * (self.gamma * square - s * dot);
-                exponent = 0.5 * (apart_u * apart_u + apart_v * apart_v + thick * apart_s * apart_s);
-            }
+        let mut exponent = 0.5 * square * inverse;
+        // The same for all pixels.
+        if self.alpha != 0.0 || self.beta != 0.0 || self.gamma != 1.0 {
+            let dot = self.alpha * u + self.beta * v;
+            product = self.gamma * s + thick * dot;
+            lambda = product * inverse;
+            apart_u = lambda * u - self.alpha;
+            apart_v = lambda * v - self.beta;
+            apart_s = inverse * (self.gamma * square - s * dot);
+            exponent = 0.5 * (apart_u * apart_u + apart_v * apart_v + thick * apart_s * apart_s);
         }
-        let mut seen = sees;
-        if comptime!(view.exact) {
-            seen = sees && product > 0.0 && sound;
-        }
+        let seen = sees && product > 0.0 && sound;
         let whole = self.opacity * (-exponent).exp();
         let alpha = min(whole, view.frame.alpha_max);
-        let key = lambda * self.depth;
-        // `min` and comparisons may let NaN pass, and a NaN among the keys has no place in their order.
-        let known = finite(whole) && finite(key);
+        let depth = lambda * self.depth;
+        // `min` and comparisons may let NaN pass.
+        let known = finite(whole) && finite(depth);
         RayLayer {
             u,
             v,
@@ -330,18 +306,9 @@ impl RayGaussian {
             apart_v,
             apart_s,
             phi: thick * inverse,
-            key,
+            depth,
             alpha: select(known && seen && alpha >= view.frame.alpha_min, alpha, 0.0),
             free: whole < view.frame.alpha_max,
         }
-    }
-
-    /// Returns the depth of a layer, scene units.
-    pub fn depth_of(&self, layer: &RayLayer, view: &RayFrame) -> f32 {
-        let mut depth = self.depth;
-        if comptime!(view.exact) {
-            depth = layer.key;
-        }
-        depth
     }
 }

@@ -5,7 +5,7 @@ use super::cpu::{rasterize_rays_backward_cpu, rasterize_rays_cpu};
 use crate::camera::{CameraModel, Intrinsics, LEAST_NO_RAY, PictureRays};
 use crate::intersect::IntersectionLists;
 use crate::intersect::cpu::intersect_cpu;
-use crate::options::{Order, Projection, RenderOptions};
+use crate::options::{Projection, RenderOptions};
 use crate::project::cpu::project_cpu;
 use crate::project::{COLUMNS, Ellipse, Geometry, OPACITY, ProjectSpec};
 use crate::rasterize::{PlaneParts, RasterizeSpec};
@@ -19,12 +19,6 @@ use crate::testing::random::Random;
 
 const ALL: RayLayers<bool> =
     RayLayers { projected: true, ray_space: true, features: true, background: true, mean2d_abs: true };
-
-const CHOICES: [(Projection, Order); 3] = [
-    (Projection::RayMax, Order::CentreDepth),
-    (Projection::Affine, Order::PerPixelSort),
-    (Projection::RayMax, Order::PerPixelSort),
-];
 
 /// Packed ellipses, rows in ray space, features, background.
 #[derive(Clone)]
@@ -77,12 +71,7 @@ impl StageInputs {
 
     fn lists(&self) -> IntersectionLists {
         let (camera, alpha_min) = (&self.spec.intrinsics, self.spec.options.alpha_min);
-        match self.spec.options.projection {
-            Projection::RayMax => {
-                intersect_cpu(&bounds_cpu(&self.inputs[0], &self.inputs[1], &self.spec), camera, alpha_min.into())
-            }
-            Projection::Affine => intersect_cpu(&self.inputs[0], camera, alpha_min.into()),
-        }
+        intersect_cpu(&bounds_cpu(&self.inputs[0], &self.inputs[1], &self.spec), camera, alpha_min.into())
     }
 
     fn planes(&self) -> Vec<f64> {
@@ -99,67 +88,48 @@ impl StageInputs {
         Random::new(77).fill(self.spec.planes(self.inputs[3].len()) * pixels, -1.0, 1.0)
     }
 
-    /// Gaussian `i` at `pixel`, whose ray has these slopes: alpha, the depth of the layer, and the sort key.
-    fn seen(&self, pixel: usize, slopes: [f64; 2], i: usize) -> [f64; 3] {
-        let (width, options) = (self.spec.intrinsics.width, &self.spec.options);
+    /// Gaussian `i` at a pixel whose ray has these slopes: alpha, and the depth of the layer.
+    fn seen(&self, slopes: [f64; 2], i: usize) -> [f64; 2] {
         let e = Ellipse::from_row(&self.inputs[0][i * COLUMNS..]);
         let t = &self.inputs[1][i * ROW..][..ROW];
         if slopes[0] > LEAST_NO_RAY || e.opacity == 0.0 {
-            return [0.0, 0.0, 0.0];
+            return [0.0; 2];
         }
-        let whiten = |dx: f64, dy: f64| (dx / e.sigma_u, (dy - e.shear * dx) / e.sigma_v);
         let frame = &t[RAY_SPACE..];
         let (x, y) = (slopes[0] - frame[0], slopes[1] - frame[1]);
         let ray = [frame[2] * x + frame[3] * y, frame[4] * x + frame[5] * y];
-        let (u, v) = whiten(ray[0], ray[1]);
-        let (s, square) = (1.0 - t[0] * u - t[1] * v, u * u + v * v);
-        let key = s / (s * s + t[2] * t[2] * square) * e.depth;
-        match options.projection {
-            Projection::RayMax => {
-                let whiten = |[dx, dy]: [f64; 2], depth: f64| {
-                    let (u, v) = (dx / t[6], (dy - t[7] * dx) / t[8]);
-                    [u, v, (depth - t[0] * u - t[1] * v) / t[2]]
-                };
-                let (to, centre) = (whiten(ray, 1.0), whiten([t[4], t[5]], t[3]));
-                let dot = |a: [f64; 3], b: [f64; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-                let lambda = dot(to, centre) / dot(to, to);
-                let apart = [0, 1, 2].map(|k| lambda * to[k] - centre[k]);
-                let alpha = if lambda > 0.0 { e.opacity * (-0.5 * dot(apart, apart)).exp() } else { 0.0 };
-                [alpha, lambda * e.depth, lambda * e.depth]
-            }
-            Projection::Affine => {
-                let centre = [(pixel % width) as f64 + 0.5, (pixel / width) as f64 + 0.5];
-                let (u, v) = whiten(centre[0] - e.mean_px[0], centre[1] - e.mean_px[1]);
-                [e.opacity * (-0.5 * (u * u + v * v)).exp(), e.depth, key]
-            }
-        }
+        let whiten = |[dx, dy]: [f64; 2], depth: f64| {
+            let (u, v) = (dx / t[6], (dy - t[7] * dx) / t[8]);
+            [u, v, (depth - t[0] * u - t[1] * v) / t[2]]
+        };
+        let (to, centre) = (whiten(ray, 1.0), whiten([t[4], t[5]], t[3]));
+        let dot = |a: [f64; 3], b: [f64; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+        let lambda = dot(to, centre) / dot(to, to);
+        let apart = [0, 1, 2].map(|k| lambda * to[k] - centre[k]);
+        let alpha = if lambda > 0.0 { e.opacity * (-0.5 * dot(apart, apart)).exp() } else { 0.0 };
+        [alpha, lambda * e.depth]
     }
 }
 
 #[test]
 fn planes_are_those_of_the_definition() {
     for (seed, lens) in lenses().into_iter().enumerate() {
-        for (projection, order) in CHOICES {
-            for options in [RenderOptions::standard(), RenderOptions::exact(), smooth(0.95)] {
-                let options = options.with_projection(projection).with_order(order).with_depth(seed % 2 == 0);
-                let scene = StageInputs::random(seed as u64, (14, 3), (61, 37), lens, options);
-                let rays = PictureRays::of(&scene.spec.intrinsics).expect("a lens");
-                let [_, _, features, background] = &scene.inputs;
-                let expected = blended(&scene.spec, features, background, |pixel| {
-                    let seen = |i: usize| (scene.seen(pixel, rays.slopes[pixel], i), i);
-                    let mut all: Vec<_> = (0..14).map(seen).collect();
-                    let key = |(seen, i): &([f64; 3], usize)| match order {
-                        Order::CentreDepth => scene.inputs[0][i * COLUMNS + 5],
-                        Order::PerPixelSort => seen[2],
-                    };
-                    all.sort_by(|a, b| key(a).total_cmp(&key(b)));
-                    let layer =
-                        |([alpha, depth, _], gaussian): ([f64; 3], usize)| PixelLayer { gaussian, alpha, depth };
-                    all.into_iter().map(layer).collect()
-                });
-                let what = format!("{lens:?}, {projection:?}, {order:?}, {}", options.alpha_min);
-                assert_close(&what, &scene.planes(), &expected, 1e-11);
-            }
+        for options in [RenderOptions::standard(), RenderOptions::exact(), smooth(0.95)] {
+            let options = options.with_projection(Projection::RayMax).with_depth(seed % 2 == 0);
+            let scene = StageInputs::random(seed as u64, (14, 3), (61, 37), lens, options);
+            let rays = PictureRays::of(&scene.spec.intrinsics).expect("a lens");
+            let [_, _, features, background] = &scene.inputs;
+            let mut order: Vec<usize> = (0..14).collect();
+            let depth = |i: usize| scene.inputs[0][i * COLUMNS + 5];
+            order.sort_by(|&a, &b| depth(a).total_cmp(&depth(b)));
+            let expected = blended(&scene.spec, features, background, |pixel| {
+                let layer = |&gaussian: &usize| {
+                    let [alpha, depth] = scene.seen(rays.slopes[pixel], gaussian);
+                    PixelLayer { gaussian, alpha, depth }
+                };
+                order.iter().map(layer).collect()
+            });
+            assert_close(&format!("{lens:?}, {}", options.alpha_min), &scene.planes(), &expected, 1e-11);
         }
     }
 }
@@ -168,29 +138,24 @@ fn planes_are_those_of_the_definition() {
 #[test]
 fn every_gradient_agrees_with_finite_differences() {
     for (seed, lens) in lenses().into_iter().enumerate() {
-        for (projection, order) in CHOICES {
-            let options = smooth(1.0).with_projection(projection).with_order(order).with_depth(true);
-            let scene = StageInputs::random(seed as u64, (7, 2), (24, 17), lens, options);
-            let grad = scene.random_grad();
-            let g = scene.backward(&grad, ALL);
-            let exact = projection == Projection::RayMax;
-            assert!(g.ray_space.chunks_exact(ROW).all(|row| row[RAY_SPACE..].iter().all(|value| *value == 0.0)));
-            assert_eq!(g.ray_space.iter().any(|value| *value != 0.0), exact);
-            let gradients = [&g.projected, &g.ray_space, &g.features, &g.background];
-            for (i, part) in ["ellipses", "rows", "features", "background"].into_iter().enumerate() {
-                let what = format!("{part}, {lens:?}, {projection:?}, {order:?}");
-                check_gradient(&what, &scene.inputs[i], gradients[i], 1, |moved| {
-                    let mut at = scene.clone();
-                    at.inputs[i] = moved.to_vec();
-                    let [projected, rows, ..] = &mut at.inputs;
-                    for (row, old) in rows.chunks_exact_mut(ROW).zip(scene.inputs[1].chunks_exact(ROW)) {
-                        row[RAY_SPACE..].copy_from_slice(&old[RAY_SPACE..]);
-                    }
-                    let ellipses = projected.chunks_exact_mut(COLUMNS).zip(scene.inputs[0].chunks_exact(COLUMNS));
-                    ellipses.filter(|_| exact).for_each(|(row, old)| row[..OPACITY].copy_from_slice(&old[..OPACITY]));
-                    inner_product(&at.planes(), &grad)
-                });
-            }
+        let options = smooth(1.0).with_projection(Projection::RayMax).with_depth(true);
+        let scene = StageInputs::random(seed as u64, (7, 2), (24, 17), lens, options);
+        let grad = scene.random_grad();
+        let g = scene.backward(&grad, ALL);
+        assert!(g.ray_space.chunks_exact(ROW).all(|row| row[RAY_SPACE..].iter().all(|value| *value == 0.0)));
+        let gradients = [&g.projected, &g.ray_space, &g.features, &g.background];
+        for (i, part) in ["ellipses", "rows", "features", "background"].into_iter().enumerate() {
+            check_gradient(&format!("{part}, {lens:?}"), &scene.inputs[i], gradients[i], 1, |moved| {
+                let mut at = scene.clone();
+                at.inputs[i] = moved.to_vec();
+                let [projected, rows, ..] = &mut at.inputs;
+                for (row, old) in rows.chunks_exact_mut(ROW).zip(scene.inputs[1].chunks_exact(ROW)) {
+                    row[RAY_SPACE..].copy_from_slice(&old[RAY_SPACE..]);
+                }
+                let ellipses = projected.chunks_exact_mut(COLUMNS).zip(scene.inputs[0].chunks_exact(COLUMNS));
+                ellipses.for_each(|(row, old)| row[..OPACITY].copy_from_slice(&old[..OPACITY]));
+                inner_product(&at.planes(), &grad)
+            });
         }
     }
 }
@@ -224,8 +189,7 @@ mod kernels {
     #[test]
     fn kernels_agree_with_the_twin() {
         for (seed, lens) in lenses().into_iter().enumerate() {
-            let (projection, order) = CHOICES[seed % 3];
-            let mut options = smooth(1.0).with_projection(projection).with_order(order).with_depth(true);
+            let mut options = smooth(1.0).with_projection(Projection::RayMax).with_depth(true);
             options.alpha_max = f64::from(0.95f32);
             let mut scene = StageInputs::random(seed as u64, (14, 3), (45, 37), lens, options);
             // No opacity is near the limit of alphas.
@@ -248,7 +212,7 @@ mod kernels {
                 };
                 let lists = launch_intersect(&gpu, &device.projected, &scene.spec.intrinsics, 0.0.into());
                 let planes = launch_rasterize_rays(&gpu, &device, &lists, &scene.spec).read(&gpu);
-                let name = |what: &str| format!("{what}, {form}, {lens:?}, {projection:?}, {order:?}");
+                let name = |what: &str| format!("{what}, {form}, {lens:?}");
                 reference.check(&name("planes"), 0, &planes, &vec![Some(0); planes.len()]);
                 let needs = ALL;
                 let g =

@@ -1,12 +1,11 @@
 //! Composites Gaussians along the pixels' rays: intersections + features → image planes. Differentiable. Replaces `rasterize`
-//! where [`RenderOptions::projection`](crate::RenderOptions) or `order` differs from its default.
+//! with [`Projection::RayMax`](crate::Projection).
 //!
 //! A pixel evaluates a Gaussian at the whitened coordinates `(u, v)` of `project`. With `ρ² = u² + v²` and the Gaussian's
 //! `depth_slope` and `thickness` (see `ray_space/`):
 //!
 //! ```text
-//! s = 1 − depth_slope·(u, v)    D = s² + thickness² ρ²    λ = s / D
-//! Affine   g = exp(−E),  E = ρ²/2              RayMax   g = exp(−E),  E = ρ²/(2D),  where s > 0
+//! s = 1 − depth_slope·(u, v)    D = s² + thickness² ρ²    λ = s / D    g = exp(−E),  E = ρ²/(2D),  where s > 0
 //! ```
 //!
 //! Along the pixel's ray the Gaussian is greatest at the camera z `λ z`, where `z` is the camera z of its centre. With the blur
@@ -14,11 +13,11 @@
 //! coordinates the points of the ray are `λ(u, v)` and `(λs − 1)/thickness` from the centre, and the minimum over `λ` of
 //! `λ²ρ² + (λs − 1)²/thickness²` is `2E`.) Where `s <= 0` the maximum is at the camera or behind it, and the Gaussian does not
 //! contribute. The affine projection is the case `depth_slope = thickness = 0`: a Gaussian that is small compared with its
-//! distance. (Where the affine Jacobian is clamped, the `λ` that orders the layers uses the clamped Jacobian too.)
+//! distance.
 //!
 //! # Centres beyond the picture
 //!
-//! Seen from a centre far outside, the pixels' `u`, `v` and `s` are small differences of large numbers. With `RayMax` the origin of
+//! Seen from a centre far outside, the pixels' `u`, `v` and `s` are small differences of large numbers. The origin of
 //! `(u, v)`, and of the factor and the depth slope, is therefore the picture's point next to the centre. The centre lies at the
 //! whitened coordinates `(α, β)`, with `γ = 1 − depth_slope·(α, β)`. The point `λ` of a ray is then `(a, b) = λ(u, v) − (α, β)` and
 //! `(λs − γ)/thickness` from the centre, which for `α = β = 0` is the case above:
@@ -28,17 +27,12 @@
 //! 2E = a² + b² + thickness² c²,  where λ > 0    (c = (γ − λs)/thickness², without the cancellation; 2E if the centre is the origin)
 //! ```
 //!
-//! The alphas, thresholds, sums and the gradient back to front are as in `rasterize`, over the same lists. The order is the order
-//! of the lists (camera z of the centres, then the index) or a per-pixel sort by `λ z`. Layers of one Gaussian's copies, whose `λ z` are
-//! equal everywhere, stay in the order of the lists. Only this order decides which contributions lie behind a `transmittance_min`. The depth plane is `Σ wᵢ zᵢ` for the affine projection and
-//! `Σ wᵢ λᵢ zᵢ` for `RayMax`.
+//! The alphas, thresholds, sums and the gradient back to front are as in `rasterize`, over the same lists. The depth plane is
+//! `Σ wᵢ λᵢ zᵢ`.
 //!
 //! # Gradient
 //!
-//! The order is piecewise constant, so the gradient is the gradient of the values composited in this order. With the affine
-//! projection the depth slope decides nothing but the order and has no gradient.
-//!
-//! With `RayMax` the row of `ray_space` is the Gaussian, and what the row is relative to stays: the origin, the camera z `z` by which
+//! The row of `ray_space` is the Gaussian, and what the row is relative to stays: the origin, the camera z `z` by which
 //! depths are divided, and the map of a lens. Only the row has a gradient, and of the ellipse the opacity. With `φ = thickness²/D`,
 //! the gradients by the centre `(α, β, γ)` and by the factor are
 //!
@@ -59,15 +53,12 @@
 //! # Lenses
 //!
 //! With a lens, a pixel's ray has the slopes `t`, which the host computes once for a camera, and `(u, v)` are the whitened `G (t − t₀)` of
-//! `ray_space` in place of the pixel's offset. The affine projection takes them for `λ` alone. A pixel without a ray shows the
-//! background.
+//! `ray_space` in place of the pixel's offset. A pixel without a ray shows the background.
 //!
 //! Shapes: packed ellipses `[N, 7]`, rows of `ray_space` `[N, 9]`, with a lens `[N, 15]`, features `[N, C]`, background `[C]` → planes as in `rasterize`.
 
 #[cfg(feature = "cube")]
 mod backward;
-#[cfg(feature = "cube")]
-mod buckets;
 #[cfg(test)]
 mod chain_tests;
 pub(crate) mod cpu;
@@ -82,7 +73,6 @@ pub(crate) mod launch;
 mod layer;
 #[cfg(test)]
 mod lens_tests;
-mod order;
 #[cfg(feature = "cube")]
 mod pair_sums;
 mod reach;
@@ -90,8 +80,6 @@ mod reach;
 mod tests;
 mod tile;
 mod tile_backward;
-#[cfg(feature = "cube")]
-mod walk;
 
 use crate::record::record;
 

@@ -3,7 +3,6 @@
 use fearless_simd::prelude::*;
 
 use super::footprint::{RayFootprint, RayPixels, RayRules};
-use super::order::LayerSlots;
 use super::reach::{BlockLists, Reach};
 use crate::camera::LEAST_NO_RAY;
 use crate::intersect::{PixelBox, TILE, TILE_PIXELS};
@@ -14,12 +13,9 @@ use crate::rasterize::tile::{
 use crate::ray_space::{LENS_COLUMNS, LensFrame};
 use crate::simd::real::Real;
 
-/// The place, in the order of blocks, of the pixel on row 7 of column 7.
-const MIDDLE: usize = in_block_order(7 * TILE / WIDTH) * WIDTH + 7;
-
 /// A tile with Gaussians of its list, copied side by side, and the planes of its pixels' places.
 pub(super) struct RayTile<F: Real> {
-    /// Gaussians in the order in which their layers come.
+    /// Gaussians, front to back.
     pub near: Vec<RayFootprint<F>>,
     /// [`RayFootprint::whitening`] of each of `near`, if the camera has a lens.
     frames: Vec<LensFrame<F>>,
@@ -33,8 +29,6 @@ pub(super) struct RayTile<F: Real> {
     pub values: Vec<[F; TOGETHER]>,
     /// The Gaussians that each block may see, as indices in `near`.
     lists: BlockLists,
-    /// Keys at the middle of the tile.
-    keys: Vec<(F::SortKey, u32)>,
     x: [F; BLOCK_ROW],
     /// Centre of the first row of pixels, px.
     top: F,
@@ -55,7 +49,6 @@ impl<F: Real> Default for RayTile<F> {
             channels: 0,
             values: Vec::new(),
             lists: BlockLists::default(),
-            keys: Vec::new(),
             x: [F::ZERO; BLOCK_ROW],
             top: F::ZERO,
             rows: pixel_rows(),
@@ -95,11 +88,8 @@ impl<F: Copy> RayTileView<'_, F> {
 
 impl<F: Real> RayTile<F> {
     /// Copies the Gaussians of a tile that some block may see.
-    ///
-    /// With `SORTED` their layers come in the order of their keys in the middle of the tile, from which the order of a pixel differs
-    /// less than from the order of their centres.
     #[inline(always)]
-    pub fn read<S: Simd, const SORTED: bool>(&mut self, simd: S, view: &RayTileView<F>, reach: Reach) {
+    pub fn read<S: Simd>(&mut self, simd: S, view: &RayTileView<F>, reach: Reach) {
         let corner = view.origin.map(|px| F::of(px as f64));
         self.x = centres(corner[0]);
         self.top = corner[1] + F::of(0.5);
@@ -125,9 +115,6 @@ impl<F: Real> RayTile<F> {
                 let row = &view.ray_space[view.gaussian(*place) * LENS_COLUMNS..][..LENS_COLUMNS];
                 self.frames.push(splat.whitening(LensFrame::of(row).unwrap_or_default()));
             }
-        }
-        if SORTED {
-            self.sort();
         }
         self.lists.blocks.clear();
         match reach {
@@ -168,36 +155,13 @@ impl<F: Real> RayTile<F> {
         }
     }
 
-    /// Sorts `near` by the keys in the middle of the tile, stably.
-    #[inline(always)]
-    fn sort(&mut self) {
-        let middle = [self.x[MIDDLE % BLOCK_ROW], self.rows[MIDDLE] + self.top];
-        let slopes = self.slopes.as_ref().map(|slopes| slopes.each_ref().map(|plane| plane[MIDDLE]));
-        self.keys.clear();
-        for (i, splat) in self.near.iter().enumerate() {
-            let key = splat.key(middle, self.frames.get(i).zip(slopes));
-            // Keys below zero are behind all others: the camera's other side.
-            self.keys.push((key.sort_key(), i as u32));
-        }
-        if self.keys.is_sorted_by_key(|(key, _)| *key) {
-            return;
-        }
-        F::sort_by_key(&mut self.keys);
-        let order = || self.keys.iter().map(|&(_, i)| i as usize);
-        self.places = order().map(|i| self.places[i]).collect();
-        self.near = order().map(|i| self.near[i]).collect();
-        if !self.frames.is_empty() {
-            self.frames = order().map(|i| self.frames[i]).collect();
-        }
-    }
-
-    /// Fills `values` with the channels from `first` on: features, then the depth of the centre.
+    /// Fills `values` with the features from `first` on, and with zeros behind the last.
     pub fn fill_values(&mut self, first: usize) {
         self.values.resize(self.near.len(), [F::ZERO; TOGETHER]);
         for (i, values) in self.values.iter_mut().enumerate() {
             let features = &self.features[i * self.channels..][..self.channels];
             for (channel, value) in (first..).zip(values) {
-                *value = if channel < self.channels { features[channel] } else { self.near[i].depth };
+                *value = features.get(channel).copied().unwrap_or(F::ZERO);
             }
         }
     }
@@ -236,33 +200,25 @@ impl<F: Real> RayTile<F> {
 /// Number of channels that are summed at a time, in registers.
 pub(super) const TOGETHER: usize = 4;
 
-/// Layers of the forward pass: key, alpha, and the values of some channels.
-pub(super) type ColourSlots<F> = LayerSlots<F, { 2 + TOGETHER }>;
-
 /// Rasterizes a tile. Writes the sums `Σ w c`, of the features and then of depth if there is one, and the transmittance to
 /// `planes`, `[channels + 1, 256]`. More than [`TOGETHER`] features take a pass for each part of them. Returns, by place in the
-/// tile's list, a bit for each block that sees the Gaussian.
-///
-/// `EXACT` takes the maximum along the ray, and `SORTED` the order of each pixel.
+/// tile's list, a bit for each block that sees the Gaussian in front of a finish.
 #[inline(always)]
-pub(super) fn rasterize_tile<S: Simd, F: Real, const EXACT: bool, const SORTED: bool>(
+pub(super) fn rasterize_tile<S: Simd, F: Real>(
     simd: S,
     tile: &mut RayTile<F>,
     rules: &RayRules<S, F>,
     planes: &mut [F],
-    slots: &mut ColourSlots<F>,
 ) -> Vec<u16> {
     let mut seen = vec![0; tile.near.len()];
     let planes = planes.as_chunks_mut::<TILE_PIXELS>().0;
     let (sums, transmittance) = planes.split_at_mut(planes.len() - 1);
-    let depth = sums.len() > tile.channels;
-    // The depth of a Gaussian is a channel like others, unless it differs from pixel to pixel.
-    let channels = if EXACT { tile.channels } else { sums.len() };
+    let channels = tile.channels;
     for first in (0..channels).step_by(TOGETHER) {
         tile.fill_values(first);
         for place in (0..TILE_PIXELS).step_by(len::<S, F>()) {
-            let sum_depth = EXACT && depth && first == 0;
-            let (totals, left) = sum::<S, F, EXACT, SORTED>(simd, tile, rules, (place, sum_depth), (slots, &mut seen));
+            let sum_depth = sums.len() > channels && first == 0;
+            let (totals, left) = sum::<S, F>(simd, tile, rules, (place, sum_depth), &mut seen);
             for (plane, total) in sums[first..channels].iter_mut().zip(&totals) {
                 store(*total, plane, place);
             }
@@ -275,85 +231,39 @@ pub(super) fn rasterize_tile<S: Simd, F: Real, const EXACT: bool, const SORTED: 
     for plane in planes {
         *plane = in_rows(plane);
     }
-    if SORTED {
-        let mut by_place = vec![0; seen.len()];
-        tile.places.iter().zip(seen).for_each(|(&place, seen)| by_place[place as usize] = seen);
-        return by_place;
-    }
     seen
 }
 
 /// Returns the sums over the layers of the vector of pixels at `place`, of the tile's values and of the depths, and the
 /// transmittances behind all layers. Sets the bit of its block in `seen` for each Gaussian of `near` with a layer in front of a
-/// finish, or with `SORTED` anywhere.
+/// finish.
 #[inline(always)]
-fn sum<S: Simd, F: Real, const EXACT: bool, const SORTED: bool>(
+fn sum<S: Simd, F: Real>(
     simd: S,
     tile: &RayTile<F>,
     rules: &RayRules<S, F>,
     (place, depth): (usize, bool),
-    (slots, seen): (&mut ColourSlots<F>, &mut [u16]),
+    seen: &mut [u16],
 ) -> ([F::Block<S>; TOGETHER + 1], F::Block<S>) {
     let pixels = tile.pixels(simd, place);
     let mut sums = [rules.zero; TOGETHER + 1];
     let mut open = Open::<S, F>::new(lanes(simd, &tile.open, place));
-    slots.clear::<S>(if SORTED { tile.list(place).len() } else { 0 });
-    // With `SORTED`: the transmittances, whatever the order, and once all pixels are finished the largest key that finishes one.
-    let (mut left, mut last_key, mut checked) = (open.transmittance, F::MAX, 0);
     for &i in tile.list(place) {
-        if SORTED && tile.near[i as usize].least_key > last_key {
-            continue;
-        }
-        let layer = rules.layer::<EXACT, SORTED>(tile.splat(i), &pixels, None);
-        let shows = if SORTED { layer.shows } else { layer.shows & open.transmittance.simd_ge(rules.zero) };
+        let layer = rules.layer(tile.splat(i), &pixels, None);
+        let shows = layer.shows & open.transmittance.simd_ge(rules.zero);
         seen[i as usize] |= u16::from(shows.any_true()) << (place / BLOCK);
-        let mut slot = [layer.key; 2 + TOGETHER];
-        slot[1] = layer.alpha;
-        for (value, &of_gaussian) in slot[2..].iter_mut().zip(&tile.values[i as usize]) {
-            *value = F::Block::<S>::splat(simd, of_gaussian);
+        let ([weight, _], finished) = open.pass(layer.alpha, rules);
+        for (sum, &value) in sums.iter_mut().zip(&tile.values[i as usize]) {
+            *sum = weight.mul_add(F::Block::<S>::splat(simd, value), *sum);
         }
-        if SORTED {
-            slots.push::<S>(slot, layer.shows);
-            left = (-layer.alpha).mul_add(left, left);
-            if slots.count() >= checked + BETWEEN {
-                slots.sort::<S>(simd);
-                checked = slots.count();
-                if !left.simd_gt(rules.transmittance_min).any_true() {
-                    last_key = last_key.min_of(key_of_finish(open.transmittance, rules, slots));
-                }
-            }
-        } else if open.add(slot, &mut sums, depth, rules) {
+        if depth {
+            sums[TOGETHER] = weight.mul_add(layer.depth, sums[TOGETHER]);
+        }
+        if finished {
             break;
         }
     }
-    if SORTED {
-        slots.finish::<S>(simd);
-        for slot in 0..slots.count() {
-            if open.add(slots.get::<S>(simd, slot), &mut sums, depth, rules) {
-                break;
-            }
-        }
-    }
     (sums, open.transmittance.abs())
-}
-
-/// Number of slots that are sorted at a time, before a look for the key that finishes all pixels.
-const BETWEEN: usize = 16;
-
-/// Returns the largest of the keys that finish the pixels, or the largest number if some pixel is not finished. Layers that come later only
-/// finish pixels earlier.
-#[inline(always)]
-fn key_of_finish<S: Simd, F: Real>(open: F::Block<S>, rules: &RayRules<S, F>, slots: &ColourSlots<F>) -> F {
-    let simd = open.token();
-    let (mut left, mut last) = (open, F::Block::<S>::splat(simd, -F::MAX));
-    for slot in 0..slots.sorted() {
-        let (key, alpha) = (slots.part::<S>(simd, slot, 0), slots.part::<S>(simd, slot, 1));
-        let after = (-alpha).mul_add(left, left);
-        let finishes = alpha.simd_gt(rules.zero) & left.simd_ge(rules.zero) & after.simd_le(rules.transmittance_min);
-        last = finishes.select(key, last);
-        left = finishes.select(-left, after);
-    }
-    if left.simd_ge(rules.zero).any_true() { F::MAX } else { last.reduce_max() }
 }
 
 /// Transmittances of a vector of pixels on the way from front to back, negated where a pixel is finished.
@@ -384,25 +294,5 @@ impl<S: Simd, F: Real> Open<S, F> {
             finished = !self.transmittance.simd_ge(rules.zero).any_true();
         }
         ([alpha * before, alpha], finished)
-    }
-
-    /// Passes a layer of [`ColourSlots`] and adds it to the sums, the last of which is that of the keys if `depth` is set.
-    /// Returns whether all pixels are finished.
-    #[inline(always)]
-    fn add(
-        &mut self,
-        slot: [F::Block<S>; 2 + TOGETHER],
-        sums: &mut [F::Block<S>; TOGETHER + 1],
-        depth: bool,
-        rules: &RayRules<S, F>,
-    ) -> bool {
-        let ([weight, _], finished) = self.pass(slot[1], rules);
-        for channel in 0..TOGETHER {
-            sums[channel] = weight.mul_add(slot[2 + channel], sums[channel]);
-        }
-        if depth {
-            sums[TOGETHER] = weight.mul_add(slot[0], sums[TOGETHER]);
-        }
-        finished
     }
 }

@@ -1,11 +1,10 @@
 //! Backward pass of the CPU twin over one tile. Each vector of pixels finds its layers as in the forward pass and goes through
 //! them back to front. What it finds for each pair of a Gaussian and a vector of pixels is stored, and then summed Gaussian by
-//! Gaussian, whatever the order of each pixel was.
+//! Gaussian.
 
 use fearless_simd::prelude::*;
 
 use super::footprint::{RayFootprint, RayLayerSimd, RayRules};
-use super::order::{Ids, LayerSlots};
 use super::tile::{Open, RayTile, TOGETHER};
 use crate::intersect::TILE_PIXELS;
 use crate::rasterize::cpu::{MOMENTS, TilePlanes};
@@ -21,20 +20,15 @@ const STORED: usize = 1 << 22;
 const VECTORS: usize = 32;
 
 /// Number of values of a pair of a Gaussian and a vector of pixels that sees it, a vector each: `h = α ∂L/∂α` where alpha is below
-/// its limit, the weight `α T`, and if the projection is exact [`RayLayerSimd::inverse`].
-const fn pair_parts(exact: bool) -> usize {
-    2 + exact as usize
-}
+/// its limit, the weight `α T`, and [`RayLayerSimd::inverse`].
+const PARTS: usize = 3;
 
 /// Buffers that one thread reuses from tile to tile.
 #[derive(Default)]
 pub(super) struct RayScratch<F> {
-    /// With the order of each pixel: key, then the weight; alpha; the layer's values along the gradient; the pair, by
-    /// [`Real::from_index`].
-    slots: LayerSlots<F, 4>,
-    /// With the order of the list: alpha and the layer's values along the gradient, a vector each.
+    /// Alpha and the layer's values along the gradient, a vector each.
     layers: Vec<F>,
-    /// [`pair_parts`] vectors for each pair.
+    /// [`PARTS`] vectors for each pair.
     pairs: Vec<F>,
     /// Number of values in use of `pairs`.
     used: usize,
@@ -59,7 +53,7 @@ pub(super) fn columns(channels: usize, absolute: bool) -> usize {
 /// Adds each intersection's sums over the tile to its row. Returns the transmittances behind all layers, negated where a pixel is
 /// finished. The tile has the Gaussians and blocks that the forward pass found.
 #[inline(always)]
-pub(super) fn rasterize_tile_backward<S: Simd, F: Real, const EXACT: bool, const SORTED: bool>(
+pub(super) fn rasterize_tile_backward<S: Simd, F: Real>(
     simd: S,
     tile: &mut RayTile<F>,
     rules: &RayRules<S, F>,
@@ -75,10 +69,10 @@ pub(super) fn rasterize_tile_backward<S: Simd, F: Real, const EXACT: bool, const
     scratch.seen_by.resize(tile.near.len(), 0);
     for place in (0..TILE_PIXELS).step_by(len::<S, F>()) {
         first[place / len::<S, F>()] = scratch.used;
-        let behind = layers::<S, F, EXACT, SORTED>(simd, tile, rules, grad, place, scratch);
+        let behind = layers::<S, F>(simd, tile, rules, grad, place, scratch);
         store(behind, &mut transmittance, place);
         if scratch.used > STORED || place + len::<S, F>() == TILE_PIXELS {
-            add_rows::<S, F, EXACT>(simd, tile, rules, grad, rows, (scratch, &first));
+            add_rows::<S, F>(simd, tile, rules, grad, rows, (scratch, &first));
             scratch.used = 0;
         }
     }
@@ -87,7 +81,7 @@ pub(super) fn rasterize_tile_backward<S: Simd, F: Real, const EXACT: bool, const
 
 /// Appends the pairs of the vector of pixels at `place`. Returns the transmittances behind all layers.
 #[inline(always)]
-fn layers<S: Simd, F: Real, const EXACT: bool, const SORTED: bool>(
+fn layers<S: Simd, F: Real>(
     simd: S,
     tile: &RayTile<F>,
     rules: &RayRules<S, F>,
@@ -95,13 +89,11 @@ fn layers<S: Simd, F: Real, const EXACT: bool, const SORTED: bool>(
     place: usize,
     scratch: &mut RayScratch<F>,
 ) -> F::Block<S> {
-    let zero = F::Block::<S>::splat(simd, F::ZERO);
-    let along = Along::<S, F, EXACT>::new(simd, tile, grad, place);
-    let RayScratch { slots, layers, pairs, used, seen_by } = scratch;
-    let (pixels, list) = (tile.pixels(simd, place), tile.list(place));
-    let (vector, parts) = (len::<S, F>(), const { pair_parts(EXACT) });
+    let along = Along::<S, F>::new(simd, tile, grad, place);
+    let RayScratch { layers, pairs, used, seen_by } = scratch;
+    let (pixels, list, vector) = (tile.pixels(simd, place), tile.list(place), len::<S, F>());
     let base = *used;
-    *used += parts * list.len() * vector;
+    *used += PARTS * list.len() * vector;
     if pairs.len() < *used {
         pairs.resize(2 * *used, F::ZERO);
     }
@@ -111,56 +103,23 @@ fn layers<S: Simd, F: Real, const EXACT: bool, const SORTED: bool>(
     for &i in list {
         seen_by[i as usize] |= 1 << (place / vector);
     }
-    if SORTED {
-        slots.clear::<S>(list.len());
-        for ((pair, &i), values) in list.iter().enumerate().zip(pairs.chunks_exact_mut(parts * vector)) {
-            let layer = rules.layer::<EXACT, SORTED>(tile.splat(i), &pixels, None);
-            store(zero, values, 0);
-            store(zero, values, vector);
-            if EXACT {
-                store(layer.inverse, values, 2 * vector);
-            }
-            let id = F::Block::<S>::splat(simd, F::from_index(pair));
-            slots.push::<S>([layer.key, layer.alpha, along.of(tile, i, layer.key), id], layer.shows);
-        }
-        slots.finish::<S>(simd);
-        for slot in 0..slots.count() {
-            let ([weight, alpha], _) = open.pass(slots.part::<S>(simd, slot, 1), rules);
-            slots.put_part::<S>(slot, 0, weight);
-            slots.put_part::<S>(slot, 1, alpha);
-        }
-        for slot in (0..slots.count()).rev() {
-            let [weight, alpha, along, id] = slots.get::<S>(simd, slot);
-            let (h, shows) = (behind.pass([alpha, along, weight], rules), alpha.simd_gt(zero));
-            let mut ids = Ids::<S, F>::new(id, shows);
-            while let Some((pair, same)) = ids.next() {
-                let values = &mut pairs[parts * pair * vector..][..2 * vector];
-                let same = same & shows;
-                store(same.select(h, lanes(simd, values, 0)), values, 0);
-                store(same.select(weight, lanes(simd, values, vector)), values, vector);
-            }
-        }
-    } else {
-        if layers.len() < 2 * list.len() * vector {
-            layers.resize(4 * list.len() * vector, F::ZERO);
-        }
-        let layers = &mut layers[..2 * list.len() * vector];
-        let found = layers.chunks_exact_mut(2 * vector).zip(pairs.chunks_exact_mut(parts * vector));
-        for (&i, (kept, values)) in list.iter().zip(found) {
-            let layer = rules.layer::<EXACT, SORTED>(tile.splat(i), &pixels, None);
-            let ([weight, alpha], _) = open.pass(layer.alpha, rules);
-            store(alpha, kept, 0);
-            store(along.of(tile, i, layer.key), kept, vector);
-            store(weight, values, vector);
-            if EXACT {
-                store(layer.inverse, values, 2 * vector);
-            }
-        }
-        for (kept, values) in layers.chunks_exact(2 * vector).zip(pairs.chunks_exact_mut(parts * vector)).rev() {
-            let (alpha, along) = (lanes(simd, kept, 0), lanes(simd, kept, vector));
-            let weight = lanes(simd, values, vector);
-            store(behind.pass([alpha, along, weight], rules), values, 0);
-        }
+    if layers.len() < 2 * list.len() * vector {
+        layers.resize(4 * list.len() * vector, F::ZERO);
+    }
+    let layers = &mut layers[..2 * list.len() * vector];
+    let found = layers.chunks_exact_mut(2 * vector).zip(pairs.chunks_exact_mut(PARTS * vector));
+    for (&i, (kept, values)) in list.iter().zip(found) {
+        let layer = rules.layer(tile.splat(i), &pixels, None);
+        let ([weight, alpha], _) = open.pass(layer.alpha, rules);
+        store(alpha, kept, 0);
+        store(along.of(tile, i, layer.depth), kept, vector);
+        store(weight, values, vector);
+        store(layer.inverse, values, 2 * vector);
+    }
+    for (kept, values) in layers.chunks_exact(2 * vector).zip(pairs.chunks_exact_mut(PARTS * vector)).rev() {
+        let (alpha, along) = (lanes(simd, kept, 0), lanes(simd, kept, vector));
+        let weight = lanes(simd, values, vector);
+        store(behind.pass([alpha, along, weight], rules), values, 0);
     }
     open.transmittance
 }
@@ -181,33 +140,31 @@ impl<S: Simd, F: Real> Behind<S, F> {
 }
 
 /// The gradients of the planes of a vector of pixels, by which the values of each layer are weighed.
-struct Along<'a, S: Simd, F: Real, const EXACT: bool> {
+struct Along<'a, S: Simd, F: Real> {
     simd: S,
     alpha: F::Block<S>,
     /// Those of the channels of [`RayTile::values`].
     first: [F::Block<S>; TOGETHER],
-    /// That of depth, if it is not among `first`.
+    /// That of depth, if there is one.
     depth: Option<F::Block<S>>,
     planes: &'a [Plane<F>],
     place: usize,
 }
 
-impl<'a, S: Simd, F: Real, const EXACT: bool> Along<'a, S, F, EXACT> {
+impl<'a, S: Simd, F: Real> Along<'a, S, F> {
     #[inline(always)]
     fn new(simd: S, tile: &RayTile<F>, grad: &RayTileGrad<'a, F>, place: usize) -> Self {
         let planes = &grad.planes.planes[..];
         let plane = |channel: usize| lanes::<S, F>(simd, &planes[channel], place);
-        let depth_first = grad.depth && !EXACT && tile.channels < TOGETHER;
-        let channels = tile.channels + usize::from(depth_first);
         let mut first = [F::Block::<S>::splat(simd, F::ZERO); TOGETHER];
-        first.iter_mut().enumerate().take(channels).for_each(|(channel, first)| *first = plane(channel));
-        let depth = (grad.depth && !depth_first).then(|| plane(tile.channels));
+        first.iter_mut().enumerate().take(tile.channels).for_each(|(channel, first)| *first = plane(channel));
+        let depth = grad.depth.then(|| plane(tile.channels));
         Self { simd, alpha: plane(tile.channels + usize::from(grad.depth)), first, depth, planes, place }
     }
 
-    /// The sum of a layer's values along the gradient. `key` is its depth if the projection is exact.
+    /// The sum of a layer's values along the gradient.
     #[inline(always)]
-    fn of(&self, tile: &RayTile<F>, i: u32, key: F::Block<S>) -> F::Block<S> {
+    fn of(&self, tile: &RayTile<F>, i: u32, depth: F::Block<S>) -> F::Block<S> {
         let splat = |value: F| F::Block::<S>::splat(self.simd, value);
         // Alpha acts as one more channel of colour one.
         let mut along = self.alpha;
@@ -218,7 +175,7 @@ impl<'a, S: Simd, F: Real, const EXACT: bool> Along<'a, S, F, EXACT> {
             along = lanes::<S, F>(self.simd, plane, self.place).mul_add(splat(value), along);
         }
         match self.depth {
-            Some(plane) => plane.mul_add(if EXACT { key } else { splat(tile.near[i as usize].depth) }, along),
+            Some(plane) => plane.mul_add(depth, along),
             None => along,
         }
     }
@@ -227,7 +184,6 @@ impl<'a, S: Simd, F: Real, const EXACT: bool> Along<'a, S, F, EXACT> {
 /// Sums of a Gaussian over the pixels of a tile that do not depend on the number of features.
 struct RaySums<S: Simd, F: Real> {
     moments: [F::Block<S>; MOMENTS],
-    depth: F::Block<S>,
     /// The gradients of the depth slope, of the thickness over the thickness, and of `γ`.
     slopes: [F::Block<S>; SLOPES],
     absolute: [F::Block<S>; 2],
@@ -235,7 +191,7 @@ struct RaySums<S: Simd, F: Real> {
 
 /// Sums the stored pairs, Gaussian by Gaussian, and adds the sums to the rows.
 #[inline(always)]
-fn add_rows<S: Simd, F: Real, const EXACT: bool>(
+fn add_rows<S: Simd, F: Real>(
     simd: S,
     tile: &RayTile<F>,
     rules: &RayRules<S, F>,
@@ -247,7 +203,7 @@ fn add_rows<S: Simd, F: Real, const EXACT: bool>(
     let zero = F::Block::<S>::splat(simd, F::ZERO);
     let channels = tile.channels + usize::from(grad.depth);
     let columns = columns(channels, grad.absolute);
-    let (vector, parts) = (len::<S, F>(), const { pair_parts(EXACT) });
+    let vector = len::<S, F>();
     // Where the next pair of each vector of pixels begins: pairs are in the order of the Gaussians.
     let mut next = *first;
     for (i, (vectors, &in_list)) in seen_by.iter_mut().zip(&tile.places).enumerate() {
@@ -256,7 +212,7 @@ fn add_rows<S: Simd, F: Real, const EXACT: bool>(
         }
         let row = &mut rows[in_list as usize * columns..][..columns];
         let splat = tile.splat(i as u32);
-        let mut fixed = RaySums { moments: [zero; MOMENTS], depth: zero, slopes: [zero; SLOPES], absolute: [zero; 2] };
+        let mut fixed = RaySums { moments: [zero; MOMENTS], slopes: [zero; SLOPES], absolute: [zero; 2] };
         let mut features = [zero; TOGETHER];
         let (mut places, mut count) = ([(0, 0); VECTORS], 0);
         let mut left = *vectors;
@@ -264,22 +220,22 @@ fn add_rows<S: Simd, F: Real, const EXACT: bool>(
             let number = left.trailing_zeros() as usize;
             left &= left - 1;
             let (place, at) = (number * vector, next[number]);
-            next[number] += parts * vector;
+            next[number] += PARTS * vector;
             places[count] = (place, at);
             count += 1;
-            let values = &pairs[at..][..parts * vector];
+            let values = &pairs[at..][..PARTS * vector];
             let (h, weight) = (lanes::<S, F>(simd, values, 0), lanes::<S, F>(simd, values, vector));
-            let inverse = if EXACT { Some(lanes::<S, F>(simd, values, 2 * vector)) } else { None };
-            let layer = rules.layer::<EXACT, false>(splat, &tile.pixels(simd, place), inverse);
+            let inverse = lanes::<S, F>(simd, values, 2 * vector);
+            let layer = rules.layer(splat, &tile.pixels(simd, place), Some(inverse));
             let plane = |channel: usize| lanes::<S, F>(simd, &grad.planes.planes[channel], place);
             let seen = if grad.depth { Some(weight * plane(tile.channels)) } else { None };
-            fixed.add::<EXACT>(splat.0, &layer, (h, seen), grad.absolute);
+            fixed.add(splat.0, &layer, (h, seen), grad.absolute);
             for channel in 0..TOGETHER.min(tile.channels) {
                 features[channel] = plane(channel).mul_add(weight, features[channel]);
             }
         }
         *vectors = 0;
-        fixed.write::<EXACT>(splat.0, row, [tile.channels, channels], grad.absolute);
+        fixed.write(splat.0, row, channels, grad.absolute);
         for channel in 0..TOGETHER.min(tile.channels) {
             row[MOMENTS + channel] += features[channel].reduce_sum();
         }
@@ -295,26 +251,15 @@ fn add_rows<S: Simd, F: Real, const EXACT: bool>(
 }
 
 impl<S: Simd, F: Real> RaySums<S, F> {
-    /// Adds the sums over the lanes to a row with this number of features and of channels.
+    /// Adds the sums over the lanes to a row with this number of channels.
     #[inline(always)]
-    fn write<const EXACT: bool>(
-        &self,
-        splat: &RayFootprint<F>,
-        row: &mut [F],
-        [features, channels]: [usize; 2],
-        absolute: bool,
-    ) {
+    fn write(&self, splat: &RayFootprint<F>, row: &mut [F], channels: usize, absolute: bool) {
         let moments = each!(self.moments, |sum| sum.reduce_sum());
         let [slope_u, slope_v, thickness, centre_depth] = each!(self.slopes, |sum| sum.reduce_sum());
         let slopes = [slope_u, slope_v, thickness * splat.thick.sqrt(), centre_depth];
         row.iter_mut().zip(moments).for_each(|(out, sum)| *out += sum);
-        if channels > features {
-            row[MOMENTS + features] += self.depth.reduce_sum();
-        }
         let rest = &mut row[MOMENTS + channels..];
-        if EXACT {
-            rest.iter_mut().zip(slopes).for_each(|(out, sum)| *out += sum);
-        }
+        rest.iter_mut().zip(slopes).for_each(|(out, sum)| *out += sum);
         if absolute {
             rest[SLOPES] += self.absolute[0].reduce_sum();
             rest[SLOPES + 1] += self.absolute[1].reduce_sum();
@@ -324,7 +269,7 @@ impl<S: Simd, F: Real> RaySums<S, F> {
     /// Adds the gradients of a Gaussian at a vector of pixels, from `h` and from the gradient of the layer's depth, if there is one. The
     /// module's documentation has the formulas.
     #[inline(always)]
-    fn add<const EXACT: bool>(
+    fn add(
         &mut self,
         splat: &RayFootprint<F>,
         layer: &RayLayerSimd<S, F>,
@@ -332,44 +277,38 @@ impl<S: Simd, F: Real> RaySums<S, F> {
         absolute: bool,
     ) {
         let lanes = |value: F| F::Block::<S>::splat(h.token(), value);
-        let RayLayerSimd { u, v, inverse, along, apart, .. } = *layer;
-        // The negative gradients of `α` and `β`, and by what they are multiplied for the gradients of the factor.
-        let (mut of_centre, mut offset) = ([h * u, h * v], [u, v]);
-        if EXACT {
-            let [a, b, c] = apart;
-            let [slope_u, slope_v] = each!(splat.depth_slope, |value| lanes(value));
-            // `r` of the module's documentation.
-            let reach = [c.mul_add(slope_u, a), c.mul_add(slope_v, b)];
-            let of_depth = h * c;
-            let (mut of_gamma, mut of_thickness) = (-of_depth, c * of_depth);
-            (of_centre, offset) = (each!(reach, |reach| h * reach), [a, b]);
-            if let Some(seen) = seen {
-                let of_lambda = seen * lanes(splat.depth);
-                let (far, along_s) = (of_lambda * lanes(splat.thick) * inverse, of_lambda * along);
-                of_gamma += along_s;
-                of_thickness -= c * (along_s + along_s);
-                of_centre[0] += far.mul_add(u, -(along_s * slope_u));
-                of_centre[1] += far.mul_add(v, -(along_s * slope_v));
-                let (of_ray, of_s) = (each!(reach, |reach| far * reach), far * c);
-                self.moments[3] = of_ray[0].mul_add(u, self.moments[3]);
-                self.moments[4] = of_ray[1].mul_add(u, self.moments[4]);
-                self.moments[5] = of_ray[1].mul_add(v, self.moments[5]);
-                self.slopes[0] -= of_s * u;
-                self.slopes[1] -= of_s * v;
-            }
-            self.slopes[0] = of_gamma.mul_add(a, self.slopes[0]);
-            self.slopes[1] = of_gamma.mul_add(b, self.slopes[1]);
-            self.slopes[2] += of_thickness;
-            self.slopes[3] += of_gamma;
-        } else if let Some(seen) = seen {
-            self.depth += seen;
+        let RayLayerSimd { u, v, inverse, along, apart: [a, b, c], .. } = *layer;
+        let [slope_u, slope_v] = each!(splat.depth_slope, |value| lanes(value));
+        // `r` of the module's documentation.
+        let reach = [c.mul_add(slope_u, a), c.mul_add(slope_v, b)];
+        let of_depth = h * c;
+        let (mut of_gamma, mut of_thickness) = (-of_depth, c * of_depth);
+        // The negative gradients of `α` and `β`.
+        let mut of_centre = each!(reach, |reach| h * reach);
+        if let Some(seen) = seen {
+            let of_lambda = seen * lanes(splat.depth);
+            let (far, along_s) = (of_lambda * lanes(splat.thick) * inverse, of_lambda * along);
+            of_gamma += along_s;
+            of_thickness -= c * (along_s + along_s);
+            of_centre[0] += far.mul_add(u, -(along_s * slope_u));
+            of_centre[1] += far.mul_add(v, -(along_s * slope_v));
+            let (of_ray, of_s) = (each!(reach, |reach| far * reach), far * c);
+            self.moments[3] = of_ray[0].mul_add(u, self.moments[3]);
+            self.moments[4] = of_ray[1].mul_add(u, self.moments[4]);
+            self.moments[5] = of_ray[1].mul_add(v, self.moments[5]);
+            self.slopes[0] -= of_s * u;
+            self.slopes[1] -= of_s * v;
         }
+        self.slopes[0] = of_gamma.mul_add(a, self.slopes[0]);
+        self.slopes[1] = of_gamma.mul_add(b, self.slopes[1]);
+        self.slopes[2] += of_thickness;
+        self.slopes[3] += of_gamma;
         self.moments[0] += h;
         self.moments[1] += of_centre[0];
         self.moments[2] += of_centre[1];
-        self.moments[3] = of_centre[0].mul_add(offset[0], self.moments[3]);
-        self.moments[4] = of_centre[1].mul_add(offset[0], self.moments[4]);
-        self.moments[5] = of_centre[1].mul_add(offset[1], self.moments[5]);
+        self.moments[3] = of_centre[0].mul_add(a, self.moments[3]);
+        self.moments[4] = of_centre[1].mul_add(a, self.moments[4]);
+        self.moments[5] = of_centre[1].mul_add(b, self.moments[5]);
         if absolute {
             let [of_u, of_v] = of_centre;
             let per_v = of_v * lanes(splat.inverse_v);

@@ -1,8 +1,6 @@
 //! The CPU twin of the bounds, for eight Gaussians at a time, one per SIMD lane.
 
 use fearless_simd::prelude::*;
-use fearless_simd::{Level, dispatch};
-use rayon::prelude::*;
 
 use super::lens_bounds::{LensFrame, LensLimits};
 use super::{DEPTH_SLOPE, EXTENT, LEAST, LENS_COLUMNS, RAY_SPACE, ROUNDING, SLACK};
@@ -13,9 +11,10 @@ use crate::project::simd::{MaskOf, norm};
 use crate::project::{COLUMNS, Ellipse};
 use crate::rasterize::RasterizeSpec;
 use crate::rasterize_rays::WHITENED_MAX;
-use crate::simd::each;
-use crate::simd::lanes::{BLOCK, Columns};
+use crate::simd::lanes::{BLOCK, Columns, width};
 use crate::simd::real::{LANES, Real};
+use crate::simd::{dispatch, each};
+use crate::tasks;
 
 /// Gaussians per task.
 const CHUNK: usize = 1024;
@@ -40,10 +39,9 @@ fn by_chunks<F: Real, const C: usize>(
     picture: (&RasterizeSpec, Option<&LensLimits<F>>),
 ) -> Vec<F> {
     let mut bounds = vec![F::ZERO; packed.len()];
-    let chunks =
-        (bounds.par_chunks_mut(CHUNK * COLUMNS), packed.par_chunks(CHUNK * COLUMNS), ray_rows.par_chunks(CHUNK * C));
-    chunks.into_par_iter().for_each(|(out, rows, slopes)| {
-        dispatch!(Level::new(), simd => chunk::<_, F, C>(simd, out, rows, slopes, picture));
+    let chunks = packed.chunks(CHUNK * COLUMNS).zip(ray_rows.chunks(CHUNK * C));
+    tasks::for_each(bounds.chunks_mut(CHUNK * COLUMNS).zip(chunks), |_, (out, (rows, slopes))| {
+        dispatch!(F, simd => chunk::<_, F, C>(simd, out, rows, slopes, picture));
     });
     bounds
 }
@@ -64,7 +62,7 @@ fn chunk<S: Simd, F: Real, const C: usize>(
     for ((out, rows), of_slopes) in blocks.zip(ray_rows.chunks(BLOCK * C)) {
         ellipses.read(rows);
         slopes.read(of_slopes);
-        for at in (0..rows.len() / COLUMNS).step_by(LANES) {
+        for at in (0..rows.len() / COLUMNS).step_by(width::<S, F>()) {
             let ellipse = Ellipse::from_row(&ellipses.all_lanes(simd, at));
             let bounds = rules.bound(&ellipse, &slopes.all_lanes::<S>(simd, at));
             for (column, value) in bounds.to_row().into_iter().enumerate() {
@@ -188,11 +186,12 @@ impl<S: Simd, F: Real> BoundsRules<S, F> {
             opacity: self.reached,
         };
         let mut limit = [F::ZERO; LANES];
-        given.opacity.store_slice(&mut limit);
-        for limit in &mut limit {
+        let limit = &mut limit[..width::<S, F>()];
+        given.opacity.store_slice(limit);
+        for limit in &mut *limit {
             *limit = whitened_limit(*limit, self.alpha_min);
         }
-        let tau = F::Lanes::<S>::from_slice(simd, &limit) * F::of(1.0 + SLACK[0]) + F::of(SLACK[1]);
+        let tau = F::Lanes::<S>::from_slice(simd, limit) * F::of(1.0 + SLACK[0]) + F::of(SLACK[1]);
         let across = thickness * tau.sqrt();
         let thin = one - across * across;
         // Without a least alpha nothing has an end.

@@ -3,7 +3,7 @@
 use super::cpu::{ray_space_backward_cpu, ray_space_cpu};
 use super::{LENS_COLUMNS as ROW, RAY_SPACE, bounds_cpu};
 use crate::camera::{CameraModel, Intrinsics, PictureRays};
-use crate::intersect::cpu::needed_intersections;
+use crate::intersect::cpu::intersect_cpu;
 use crate::options::{Projection, RenderOptions};
 use crate::project::cpu::project_cpu;
 use crate::project::{COLUMNS, Ellipse, Geometry, ProjectSpec};
@@ -17,11 +17,11 @@ const ALL: Geometry<bool> =
 
 const POSE: [f32; 12] = [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0];
 
-fn spec((model, distortion): (CameraModel, [f64; 8]), focal: f64, projection: Projection) -> ProjectSpec {
+fn spec((model, distortion): (CameraModel, [f64; 8]), focal: f64) -> ProjectSpec {
     let plain = Intrinsics { fy: 0.95 * focal, cx: 76.0, cy: 59.5, ..Intrinsics::centred(160, 112, focal) };
     let options = RenderOptions { blur: 0.3f32.into(), near: 0.0, ..RenderOptions::standard() };
     let intrinsics = Intrinsics { model, distortion, ..plain };
-    ProjectSpec { intrinsics, options: options.with_projection(projection).of_project(&intrinsics) }
+    ProjectSpec { intrinsics, options: options.with_projection(Projection::RayMax).of_project(&intrinsics) }
 }
 
 /// Means, rotations, scales, opacities and pose of Gaussians up to `slope` from the axis, as slopes; a few lie behind the camera.
@@ -47,7 +47,7 @@ fn inputs<F>(tensors: &[Vec<F>]) -> Geometry<&'_ [F]> {
 /// Near 90° from its axis a fisheye shrinks the picture along the direction from the axis by `cos² θ`, and a hundred times less across it.
 #[test]
 fn the_rim_of_a_fisheye_keeps_the_digits_along_its_radius() {
-    let spec = spec((CameraModel::Fisheye, [0.0; 8]), 19.0, Projection::RayMax);
+    let spec = spec((CameraModel::Fisheye, [0.0; 8]), 19.0);
     let focal = [spec.intrinsics.fx, spec.intrinsics.fy];
     for (degrees, turn) in [80.0_f64, 86.0, 89.45].into_iter().flat_map(|degrees| (0..24).map(move |k| (degrees, k))) {
         let (angle, turn) = (degrees.to_radians(), f64::from(turn) / 24.0 * std::f64::consts::TAU);
@@ -72,7 +72,7 @@ fn the_rim_of_a_fisheye_keeps_the_digits_along_its_radius() {
 #[test]
 fn the_columns_are_slopes_and_the_jacobian_of_the_lens() {
     for lens in lenses() {
-        let (spec, tensors) = (spec(lens, 130.0, Projection::RayMax), scene(3, 32, 0.8));
+        let (spec, tensors) = (spec(lens, 130.0), scene(3, 32, 0.8));
         let rows = ray_space_cpu(inputs(&tensors), &spec);
         let p = &tensors[4];
         for (mean, row) in tensors[0].chunks_exact(3).zip(rows.chunks_exact(ROW)).filter(|(mean, _)| mean[2] > 0.0) {
@@ -94,7 +94,7 @@ fn the_columns_are_slopes_and_the_jacobian_of_the_lens() {
 /// Compares the tiles that bounds list with all pixels, evaluated in `F` as `rasterize_rays` does. Returns the numbers of tiles that
 /// are needed, and that are listed.
 fn check_tiles<F: Real>(lens: (CameraModel, [f64; 8]), focal: f64, (slope, alpha_min): (f64, f64)) -> [usize; 2] {
-    let project = spec(lens, focal, Projection::RayMax);
+    let project = spec(lens, focal);
     let tensors = scene(9, 400, slope);
     let spec =
         RasterizeSpec { intrinsics: project.intrinsics, options: RenderOptions { alpha_min, ..project.options } };
@@ -121,7 +121,7 @@ fn check_tiles<F: Real>(lens: (CameraModel, [f64; 8]), focal: f64, (slope, alpha
                 needed[pixel / 160 / 16 * 10 + pixel % 160 / 16] = 1;
             }
         }
-        let listed = needed_intersections(bound, &spec.intrinsics, alpha_min);
+        let listed = intersect_cpu(bound, &spec.intrinsics, alpha_min.into()).counts();
         assert!(
             needed.iter().zip(&listed).all(|(needed, listed)| needed <= listed),
             "{lens:?}: {row:?}, {t:?}: shows in {needed:?}, listed in {listed:?} by {bound:?}"
@@ -170,8 +170,7 @@ mod kernels {
     #[test]
     fn kernels_agree_with_the_twin() {
         for (seed, lens) in lenses().into_iter().enumerate() {
-            let projection = [Projection::RayMax, Projection::Affine][seed % 2];
-            let spec = spec(lens, f64::from(130.0f32), projection);
+            let spec = spec(lens, f64::from(130.0f32));
             let mut tensors = scene(seed as u64, 600, 0.7);
             tensors.push(Random::new(7).fill(ROW * 600, -1.0, 1.0));
             let tensors: Vec<Vec<f64>> = tensors.iter().map(|tensor| rounded(tensor)).collect();
@@ -210,7 +209,7 @@ mod kernels {
     #[test]
     fn bounds_agree_with_the_twin() {
         for lens in lenses() {
-            let project = spec(lens, 130.0, Projection::RayMax);
+            let project = spec(lens, 130.0);
             let spec = RasterizeSpec { intrinsics: project.intrinsics, options: project.options };
             let tensors = scene(4, 800, 1.0);
             let packed = to_f32(&project_cpu(inputs(&tensors), &project));

@@ -1,7 +1,7 @@
 //! Gaussians in ray space: 3D Gaussians → depth slope, thickness, centre and factor of each, for per-ray rasterization. Differentiable.
 //!
 //! The stage works in the coordinates (px from the origin, px from the origin, depth relative to the centre's depth), a linear
-//! map of the camera frame. The origin is the centre in the picture; with `RayMax` it is the picture's point next to a centre
+//! map of the camera frame. The origin is the centre in the picture, or the picture's point next to a centre
 //! beyond the picture, `away` px from it. In these coordinates the pinhole's ray through the pixel at the offset `d` is `λ(d, 1)`
 //! from the camera, where `λ` is the camera z divided by the camera z of the centre, and the centre is `(away, 1)`. A Gaussian
 //! with the image-plane blur has the covariance
@@ -98,8 +98,7 @@
 //! the lens's picture around the centre. Everything above holds with this `d`. (For a pinhole `G` is diagonal and `d` the offset.)
 //! The rows of the output gain the columns `t₀` and `G`, row by row, which say in which coordinates a row is given and have no gradient.
 //!
-//! Where the Jacobian is clamped (perspective lenses with the affine projection), `G` is too. Nothing at 90° from the axis or beyond
-//! has slopes, and nothing is seen there.
+//! Nothing at 90° from the axis or beyond has slopes, and nothing is seen there.
 //!
 //! `intersect` needs bounds in the picture. The lens maps the slopes `t₀ + G⁻¹ d` to `mean_px + d + r` with
 //! `|r| <= δ = ½ K |t − t₀|²` for an upper bound `K` of the second derivative, so the bounds are the row above and `δ` px all around it.

@@ -5,7 +5,7 @@ use glam::{DMat3, DQuat, DVec3};
 use super::cpu::{ray_space_backward_cpu, ray_space_cpu};
 use super::{EXTENT, RAY_SPACE, THICKNESS_MAX, beyond, bounds_cpu};
 use crate::camera::Intrinsics;
-use crate::intersect::cpu::needed_intersections;
+use crate::intersect::cpu::intersect_cpu;
 use crate::options::{Projection, RenderOptions};
 use crate::project::cpu::project_cpu;
 use crate::project::{COLUMNS, Ellipse, Geometry, ProjectSpec};
@@ -18,8 +18,8 @@ const ALL: Geometry<bool> =
 
 const CAMERA: Intrinsics = Intrinsics { fx: 35.0, fy: 31.0, cx: 18.0, cy: 15.5, ..Intrinsics::centred(40, 28, 35.0) };
 
-fn spec(projection: Projection, blur: f64) -> ProjectSpec {
-    let options = RenderOptions { blur, ..RenderOptions::standard() }.with_projection(projection);
+fn spec(blur: f64) -> ProjectSpec {
+    let options = RenderOptions { blur, ..RenderOptions::standard() }.with_projection(Projection::RayMax);
     ProjectSpec { intrinsics: CAMERA, options: options.of_project(&CAMERA) }
 }
 
@@ -74,7 +74,7 @@ fn covariance(scene: &StageInputs, i: usize, blur: f64) -> DMat3 {
 #[test]
 fn it_is_the_last_row_of_the_factor() {
     for blur in [0.3, 0.0] {
-        let (scene, spec) = (StageInputs::random(1, 200), spec(Projection::RayMax, blur));
+        let (scene, spec) = (StageInputs::random(1, 200), spec(blur));
         let packed = project_cpu(inputs(&scene.0), &spec);
         for (i, (row, ray)) in
             packed.chunks_exact(COLUMNS).zip(scene.ray_rows(&spec).chunks_exact(RAY_SPACE)).enumerate()
@@ -111,7 +111,7 @@ fn extreme_sizes_stay_finite_in_f32() {
     scene.0[0][3] = f64::NAN;
     let single = scene.0.each_ref().map(|values| values.iter().map(|v| *v as f32).collect::<Vec<f32>>());
     for blur in [0.3, 0.0] {
-        let spec = spec(Projection::RayMax, blur);
+        let spec = spec(blur);
         let ray_rows = ray_space_cpu(inputs(&single), &spec);
         assert!(ray_rows.iter().all(|value| value.is_finite()), "{ray_rows:?}");
         assert!(ray_rows[..2 * RAY_SPACE].iter().all(|value| *value == 0.0), "behind the camera, and nowhere");
@@ -201,14 +201,14 @@ fn beside(seed: u64, count: usize) -> StageInputs {
 /// numbers of tiles that are needed, that the bounds list, and that Gaussians which cover the picture would list.
 fn check_tiles<F: Real>(seed: u64, alpha_min: f64) -> [usize; 3] {
     let scene = beside(seed, 600);
-    let mut project = spec(Projection::RayMax, 0.3);
+    let mut project = spec(0.3);
     project.intrinsics = Intrinsics::centred(160, 112, 130.0);
     let options = RenderOptions { alpha_min, ..RenderOptions::standard().with_projection(Projection::RayMax) };
     let spec = RasterizeSpec { intrinsics: project.intrinsics, options };
     let of = |values: Vec<f64>| values.into_iter().map(F::of).collect::<Vec<F>>();
     let (packed, ray_rows) = (of(project_cpu(inputs(&scene.0), &project)), of(scene.ray_rows(&project)));
     let bounds = bounds_cpu(&packed, &ray_rows, &spec);
-    let tiles = |rows: &[F]| needed_intersections(rows, &spec.intrinsics, alpha_min);
+    let tiles = |rows: &[F]| intersect_cpu(rows, &spec.intrinsics, alpha_min.into()).counts();
     let mut counts = [0; 3];
     for ((row, bound), t) in packed.chunks(COLUMNS).zip(bounds.chunks(COLUMNS)).zip(ray_rows.chunks(RAY_SPACE)) {
         let e = Ellipse::from_row(row);

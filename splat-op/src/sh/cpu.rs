@@ -1,13 +1,13 @@
 //! The CPU twin of `evaluate_sh`: both passes, generic over the float, parallel over chunks of Gaussians.
 
 use burn::tensor::f16;
-use rayon::prelude::*;
 
 use super::basis::{basis, basis_backward};
 use super::{SH_COEFFICIENTS_MAX, Shading, degree_of, extent_sigmas};
 use crate::linalg::{Mat3, add, cross, dot, matvec, norm, scale, sub, transpose, transposed_matvec};
 use crate::project::{COLUMNS, Ellipse, ProjectSpec};
 use crate::simd::real::Real;
+use crate::tasks;
 
 /// Number of Gaussians per task, and per partial sum of the pose's gradient, whose sum is ordered.
 const CHUNK: usize = 1024;
@@ -145,7 +145,7 @@ pub(crate) fn sh_cpu<F: Real>(inputs: ShCpuInputs<F>, visible: Option<&Visible<F
     let row = 3 * inputs.coefficients;
     let degree = degree_of(inputs.coefficients);
     let mut colours = vec![F::ZERO; inputs.means.len()];
-    colours.par_chunks_mut(3 * CHUNK).enumerate().for_each(|(chunk, out)| {
+    tasks::for_each(colours.chunks_mut(3 * CHUNK), |chunk, out| {
         let mut room = [F::ZERO; 3 * SH_COEFFICIENTS_MAX];
         for (i, out) in out.chunks_exact_mut(3).enumerate() {
             let i = chunk * CHUNK + i;
@@ -183,40 +183,37 @@ pub(crate) fn sh_backward_cpu<F: Real>(
     let mut mean_chunks: Vec<&mut [F]> = grads.means.chunks_mut(3 * CHUNK).collect();
     sh_chunks.resize_with(chunks, Default::default);
     mean_chunks.resize_with(chunks, Default::default);
-    let positions: Vec<[F; 3]> = (sh_chunks, mean_chunks)
-        .into_par_iter()
-        .enumerate()
-        .map(|(chunk, (grad_sh, grad_means))| {
-            let mut grad_position = [F::ZERO; 3];
-            let mut room = [F::ZERO; 3 * SH_COEFFICIENTS_MAX];
-            for local in 0..CHUNK.min(count - chunk * CHUNK) {
-                let i = chunk * CHUNK + local;
-                let g = [grad[3 * i], grad[3 * i + 1], grad[3 * i + 2]];
-                // Also keeps the values of a Gaussian that is not visible, NaN included, out of every sum.
-                if g == [F::ZERO; 3] || visible.is_some_and(|visible| !visible.has(i)) {
-                    continue;
-                }
-                let sh = inputs.sh.row(i, row, &mut room);
-                let (direction, distance) = eye.direction(&inputs.means[3 * i..3 * i + 3]);
-                let y = basis(direction, degree);
-                let colour = linear_colour(&y, sh);
-                let g = [0, 1, 2].map(|c| if colour[c] > F::ZERO { g[c] } else { F::ZERO });
-                if needs.sh {
-                    for (out, weight) in grad_sh[row * local..row * (local + 1)].chunks_exact_mut(3).zip(y) {
-                        out.copy_from_slice(&scale(g, weight));
-                    }
-                }
-                if through_direction && degree > 0 && distance > F::ZERO {
-                    let to_mean = direction_backward(direction, distance, degree, sh, g);
-                    if needs.means {
-                        grad_means[3 * local..3 * local + 3].copy_from_slice(&to_mean);
-                    }
-                    grad_position = sub(grad_position, to_mean);
+    let parts = sh_chunks.into_iter().zip(mean_chunks);
+    let positions = tasks::map(parts, |chunk, (grad_sh, grad_means)| {
+        let mut grad_position = [F::ZERO; 3];
+        let mut room = [F::ZERO; 3 * SH_COEFFICIENTS_MAX];
+        for local in 0..CHUNK.min(count - chunk * CHUNK) {
+            let i = chunk * CHUNK + local;
+            let g = [grad[3 * i], grad[3 * i + 1], grad[3 * i + 2]];
+            // Also keeps the values of a Gaussian that is not visible, NaN included, out of every sum.
+            if g == [F::ZERO; 3] || visible.is_some_and(|visible| !visible.has(i)) {
+                continue;
+            }
+            let sh = inputs.sh.row(i, row, &mut room);
+            let (direction, distance) = eye.direction(&inputs.means[3 * i..3 * i + 3]);
+            let y = basis(direction, degree);
+            let colour = linear_colour(&y, sh);
+            let g = [0, 1, 2].map(|c| if colour[c] > F::ZERO { g[c] } else { F::ZERO });
+            if needs.sh {
+                for (out, weight) in grad_sh[row * local..row * (local + 1)].chunks_exact_mut(3).zip(y) {
+                    out.copy_from_slice(&scale(g, weight));
                 }
             }
-            grad_position
-        })
-        .collect();
+            if through_direction && degree > 0 && distance > F::ZERO {
+                let to_mean = direction_backward(direction, distance, degree, sh, g);
+                if needs.means {
+                    grad_means[3 * local..3 * local + 3].copy_from_slice(&to_mean);
+                }
+                grad_position = sub(grad_position, to_mean);
+            }
+        }
+        grad_position
+    });
     if needs.cam_from_world {
         grads.cam_from_world = eye.backward(positions.into_iter().fold([F::ZERO; 3], add));
     }

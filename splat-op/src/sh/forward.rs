@@ -6,9 +6,9 @@
 use cubecl::prelude::*;
 
 use super::{Harmonics, SH_COEFFICIENTS_MAX, coefficients_of};
-use crate::dials::Storage;
 use crate::gpu::half::{halves_of, load_three_halves};
 use crate::gpu::math::{Mat3, Pose, Vec3, negative, positive};
+use crate::options::Storage;
 use crate::project::forward::PackedEllipse;
 
 /// Position of the camera in the world frame: the point that the pose maps to zero, `−A⁻¹ t`, by the general inverse.

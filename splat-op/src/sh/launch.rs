@@ -5,10 +5,10 @@ use cubecl::prelude::{CubeCount, CubeDim};
 use super::backward::{pose_backward_kernel, sh_backward_kernel};
 use super::forward::{FrameLaunch, sh_forward_kernel};
 use super::{Harmonics, Shading, degree_of, extent_sigmas};
-use crate::dials::Storage;
 use crate::gpu::math::POSE;
 use crate::gpu::reduce::launch_column_sums;
 use crate::gpu::{Buffer, Gpu, UNITS, elementwise};
+use crate::options::Storage;
 use crate::project::ProjectSpec;
 
 /// Inputs of `evaluate_sh` on the device, row-major.

@@ -43,7 +43,7 @@ mod visible_kernel_tests;
 mod visible_tests;
 
 #[cfg(feature = "cube")]
-use crate::dials::Storage;
+use crate::options::Storage;
 use crate::record::record;
 
 /// Highest supported degree of the spherical harmonics.

@@ -4,6 +4,12 @@ use fearless_simd::prelude::*;
 
 use crate::simd::real::{LANES, Real};
 
+/// Number of lanes of [`Real::Lanes`].
+#[inline(always)]
+pub(crate) const fn width<S: Simd, F: Real>() -> usize {
+    <F::Lanes<S> as SimdBase<S>>::LEN
+}
+
 /// Number of rows transposed at a time: enough that stores have completed when lanes read them, few enough to stay in the nearest
 /// cache.
 pub(crate) const BLOCK: usize = 64;
@@ -46,10 +52,10 @@ impl<F: Real, const C: usize> Columns<F, C> {
 
     #[inline(always)]
     pub fn lanes<S: Simd>(&self, simd: S, column: usize, first: usize) -> F::Lanes<S> {
-        F::Lanes::<S>::from_slice(simd, &self.0[column][first..first + LANES])
+        F::Lanes::<S>::from_slice(simd, &self.0[column][first..first + width::<S, F>()])
     }
 
-    /// Returns [`LANES`] rows of all columns.
+    /// Returns a vector of rows of all columns.
     #[inline(always)]
     pub fn all_lanes<S: Simd>(&self, simd: S, first: usize) -> [F::Lanes<S>; C] {
         let mut all = [F::Lanes::<S>::splat(simd, F::ZERO); C];
@@ -61,11 +67,11 @@ impl<F: Real, const C: usize> Columns<F, C> {
 
     #[inline(always)]
     pub fn store<S: Simd>(&mut self, column: usize, first: usize, lanes: F::Lanes<S>) {
-        lanes.store_slice(&mut self.0[column][first..first + LANES]);
+        lanes.store_slice(&mut self.0[column][first..first + width::<S, F>()]);
     }
 }
 
-/// Fills `out` with the result of `f` on the values at the same positions, [`LANES`] at a time.
+/// Fills `out` with the result of `f` on the values at the same positions, a vector at a time.
 #[inline(always)]
 pub(crate) fn map_lanes<S: Simd, F: Real, const N: usize>(
     simd: S,
@@ -73,24 +79,25 @@ pub(crate) fn map_lanes<S: Simd, F: Real, const N: usize>(
     out: &mut [F],
     f: impl Fn([F::Lanes<S>; N]) -> F::Lanes<S>,
 ) {
-    for (eight, out) in out.chunks_mut(LANES).enumerate() {
+    let width = width::<S, F>();
+    for (number, out) in out.chunks_mut(width).enumerate() {
         let mut lanes = [F::Lanes::<S>::splat(simd, F::ZERO); N];
         for (lanes, values) in lanes.iter_mut().zip(values) {
-            let values = &values[eight * LANES..eight * LANES + out.len()];
-            if out.len() == LANES {
+            let values = &values[number * width..number * width + out.len()];
+            if out.len() == width {
                 *lanes = F::Lanes::<S>::from_slice(simd, values);
             } else {
                 let mut padded = [F::ZERO; LANES];
                 padded[..values.len()].copy_from_slice(values);
-                *lanes = F::Lanes::<S>::from_slice(simd, &padded);
+                *lanes = F::Lanes::<S>::from_slice(simd, &padded[..width]);
             }
         }
         let result = f(lanes);
-        if out.len() == LANES {
+        if out.len() == width {
             result.store_slice(out);
         } else {
             let mut padded = [F::ZERO; LANES];
-            result.store_slice(&mut padded);
+            result.store_slice(&mut padded[..width]);
             out.copy_from_slice(&padded[..out.len()]);
         }
     }

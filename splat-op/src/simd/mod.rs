@@ -23,6 +23,52 @@ macro_rules! each {
 }
 pub(crate) use each;
 
+/// `dispatch!(F, simd => value)`: the value, computed with the best vector instructions of this processor that are compiled in, whose
+/// token is `simd`. Every function called has to be `#[inline(always)]`, and so do closures. All of it is compiled once for each set of
+/// instructions, so that it belongs around a whole task and not into a loop.
+///
+/// Of x86-64 these are SSE2, which every processor has, AVX2 and AVX-512; of others that of [`fearless_simd::dispatch`]. In f64, which serves as a
+/// reference, it is the first alone.
+macro_rules! dispatch {
+    ($float:ty, $simd:ident => $value:expr) => {{
+        #[cfg(target_arch = "x86_64")]
+        {
+            let level = fearless_simd::Level::new();
+            macro_rules! on {
+                ($token:expr) => {{
+                    let $simd = $token;
+                    fearless_simd::Simd::vectorize(
+                        $simd,
+                        #[inline(always)]
+                        || $value,
+                    )
+                }};
+            }
+            if const { $crate::simd::is_f32::<$float>() }
+                && let Some(token) = level.as_avx512()
+            {
+                on!(token)
+            } else if const { $crate::simd::is_f32::<$float>() }
+                && let Some(token) = level.as_avx2()
+            {
+                on!(token)
+            } else {
+                on!(level.as_sse2().expect("x86-64 has SSE2"))
+            }
+        }
+        #[cfg(not(target_arch = "x86_64"))]
+        {
+            fearless_simd::dispatch!(fearless_simd::Level::new(), $simd => $value)
+        }
+    }};
+}
+pub(crate) use dispatch;
+
+/// Whether a float type is f32. Versions in f64, which serves as a reference, would take as long to compile as those in f32.
+pub(crate) const fn is_f32<F: real::Real>() -> bool {
+    matches!(F::DTYPE, burn::tensor::DType::F32)
+}
+
 /// Returns an array as long as another.
 #[inline(always)]
 pub(crate) fn filled<T, U: Copy, const N: usize>(_: &[T; N], value: U) -> [U; N] {

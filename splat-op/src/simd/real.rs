@@ -4,12 +4,12 @@ use std::iter::Sum;
 use std::ops::{Add, AddAssign, Div, Mul, MulAssign, Neg, Sub, SubAssign};
 
 use burn::tensor::{DType, f16};
-use fearless_simd::{f32x8, f32x16, f64x8, prelude::*, u32x8};
+use fearless_simd::{f32x8, f32x16, f64x2, f64x8, prelude::*, u32x8};
 use half::slice::HalfFloatSliceExt;
 
 use super::each;
 
-/// Number of lanes of [`Real::Lanes`], the same for both float types.
+/// The largest number of lanes of [`Real::Lanes`], and that of [`Real::Eight`].
 pub(crate) const LANES: usize = 8;
 
 pub(crate) const EXP2_CONSTANTS: usize = 8;
@@ -30,8 +30,10 @@ pub(crate) trait Real:
     + burn::tensor::Element
     + bytemuck::Pod
 {
-    /// A vector of eight values.
+    /// A vector of Gaussians: eight, in f64 two. Wide vectors of which a processor has a quarter take four times as long to compile.
     type Lanes<S: Simd>: SimdFloat<S, Element = Self>;
+    /// A vector of eight values.
+    type Eight<S: Simd>: SimdFloat<S, Element = Self>;
     /// A vector of 64 bytes, the widest: narrower processors take it in parts, so that sums over its lanes are the same on all.
     type Block<S: Simd>: SimdFloat<S, Element = Self>;
     /// An unsigned integer that sorts like this float, for non-negative values.
@@ -57,10 +59,6 @@ pub(crate) trait Real:
     fn sort_by_key(rows: &mut [(Self::SortKey, u32)]);
     /// Returns the integer part of a value between 0 and 2³¹, faster than a conversion to `usize`.
     fn index(self) -> usize;
-    /// Returns a positive float that stands for an index below 2³⁰: floats follow one in this order.
-    fn from_index(index: usize) -> Self;
-    /// The inverse of [`Self::from_index`].
-    fn to_index(self) -> usize;
     /// The largest `q` that [`Self::exp2_lanes`] supports: `2^−q` is not subnormal.
     const EXP2_MAX: Self;
     /// The constants of [`Self::exp2_lanes`].
@@ -68,8 +66,6 @@ pub(crate) trait Real:
     /// Returns `2^−q` for `0 <= q <= EXP2_MAX`, within 2 ulp; arbitrary elsewhere. `constants` are [`Self::EXP2`], one copy in
     /// each lane.
     fn exp2_lanes<S: Simd, L: SimdFloat<S, Element = Self>>(q: L, constants: &[L; EXP2_CONSTANTS]) -> L;
-    /// Returns `2^−q` by the standard library, within an ulp, for any `q`.
-    fn exp2_library<S: Simd, L: SimdFloat<S, Element = Self>>(q: L) -> L;
     /// Converts half-precision floats to values without loss.
     fn widen(halves: &[f16], into: &mut [Self]);
     /// Returns `eˣ` within 1 ulp: zero or infinite beyond the range of the float type, arbitrary for NaN.
@@ -124,14 +120,6 @@ macro_rules! scalar_functions {
             self as i32 as usize
         }
         #[inline(always)]
-        fn from_index(index: usize) -> Self {
-            <$float>::from_bits(<$float>::to_bits(1.0) + index as $bits)
-        }
-        #[inline(always)]
-        fn to_index(self) -> usize {
-            (self.to_bits() - <$float>::to_bits(1.0)) as usize
-        }
-        #[inline(always)]
         fn sort_key(self) -> Self::SortKey {
             self.to_bits()
         }
@@ -147,6 +135,7 @@ macro_rules! scalar_functions {
 
 impl Real for f32 {
     type Lanes<S: Simd> = f32x8<S>;
+    type Eight<S: Simd> = f32x8<S>;
     type Block<S: Simd> = f32x16<S>;
     scalar_functions!(f32, u32, DType::F32, convert_to_f32_slice);
 
@@ -179,11 +168,6 @@ impl Real for f32 {
     }
 
     #[inline(always)]
-    fn exp2_library<S: Simd, L: SimdFloat<S, Element = f32>>(q: L) -> L {
-        L::from_fn(q.token(), |lane| (-q[lane]).exp2())
-    }
-
-    #[inline(always)]
     fn exp_lanes<S: Simd>(x: f32x8<S>) -> f32x8<S> {
         // x = n ln 2 + s with an integer n and |s| <= (ln 2) / 2, as above; ln 2 is split in two parts, the first with few
         // digits.
@@ -211,7 +195,8 @@ impl Real for f32 {
 }
 
 impl Real for f64 {
-    type Lanes<S: Simd> = f64x8<S>;
+    type Lanes<S: Simd> = f64x2<S>;
+    type Eight<S: Simd> = f64x8<S>;
     type Block<S: Simd> = f64x8<S>;
     scalar_functions!(f64, u64, DType::F64, convert_to_f64_slice);
 
@@ -221,38 +206,33 @@ impl Real for f64 {
     // The f64 path is the reference: the library function, lane by lane.
     #[inline(always)]
     fn exp2_lanes<S: Simd, L: SimdFloat<S, Element = f64>>(q: L, _: &[L; EXP2_CONSTANTS]) -> L {
-        Self::exp2_library(q)
-    }
-
-    #[inline(always)]
-    fn exp2_library<S: Simd, L: SimdFloat<S, Element = f64>>(q: L) -> L {
         L::from_fn(q.token(), |lane| (-q[lane]).exp2())
     }
 
     #[inline(always)]
-    fn exp_lanes<S: Simd>(x: f64x8<S>) -> f64x8<S> {
-        f64x8::from_fn(x.token(), |lane| x[lane].exp())
+    fn exp_lanes<S: Simd>(x: f64x2<S>) -> f64x2<S> {
+        f64x2::from_fn(x.token(), |lane| x[lane].exp())
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use fearless_simd::{Level, dispatch};
+    use crate::simd::dispatch;
 
     #[test]
     fn exp2_stays_within_two_ulp() {
         let mut worst = 0.0_f64;
         for i in 0..=400_000 {
             let q = i as f32 * (126.0 / 400_000.0);
-            let got = dispatch!(Level::new(), simd => f32::exp2_lanes(f32x8::splat(simd, q), &f32::EXP2.map(|c| f32x8::splat(simd, c)))[3]);
+            let got = dispatch!(f32, simd => f32::exp2_lanes(f32x8::splat(simd, q), &f32::EXP2.map(|c| f32x8::splat(simd, c)))[3]);
             let want = (-f64::from(q)).exp2();
             worst = worst.max((f64::from(got) - want).abs() / (want * f64::from(f32::EPSILON)));
         }
         assert!(worst <= 2.0, "{worst} ulp");
         for (q, power) in [(0.0, 1.0), (1.0, 0.5), (126.0, f32::MIN_POSITIVE)] {
             assert_eq!(
-                dispatch!(Level::new(), simd => f32::exp2_lanes(f32x8::splat(simd, q), &f32::EXP2.map(|c| f32x8::splat(simd, c)))[0]),
+                dispatch!(f32, simd => f32::exp2_lanes(f32x8::splat(simd, q), &f32::EXP2.map(|c| f32x8::splat(simd, c)))[0]),
                 power
             );
         }
@@ -260,7 +240,7 @@ mod tests {
 
     #[test]
     fn exp_stays_within_one_ulp() {
-        let exp = |x: f32| dispatch!(Level::new(), simd => f32::exp_lanes(f32x8::splat(simd, x))[5]);
+        let exp = |x: f32| dispatch!(f32, simd => f32::exp_lanes(f32x8::splat(simd, x))[5]);
         let mut worst = 0.0_f64;
         for i in 0..=400_000 {
             let x = -87.0 + i as f32 * (175.0 / 400_000.0);

@@ -1,13 +1,13 @@
 //! CPU twin of the convolution, parallel over runs of Gaussians, a vector of them at a time.
 
 use fearless_simd::prelude::*;
-use fearless_simd::{Level, dispatch};
-use rayon::prelude::*;
 
 use super::Smooth;
 use crate::linalg::norm;
 use crate::simd::blocks::{block_len, load, splat, store};
+use crate::simd::dispatch;
 use crate::simd::real::Real;
+use crate::tasks;
 
 /// Number of Gaussians per task.
 const RUN: usize = 2048;
@@ -29,9 +29,10 @@ fn hypotenuse<S: Simd, F: Real>(a: F::Block<S>, b: F::Block<S>) -> F::Block<S> {
 /// `[N, 3]`: the new standard deviations.
 pub(crate) fn smoothed_scales_cpu<F: Real>(scales: &[F], widths: &[F]) -> Vec<F> {
     let mut out = vec![F::ZERO; scales.len()];
-    out.par_chunks_mut(3 * RUN)
-        .zip(scales.par_chunks(3 * RUN).zip(widths.par_chunks(RUN)))
-        .for_each(|(out, (scales, widths))| dispatch!(Level::new(), simd => scales_of_run(simd, scales, widths, out)));
+    let runs = out.chunks_mut(3 * RUN).zip(scales.chunks(3 * RUN).zip(widths.chunks(RUN)));
+    tasks::for_each(runs, |_, (out, (scales, widths))| {
+        dispatch!(F, simd => scales_of_run(simd, scales, widths, out));
+    });
     out
 }
 
@@ -77,10 +78,10 @@ impl<S: Simd, F: Real> Shares<S, F> {
 /// `[N]`: the new opacities.
 pub(crate) fn smoothed_opacities_cpu<F: Real>(inputs: Smooth<&[F]>) -> Vec<F> {
     let mut out = vec![F::ZERO; inputs.opacities.len()];
-    let scales = inputs.scales.as_chunks::<3>().0.par_chunks(RUN);
-    let runs = scales.zip(inputs.widths.par_chunks(RUN)).zip(inputs.opacities.par_chunks(RUN));
-    out.par_chunks_mut(RUN).zip(runs).for_each(|(out, ((scales, widths), opacities))| {
-        dispatch!(Level::new(), simd => opacities_of_run(simd, (scales, widths), opacities, out));
+    let scales = inputs.scales.as_chunks::<3>().0.chunks(RUN);
+    let runs = scales.zip(inputs.widths.chunks(RUN)).zip(inputs.opacities.chunks(RUN));
+    tasks::for_each(out.chunks_mut(RUN).zip(runs), |_, (out, (gaussians, opacities))| {
+        dispatch!(F, simd => opacities_of_run(simd, gaussians, opacities, out));
     });
     out
 }
@@ -96,11 +97,11 @@ fn opacities_of_run<S: Simd, F: Real>(simd: S, (scales, widths): (&[[F; 3]], &[F
 /// Returns the gradients of the standard deviations and of the opacities from `grad`, `[N]`, that of the new opacities.
 pub(crate) fn smoothed_opacities_backward_cpu<F: Real>(inputs: Smooth<&[F]>, grad: &[F]) -> Smooth<Vec<F>> {
     let (mut scales, mut opacities) = (vec![F::ZERO; inputs.scales.len()], vec![F::ZERO; inputs.opacities.len()]);
-    let of = inputs.scales.as_chunks::<3>().0.par_chunks(RUN).zip(inputs.widths.par_chunks(RUN));
-    let runs = of.zip(inputs.opacities.par_chunks(RUN).zip(grad.par_chunks(RUN)));
-    let out = scales.as_chunks_mut::<3>().0.par_chunks_mut(RUN).zip(opacities.par_chunks_mut(RUN));
-    out.zip(runs).for_each(|(out, (gaussians, grads))| {
-        dispatch!(Level::new(), simd => run_backward(simd, gaussians, grads, out));
+    let of = inputs.scales.as_chunks::<3>().0.chunks(RUN).zip(inputs.widths.chunks(RUN));
+    let runs = of.zip(inputs.opacities.chunks(RUN).zip(grad.chunks(RUN)));
+    let out = scales.as_chunks_mut::<3>().0.chunks_mut(RUN).zip(opacities.chunks_mut(RUN));
+    tasks::for_each(out.zip(runs), |_, (out, (gaussians, grads))| {
+        dispatch!(F, simd => run_backward(simd, gaussians, grads, out));
     });
     Smooth { scales, opacities, widths: Vec::new() }
 }

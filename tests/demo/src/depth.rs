@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 use super::DemoOptions;
 use super::light::LitScene;
-use super::shot::{ExposurePoint, Shot};
+use super::shot::Shot;
 
 /// Depth along the camera's axis at the middle of each pixel and of its exposure, in levels of [`DemoOptions::DEPTH_SCALE`];
 /// zero where the photograph is transparent or the depth exceeds 16 bits.
@@ -25,8 +25,8 @@ pub(super) fn render(scene: &LitScene, shot: &Shot) -> ImageBuffer<Luma<u16>, Ve
 
 /// Depth along the axis, scene units; none where the ray meets nothing.
 fn depth(scene: &LitScene, shot: &Shot, at_px: DVec2) -> Option<f64> {
-    let point = scene.scene.hit(&shot.ray(at_px, ExposurePoint::default()))?;
+    let point = scene.scene.hit(&shot.ray(at_px, 0.0))?;
     let hidden = shot.transparent && scene.scene.is_surroundings(&point);
-    let camera = shot.camera_at(at_px.y, ExposurePoint::default());
+    let camera = shot.camera_at(at_px.y, 0.0);
     (!hidden).then(|| camera.cam_from_world.transform_point3(point.position_world).z)
 }

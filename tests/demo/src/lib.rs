@@ -80,10 +80,10 @@ pub enum DemoError {
 ///   along the axis of the camera (z of the camera's frame, not the distance), in levels of as many scene units as
 ///   `depth/depth.json` says, `{"scale": 0.001}`. Zero is unknown: transparent, or beyond 65.535 scene units.
 /// - `truth.json`, where the model and the photographs do not tell how they came about ([`DemoOptions::poses`], `motion`,
-///   `rolling`, `defocus`): under `photographs`, for each its `name`; the exact pose at the middle of exposure and readout,
+///   `rolling`): under `photographs`, for each its `name`; the exact pose at the middle of exposure and readout,
 ///   world to camera, as `rotation_wxyz` and `translation`; how the camera moves in its own frame over the whole `exposure`,
 ///   and from the first row to the last (`readout`), each as `linear`, scene units, and `angular`, a rotation vector in
-///   radians; and its `aperture`, null or `radius` and `focus_depth` in scene units. The camera at the time `t`, −½ to ½, has
+///   radians. The camera at the time `t`, −½ to ½, has
 ///   its centre at `centre + R (t linear)` and the axes `R exp([t angular]×)`, `R` being the axes at the middle, camera to world;
 ///   a row at `y` px is read at `t = y / height − ½`.
 ///

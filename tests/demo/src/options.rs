@@ -12,10 +12,10 @@ use super::DemoError;
 /// Each effect is a switch. Effects are independent: they combine freely and keep their magnitude, except for two
 /// pairs that are refused: `lens` with `fisheye`, because a photograph has one lens, and `far` with `alpha`, which
 /// would make transparent what `far` moves away. Every eighth photograph by name is *held out* (see
-/// [`DemoOptions::held_out`]): effects that spoil single photographs (`graded`, `masks`, `poses`, `motion`, `defocus`) spare it, because it
+/// [`DemoOptions::held_out`]): effects that spoil single photographs (`graded`, `masks`, `poses`, `motion`) spare it, because it
 /// measures a scene's quality.
 ///
-/// With `poses`, `motion`, `rolling` or `defocus`, a file `truth.json` says what was done to each photograph; see [`super::write`].
+/// With `poses`, `motion` or `rolling`, a file `truth.json` says what was done to each photograph; see [`super::write`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct DemoOptions {
     /// Width of the pictures, 16 to 4096 px.
@@ -67,11 +67,6 @@ pub struct DemoOptions {
     /// [`DemoOptions::ROLLING_SHARE`] of the width; each row is exposed at its own time. Its pose is that of the middle row, and
     /// the tracks say where the pictures show the points.
     pub rolling: bool,
-    /// The photographs that are not held out are taken through a thin lens with an aperture of
-    /// [`DemoOptions::APERTURE_RADIUS`], focused at [`DemoOptions::FOCUS_SHARE`] of the distance to what they look at, so that
-    /// the far side of the platform, and from low down the near one too, has circles of confusion of 4 to 12 px at a width of
-    /// 240 px.
-    pub defocus: bool,
     /// Each photograph has an exact depth map, `depth/<name>`; see [`super::write`].
     pub depth: bool,
     /// A town of 400 m instead of the still life, in metres, z up: streets every 100 m, houses around courtyards, trees. Four of
@@ -100,7 +95,6 @@ impl DemoOptions {
         far: false,
         motion: false,
         rolling: false,
-        defocus: false,
         depth: false,
         town: false,
         seed: 0,
@@ -141,10 +135,6 @@ impl DemoOptions {
     pub const MOTION_SHARE: f64 = 0.05;
     /// Displacement from the first row to the last as a share of the width: 12 px at 240 px.
     pub const ROLLING_SHARE: f64 = 0.05;
-    /// Radius of the aperture, scene units.
-    pub const APERTURE_RADIUS: f64 = 0.16;
-    /// Distance of the plane in focus relative to that of the target.
-    pub const FOCUS_SHARE: f64 = 0.81;
     /// Scene units per level of a depth map.
     pub const DEPTH_SCALE: f64 = 0.001;
     /// Interval of held-out photographs, starting with the first: the split that [`Split::every`](splat_model::capture::Split)
@@ -166,7 +156,7 @@ impl DemoOptions {
 
     /// Whether `truth.json` is written.
     pub(super) fn has_truth(&self) -> bool {
-        self.poses || self.motion || self.rolling || self.defocus
+        self.poses || self.motion || self.rolling
     }
 
     pub(super) fn check(&self) -> Result<(), DemoError> {
@@ -196,7 +186,6 @@ impl DemoOptions {
             ("far", self.far),
             ("motion", self.motion),
             ("rolling", self.rolling),
-            ("defocus", self.defocus),
             ("depth", self.depth),
         ];
         for effect in effects {

@@ -6,16 +6,16 @@ use rayon::prelude::*;
 
 use super::DemoOptions;
 use super::light::LitScene;
-use super::shot::{ExposurePoint, Shot};
+use super::shot::Shot;
 
 /// Samples along each side of a pixel. The average over the pixel's square is what a sensor measures.
 const SAMPLES: usize = 3;
 
-/// Samples per pixel of a blurred photograph, each at its own time of the exposure and its own point of the aperture.
+/// Samples per pixel of a blurred photograph, each at its own time of the exposure.
 const BLURRED_SAMPLES: usize = 36;
 
-/// A ray's position within a pixel, px from its upper left corner, and its time within the exposure.
-type PixelSample = (DVec2, ExposurePoint);
+/// A ray's position within a pixel, px from its upper left corner, and its time within the exposure, −½ to ½.
+type PixelSample = (DVec2, f64);
 
 /// Photographs the scene, its rows in parallel: RGB, or RGBA (straight) if the shot is transparent. The result does not depend
 /// on the number of threads.
@@ -56,24 +56,16 @@ pub(super) fn mask(shot: &Shot) -> GrayImage {
 }
 
 fn sharp_samples() -> Vec<PixelSample> {
-    (0..SAMPLES * SAMPLES).map(|i| (place(i), ExposurePoint::default())).collect()
+    (0..SAMPLES * SAMPLES).map(|i| (place(i), 0.0)).collect()
 }
 
-/// The same positions, each with four times and four points of the aperture.
+/// The same positions, each with four times.
 fn blurred_samples() -> Vec<PixelSample> {
     const PLACES: usize = SAMPLES * SAMPLES;
-    let golden_angle = std::f64::consts::PI * (3.0 - 5.0_f64.sqrt());
     let sample = |i: usize| {
         // Every position has one time in each quarter of the exposure; the times of neighbours lie far apart.
         let time = (i / PLACES) * PLACES + (5 * (i % PLACES)) % PLACES;
-        // It has one point in each quarter of the aperture's area, on a sunflower spiral, whose points cover equal areas.
-        let lens = (7 * i) % BLURRED_SAMPLES;
-        let radius = ((lens as f64 + 0.5) / BLURRED_SAMPLES as f64).sqrt();
-        let moment = ExposurePoint {
-            time: (time as f64 + 0.5) / BLURRED_SAMPLES as f64 - 0.5,
-            lens: radius * DVec2::from_angle(golden_angle * lens as f64),
-        };
-        (place(i % PLACES), moment)
+        (place(i % PLACES), (time as f64 + 0.5) / BLURRED_SAMPLES as f64 - 0.5)
     };
     (0..BLURRED_SAMPLES).map(sample).collect()
 }
@@ -86,11 +78,11 @@ fn place(i: usize) -> DVec2 {
 /// come from the same rays, so that the pixel is right over any background.
 fn pixel_light(scene: &LitScene, shot: &Shot, corner_px: DVec2, samples: &[PixelSample]) -> (DVec3, f64) {
     let (mut sum, mut opaque) = (DVec3::ZERO, 0_usize);
-    for &(place, moment) in samples {
+    for &(place, time) in samples {
         let at_px = corner_px + place;
         let light = match shot.disc_at(at_px) {
             Some(disc) => Some(disc.light),
-            None => light_along(scene, shot, at_px, moment),
+            None => light_along(scene, shot, at_px, time),
         };
         if let Some(light) = light {
             sum += light;
@@ -101,8 +93,8 @@ fn pixel_light(scene: &LitScene, shot: &Shot, corner_px: DVec2, samples: &[Pixel
 }
 
 /// The light of a sample; none where the photograph is transparent.
-fn light_along(scene: &LitScene, shot: &Shot, at_px: DVec2, moment: ExposurePoint) -> Option<DVec3> {
-    let ray = shot.ray(at_px, moment);
+fn light_along(scene: &LitScene, shot: &Shot, at_px: DVec2, time: f64) -> Option<DVec3> {
+    let ray = shot.ray(at_px, time);
     if !shot.transparent {
         return Some(scene.along(&ray));
     }

@@ -7,7 +7,7 @@ use super::DemoOptions;
 use super::light::{LitScene, display};
 use super::options::Stream;
 use super::picture::to_bytes;
-use super::shot::{ExposurePoint, Shot};
+use super::shot::Shot;
 use splat_model::capture::{Observation, PointCloud, Tracks};
 
 /// Two positions on a surface count as the same if their distances to a camera differ by at most this share.
@@ -61,5 +61,5 @@ pub(super) fn observation(scene: &LitScene, shot: &Shot, point_world: glam::DVec
 
 /// The central ray of those that end at a position of the picture.
 fn sharp_ray(shot: &Shot, at_px: DVec2) -> super::geometry::Ray {
-    shot.ray(at_px, ExposurePoint::default())
+    shot.ray(at_px, 0.0)
 }

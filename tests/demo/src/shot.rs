@@ -1,4 +1,4 @@
-//! How one photograph is taken: the camera's pose over time, its lens and aperture, and what occludes the scene.
+//! How one photograph is taken: the camera's pose over time, and what occludes the scene.
 
 use std::f64::consts::TAU;
 
@@ -42,15 +42,6 @@ impl Motion {
     }
 }
 
-/// A thin lens's aperture.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Aperture {
-    /// Scene units.
-    pub radius: f64,
-    /// Depth of the plane that is sharp, scene units along the axis.
-    pub focus_depth: f64,
-}
-
 /// A bright disc before the lens, which is not part of the scene.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Disc {
@@ -58,15 +49,6 @@ pub(super) struct Disc {
     pub radius_px: f64,
     /// Linear light.
     pub light: DVec3,
-}
-
-/// A ray's time and point of the aperture within an exposure.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) struct ExposurePoint {
-    /// −½ to ½, from the beginning of the exposure to its end.
-    pub time: f64,
-    /// The point of the aperture, within the unit disc.
-    pub lens: DVec2,
 }
 
 /// One photograph.
@@ -82,7 +64,6 @@ pub(super) struct Shot {
     pub motion: Motion,
     /// Motion from the first row's exposure to the last row's.
     pub readout: Motion,
-    pub aperture: Option<Aperture>,
     pub discs: Vec<Disc>,
     /// Whether ground and sky are transparent.
     pub transparent: bool,
@@ -92,41 +73,28 @@ impl Shot {
     /// A sharp photograph of everything.
     pub fn plain(camera: DemoCamera) -> Self {
         let (gain, motion, readout) = (DVec3::ONE, Motion::default(), Motion::default());
-        Self { camera, gain, grade: None, motion, readout, aperture: None, discs: Vec::new(), transparent: false }
+        Self { camera, gain, grade: None, motion, readout, discs: Vec::new(), transparent: false }
     }
 
     /// Whether a pixel needs rays from many moments of the exposure.
     pub fn is_blurred(&self) -> bool {
-        self.aperture.is_some() || !self.motion.is_none()
+        !self.motion.is_none()
     }
 
-    /// The camera at the time at which the row at a position, px, is exposed.
-    pub fn camera_at(&self, row_px: f64, moment: ExposurePoint) -> DemoCamera {
+    /// The camera at a time of the exposure of the row at a position, px: −½ to ½, from its beginning to its end.
+    pub fn camera_at(&self, row_px: f64, time: f64) -> DemoCamera {
         let read_out = row_px / self.camera.intrinsics.height as f64 - 0.5;
-        let along = |of: fn(&Motion) -> DVec3| moment.time * of(&self.motion) + read_out * of(&self.readout);
+        let along = |of: fn(&Motion) -> DVec3| time * of(&self.motion) + read_out * of(&self.readout);
         let (linear_cam, angular_cam) = (along(|motion| motion.linear_cam), along(|motion| motion.angular_cam));
         let turned = DMat3::from_quat(DQuat::from_scaled_axis(angular_cam));
         self.camera.moved(self.camera.centre_world + self.camera.world_from_cam() * linear_cam, turned)
     }
 
-    /// A ray that ends at a position of the picture, px; world frame.
-    pub fn ray(&self, at_px: DVec2, moment: ExposurePoint) -> Ray {
-        let moved;
-        let camera = if self.motion.is_none() && self.readout.is_none() {
-            &self.camera
-        } else {
-            moved = self.camera_at(at_px.y, moment);
-            &moved
-        };
-        let Some(Aperture { radius, focus_depth }) = self.aperture else { return camera.ray_through(at_px) };
-        // All rays of a point in the focal plane meet there.
-        let direction_cam = camera.direction_cam(at_px);
-        let sharp_cam = direction_cam * (focus_depth / direction_cam.z);
-        let from_cam = (radius * moment.lens).extend(0.0);
-        let world_from_cam = camera.world_from_cam();
-        Ray {
-            origin: camera.centre_world + world_from_cam * from_cam,
-            direction: (world_from_cam * (sharp_cam - from_cam)).normalize(),
+    /// A ray that ends at a position of the picture, px, at a time of the exposure, −½ to ½; world frame.
+    pub fn ray(&self, at_px: DVec2, time: f64) -> Ray {
+        match self.motion.is_none() && self.readout.is_none() {
+            true => self.camera.ray_through(at_px),
+            false => self.camera_at(at_px.y, time).ray_through(at_px),
         }
     }
 
@@ -138,7 +106,7 @@ impl Shot {
             // The row that shows the point decides the time, and the time decides the row: a twentieth of the width from the
             // first row to the last, so that each iteration leaves less than a tenth of the error.
             for _ in 0..16 {
-                camera = self.camera_at(at_px.y, ExposurePoint::default());
+                camera = self.camera_at(at_px.y, 0.0);
                 at_px = camera.project(point_world)?;
             }
         }
@@ -179,10 +147,6 @@ pub(super) fn shots(options: &DemoOptions) -> Vec<Shot> {
         if options.motion && matches!(number % BLURRED_EVERY, 1 | 3) {
             shot.motion = Motion::random(&mut motions, &camera, DemoOptions::MOTION_SHARE);
         }
-        shot.aperture = options.defocus.then_some(Aperture {
-            radius: DemoOptions::APERTURE_RADIUS,
-            focus_depth: DemoOptions::FOCUS_SHARE * camera.subject_distance,
-        });
         shot
     });
     shots.collect()

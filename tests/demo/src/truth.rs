@@ -11,13 +11,10 @@ pub(super) fn json(views: &[View], shots: &[Shot]) -> String {
         let DQuat { x, y, z, w } = DQuat::from_mat3(&shot.camera.cam_from_world.matrix3);
         let translation = list(shot.camera.cam_from_world.translation);
         let (exposure, readout) = (motion(&shot.motion), motion(&shot.readout));
-        let aperture = shot.aperture.map_or("null".into(), |aperture| {
-            format!("{{\"radius\": {:?}, \"focus_depth\": {:?}}}", aperture.radius, aperture.focus_depth)
-        });
         // Names are four digits and an extension: nothing to escape.
         format!(
             "\n    {{\"name\": \"{}\", \"rotation_wxyz\": [{w:?}, {x:?}, {y:?}, {z:?}], \
-             \"translation\": {translation}, \"exposure\": {exposure}, \"readout\": {readout}, \"aperture\": {aperture}}}",
+             \"translation\": {translation}, \"exposure\": {exposure}, \"readout\": {readout}}}",
             view.name
         )
     };

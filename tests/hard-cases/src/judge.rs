@@ -3,7 +3,7 @@
 use burn::tensor::{DType, Device};
 use glam::{DMat3, DVec3};
 use splat_op::exact::{ExactGaussian, ExactPose, render_exact};
-use splat_op::{CameraModel, Order, Projection, RenderOptions};
+use splat_op::{CameraModel, Projection, RenderOptions};
 
 use crate::case::{CaseKind, CaseOutcome, HardCase, MeasuredDeviation, Processor, TestDevice};
 use crate::ceiling::{ROW_EXCEPTIONS, ROW_TOLERANCE, SMALLEST, ceiling_used};
@@ -353,7 +353,7 @@ fn kept(scene: &HardScene) -> Vec<bool> {
 
 /// Whether the options ask for per-ray rasterization, which the textbook does not cover.
 fn along_rays(options: &RenderOptions) -> bool {
-    options.projection != Projection::Affine || options.order != Order::CentreDepth
+    options.projection != Projection::Affine
 }
 
 /// Largest condition number of a 3D covariance, where a centre's depth counts as an axis if it is the shortest length. Cameras

@@ -53,6 +53,8 @@ pub struct BenchOutcome {
     pub alone: Vec<Isolated>,
     /// Largest difference between the reference renderer and the exact renderer in the pixels that both rendered.
     pub reference: f64,
+    /// Error of the order of centres against the order of each pixel, dB.
+    pub order_db: f64,
     pub rounds: usize,
 }
 
@@ -82,13 +84,14 @@ impl Bench<'_> {
         let alone = self.alone(&mut truths)?;
         let cotangents = self.cotangents(&mut truths)?;
         let reference = truths.iter().map(|(_, truth)| truth.difference).fold(0.0, f64::max);
+        let order_db = -10.0 * self.truth(&mut truths, &self.base)?.order_error.log10();
         drop(truths);
         let options: Vec<RenderOptions> = checked.iter().map(|(_, candidate)| candidate.options).collect();
         let (times, rounds) = self.time(&options, &cotangents, budget)?;
         let rows = checked.into_iter().zip(times).map(|(((accuracy, scores, memory_mib), candidate), times)| {
             SettingMeasurements { candidate, accuracy, scores, memory_mib, times }
         });
-        Ok(BenchOutcome { rows: rows.collect(), alone, reference, rounds })
+        Ok(BenchOutcome { rows: rows.collect(), alone, reference, order_db, rounds })
     }
 
     /// Returns the exact reference under the model choices of `options`; it is computed once for each.

@@ -56,7 +56,7 @@ pub fn page(subject: &PageSubject, outcome: &BenchOutcome, members: [&[usize]; 2
 
 fn intro(subject: &PageSubject, outcome: &BenchOutcome) -> String {
     let PageSubject { capture, scene, device, splats, views, size: (width, height), .. } = subject;
-    let (rounds, reference, names) = (outcome.rounds, outcome.reference, views.join(", "));
+    let (rounds, reference, order_db, names) = (outcome.rounds, outcome.reference, outcome.order_db, views.join(", "));
     let few = match rounds < FEW_ROUNDS {
         true => " **That is few**: before believing small differences, measure for longer (`--budget`).",
         false => "",
@@ -67,7 +67,8 @@ fn intro(subject: &PageSubject, outcome: &BenchOutcome) -> String {
          Written by `splat pareto`, which measured every setting {rounds} times, in turns.{few}\n\n\
          ![Time of a frame against error](pareto.svg)\n\n\
          Errors are against a render of the whole picture in float64 without any approximation, which in pixels all over the views \
-         differed by at most {reference:.0e} from a renderer that visits every Gaussian in every pixel. *Error* is the PSNR of the pictures \
+         differed by at most {reference:.0e} from a renderer that visits every Gaussian in every pixel. In these pixels the order of the splats' centres \
+         has an error of {order_db:.0} dB against an order of each pixel's own. *Error* is the PSNR of the pictures \
          against it, in dB, and *max* the largest error of a pixel's channel, of colours in 0..1. Gradients are those of L1 + \
          D-SSIM at the exact picture, of the parameter that fares worst. Times are medians with their quartiles, ms a frame; \
          settings whose quartiles overlap are *not told apart*, and not ranked. Memory is the most that a render with its \

@@ -2,7 +2,7 @@
 //! approximations.
 //!
 //! The reference renders whatever `splat_op` renders: it is the f64 instance of the CPU twins, with every threshold off. Nothing
-//! is believed of it: every picture, whatever its projection, order and lens, has to agree with [`ExactView`], which shares no
+//! is believed of it: every picture, whatever its projection and lens, has to agree with [`ExactView`], which shares no
 //! arithmetic with the twins. A camera or a model choice that is added there needs nothing here.
 
 use anyhow::{Result, ensure};
@@ -25,6 +25,8 @@ pub struct ReferenceRender {
     pub gradients: GradientSums,
     /// Largest difference from the exact renderer, from [`check`].
     pub difference: f64,
+    /// Mean square error of the order of centres, from [`order_error`].
+    pub order_error: f64,
 }
 
 impl ReferenceRender {
@@ -40,11 +42,13 @@ impl ReferenceRender {
         mut done: impl FnMut(),
     ) -> Result<Self> {
         let (pictures, cotangents) = (Vec::new(), Vec::new());
-        let mut truth = Self { pictures, cotangents, gradients: GradientSums::default(), difference: 0.0 };
+        let mut truth =
+            Self { pictures, cotangents, gradients: GradientSums::default(), difference: 0.0, order_error: 0.0 };
         for (view, shot) in shots.iter().enumerate() {
             let picture = place.tracked(view, options)?;
             let exact = host(picture.colour.clone().inner());
             truth.difference = truth.difference.max(check(place, (view, shot), options, &exact)?);
+            truth.order_error += order_error(place, view, options)? / shots.len() as f64;
             let cotangent = cotangent(shot, &exact, background(place));
             let gradients = place.backward(picture, place.picture(view, &cotangent));
             place.add_gradients(&gradients, &mut truth.gradients);
@@ -80,19 +84,12 @@ pub fn check(
     picture: &[f64],
 ) -> Result<f64> {
     let camera = &place.cameras[view];
-    let Intrinsics { width, height, .. } = camera.intrinsics;
     let gaussians = gaussians(place, camera)?;
     let exact = ExactView::new(&gaussians, &pose(camera), &camera.intrinsics, options);
     let background = background(place).map(f64::from);
-    let mut random = ChaCha8Rng::seed_from_u64(view as u64);
-    let mut within = |field: usize, side: usize| {
-        let [start, end] = [field, field + 1].map(|border| border * side / CHECKED);
-        random.random_range(start..end.max(start + 1)).min(side - 1)
-    };
     let mut largest = 0.0_f64;
-    for field in 0..CHECKED * CHECKED {
-        let (x, y) = (within(field % CHECKED, width), within(field / CHECKED, height));
-        let found = &picture[3 * (y * width + x)..];
+    for [x, y] in checked_pixels(&camera.intrinsics, view) {
+        let found = &picture[3 * (y * camera.intrinsics.width + x)..];
         for (found, exact) in found.iter().zip(exact.pixel([x, y], &background).features) {
             let difference = (found - exact).abs();
             let name = || shot.photo.map_or(format!("view {view}"), |photo| photo.name.clone());
@@ -106,6 +103,31 @@ pub fn check(
         }
     }
     Ok(largest)
+}
+
+/// Returns a random pixel of each field of the grid.
+fn checked_pixels(camera: &Intrinsics, view: usize) -> impl Iterator<Item = [usize; 2]> {
+    let (mut random, size) = (ChaCha8Rng::seed_from_u64(view as u64), [camera.width, camera.height]);
+    (0..CHECKED * CHECKED).map(move |field| {
+        [(field % CHECKED, size[0]), (field / CHECKED, size[1])].map(|(field, side)| {
+            let [start, end] = [field, field + 1].map(|border| border * side / CHECKED);
+            random.random_range(start..end.max(start + 1)).min(side - 1)
+        })
+    })
+}
+
+/// Returns the mean square error that the order of centres causes, in the pixels of [`check`]: against the order of each pixel, which
+/// the exact renderer alone computes.
+fn order_error(place: &DeviceScene, view: usize, options: &RenderOptions) -> Result<f64> {
+    let camera = &place.cameras[view];
+    let (gaussians, pose, background) = (gaussians(place, camera)?, pose(camera), background(place).map(f64::from));
+    let by_centres = ExactView::new(&gaussians, &pose, &camera.intrinsics, options);
+    let by_pixel = ExactView::new(&gaussians, &pose, &camera.intrinsics, options).sorted_per_pixel();
+    let squares = checked_pixels(&camera.intrinsics, view).flat_map(|pixel| {
+        let [found, exact] = [&by_centres, &by_pixel].map(|view| view.pixel(pixel, &background).features);
+        found.into_iter().zip(exact).map(|(found, exact)| (found - exact).powi(2))
+    });
+    Ok(squares.sum::<f64>() / (3 * CHECKED * CHECKED) as f64)
 }
 
 /// Returns the Gaussians that can be rendered, with their colours as seen by `camera`.
@@ -140,7 +162,7 @@ pub(super) mod tests {
     use glam::DAffine3;
     use splat_model::accuracy::Dial;
     use splat_model::gaussians::GaussianRows;
-    use splat_op::{CameraModel, Order, Projection};
+    use splat_op::{CameraModel, Projection};
 
     use super::*;
 
@@ -186,11 +208,9 @@ pub(super) mod tests {
     fn the_reference_is_the_exact_renderer() {
         let exact = Dial::all_exact(RenderOptions::standard());
         for projection in [Projection::Affine, Projection::RayMax] {
-            for order in [Order::CentreDepth, Order::PerPixelSort] {
-                let options = exact.with_projection(projection).with_order(order).with_antialias(true);
-                let found = rendered(&options, &shots()).unwrap();
-                assert!(found > 0.0 && found < TOLERANCE, "{projection:?}, {order:?}: {found:.1e}");
-            }
+            let options = exact.with_projection(projection).with_antialias(true);
+            let found = rendered(&options, &shots()).unwrap();
+            assert!(found > 0.0 && found < TOLERANCE, "{projection:?}: {found:.1e}");
         }
         let mut through_lenses = shots();
         through_lenses[0].intrinsics = Intrinsics { model: CameraModel::OpenCv, distortion: DISTORTION, ..CAMERA };
@@ -212,16 +232,34 @@ pub(super) mod tests {
         }
     }
 
-    /// A picture in another order or projection than the one asked for is not taken for the truth.
+    /// A picture in another projection than the one asked for is not taken for the truth.
     #[test]
     fn a_reference_of_another_function_is_refused() {
         let (shots, exact) = (shots(), Dial::all_exact(RenderOptions::standard()));
         let place = DeviceScene::in_f64(&rows(80), &shots, [0.0; 3]).unwrap();
         let plain = host(place.render(0, &exact).unwrap().colour);
         check(&place, (0, &shots[0]), &exact, &plain).unwrap();
-        for other in [exact.with_projection(Projection::RayMax), exact.with_order(Order::PerPixelSort)] {
-            assert!(check(&place, (0, &shots[0]), &other, &plain).is_err(), "{other:?}");
-        }
+        assert!(check(&place, (0, &shots[0]), &exact.with_projection(Projection::RayMax), &plain).is_err());
+    }
+
+    /// Two crossing sheets differ by the order of each pixel in part of the picture; two sheets one behind the other nowhere.
+    #[test]
+    fn the_order_of_centres_costs_something_where_splats_cross() {
+        let options = Dial::all_exact(RenderOptions::standard());
+        let error = |lean: f32| {
+            let sheets = GaussianRows {
+                means: vec![[0.2, 0.0, 3.0], [-0.2, 0.0, 3.2]],
+                rotations: vec![[1.0, 0.0, lean, 0.0], [1.0, 0.0, -lean, 0.0]],
+                log_scales: vec![[-0.3, -0.3, -4.0]; 2],
+                logit_opacities: vec![2.0; 2],
+                sh_dc: vec![[1.0, 0.0, -1.0], [-1.0, 0.0, 1.0]],
+                ..GaussianRows::default()
+            };
+            let place = DeviceScene::in_f64(&sheets, &shots()[..1], [0.0; 3]).unwrap();
+            order_error(&place, 0, &options).unwrap()
+        };
+        let (apart, crossing) = (error(0.0), error(0.5));
+        assert!(apart < 1e-9 && crossing > 1e-3, "{apart:.1e}, {crossing:.1e}");
     }
 
     #[test]

@@ -53,12 +53,12 @@ fn options_reach_the_configuration() {
 #[test]
 fn a_model_choice_and_a_preset_are_dials_of_one_run() {
     let dials = |arguments: &[&str]| config(arguments).unwrap().dials.to_string();
-    assert_eq!(dials(&["--projection", "affine", "--order", "centre-depth"]), "nothing turned");
+    assert_eq!(dials(&["--projection", "affine"]), "nothing turned");
     assert_eq!(dials(&["--projection", "ray-max"]), "projection ray-max");
-    let both = ["--order", "per-pixel-sort", "--accuracy", "fast"];
-    assert_eq!(dials(&both), "alpha_min 4/255, order per-pixel-sort, transmittance_min 1e-3");
+    let both = ["--projection", "ray-max", "--accuracy", "fast"];
+    assert_eq!(dials(&both), "alpha_min 4/255, projection ray-max, transmittance_min 1e-3");
     let options = config(&both).unwrap().render_options(1.0);
-    assert_eq!((options.order, options.alpha_min), (splat_op::Order::PerPixelSort, 4.0 / 255.0));
+    assert_eq!((options.projection, options.alpha_min), (splat_op::Projection::RayMax, 4.0 / 255.0));
 }
 
 #[test]

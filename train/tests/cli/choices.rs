@@ -7,7 +7,7 @@ use std::sync::LazyLock;
 use crate::run::{DEMO, fresh, refuse, splat, succeed};
 use crate::{json, text};
 
-const CHOICES: [&str; 4] = ["--projection", "ray-max", "--order", "per-pixel-sort"];
+const CHOICES: [&str; 2] = ["--projection", "ray-max"];
 
 /// A short run with other model choices than the standard's.
 static ALONG_RAYS: LazyLock<PathBuf> = LazyLock::new(|| train("along-rays", &CHOICES));
@@ -34,7 +34,7 @@ fn psnr(folder: &Path) -> f64 {
 #[test]
 fn a_run_renders_as_it_was_asked_to_and_says_so() {
     let options = &json(&ALONG_RAYS.join("metrics.json"))["options"];
-    assert_eq!(options["dials"], serde_json::json!({"order": "per-pixel-sort", "projection": "ray-max"}));
+    assert_eq!(options["dials"], serde_json::json!({"projection": "ray-max"}));
     let plain = train("plain-rays", &[]);
     assert_eq!(json(&plain.join("metrics.json"))["options"]["dials"], serde_json::json!({}));
     let scene = |folder: &Path| fs::read(folder.join("scene.ply")).unwrap();
@@ -51,12 +51,11 @@ fn one_evaluates_and_renders_as_one_trained() {
         psnr(&out)
     };
     // The scene's file states the projection.
-    assert!((eval(&CHOICES[2..]) - psnr(&ALONG_RAYS)).abs() < 1e-4);
+    assert!((eval(&[]) - psnr(&ALONG_RAYS)).abs() < 1e-4);
     let dials = &json(&out.join("metrics.json"))["options"]["dials"];
-    assert_eq!(*dials, serde_json::json!({"order": "per-pixel-sort", "projection": "ray-max"}));
+    assert_eq!(*dials, serde_json::json!({"projection": "ray-max"}));
     let affine = ["--projection", "affine"];
-    assert!((eval(&affine) - psnr(&ALONG_RAYS)).abs() > 1e-3, "the choices make no difference");
-    assert!((eval(&[]) - psnr(&ALONG_RAYS)).abs() > 1e-4, "the order makes none");
+    assert!((eval(&affine) - psnr(&ALONG_RAYS)).abs() > 1e-3, "the choice makes no difference");
     let picture = |options: &[&str], name: &str| {
         let out = folder.path().join(name);
         let always =
@@ -64,26 +63,23 @@ fn one_evaluates_and_renders_as_one_trained() {
         succeed(&mut splat(&[&always[..], options].concat()));
         fs::read(out.join("0000.png")).unwrap()
     };
-    assert_eq!(picture(&CHOICES, "rays"), picture(&CHOICES[2..], "stated"));
+    assert_eq!(picture(&CHOICES, "rays"), picture(&[], "stated"));
     assert_ne!(picture(&[], "rays"), picture(&affine, "plain"));
 }
 
 #[test]
 fn rays_go_through_a_lens() {
     let folder = tempfile::tempdir().unwrap();
-    for choice in [&CHOICES[..2], &CHOICES[2..]] {
-        let out = folder.path().join(choice[1]);
-        let train =
-            ["train", text(&LENS), "--steps", "2", "--max-side", "48", "--effects", "none", "--out", text(&out)];
-        succeed(&mut splat(&[&train[..], choice].concat()));
-        let (scene, again) = (out.join("scene.ply"), folder.path().join("again"));
-        let eval = ["eval", text(&LENS), "--scene", text(&scene), "--max-side", "48", "--out", text(&again)];
-        succeed(&mut splat(&[&eval[..], choice].concat()));
-        let chosen = psnr(&again);
-        assert!((chosen - psnr(&out)).abs() < 1e-4, "{choice:?}");
-        succeed(splat(&eval).args(["--projection", "affine", "--order", "centre-depth"]));
-        assert!((psnr(&again) - chosen).abs() > 1e-6, "{choice:?} makes no difference");
-    }
+    let out = folder.path().join("run");
+    let train = ["train", text(&LENS), "--steps", "2", "--max-side", "48", "--effects", "none", "--out", text(&out)];
+    succeed(&mut splat(&[&train[..], &CHOICES].concat()));
+    let (scene, again) = (out.join("scene.ply"), folder.path().join("again"));
+    let eval = ["eval", text(&LENS), "--scene", text(&scene), "--max-side", "48", "--out", text(&again)];
+    succeed(&mut splat(&[&eval[..], &CHOICES].concat()));
+    let along_rays = psnr(&again);
+    assert!((along_rays - psnr(&out)).abs() < 1e-4);
+    succeed(splat(&eval).args(["--projection", "affine"]));
+    assert!((psnr(&again) - along_rays).abs() > 1e-6, "the projection makes no difference");
 }
 
 #[test]

@@ -270,7 +270,6 @@ fn each_effect_of_the_demo_calls_for_itself_alone() {
         // Plain walls nearby are less sharp than many houses far away.
         (DemoOptions { width: 96, height: 72, views: 48, points: 4000, ..DemoOptions::TOWN }, "antialias"),
         (DemoOptions { rolling: true, ..large }, "rolling-shutter"),
-        (DemoOptions { defocus: true, ..SMALL }, ""),
         (DemoOptions { depth: true, ..SMALL }, "depth-supervision"),
     ];
     for (options, expected) in cases {

@@ -53,7 +53,7 @@ fn with_effects(batch: usize) -> TrainConfig {
         exposure: Some(ExposureConfig::default()),
         grid: Some(GridConfig::default()),
         poses: Some(PoseConfig::default()),
-        optics: OpticsConfig { motion: true, rolling: true, defocus: true },
+        optics: OpticsConfig { motion: true, rolling: true },
         depth: Some(DepthConfig::default()),
         smoothing: true,
         antialias: true,

@@ -30,7 +30,7 @@ fn with_effects() -> TrainConfig {
         exposure: Some(ExposureConfig::default()),
         grid: Some(GridConfig::default()),
         poses: Some(PoseConfig::default()),
-        optics: OpticsConfig { motion: true, rolling: true, defocus: true },
+        optics: OpticsConfig { motion: true, rolling: true },
         smoothing: true,
         antialias: true,
         backdrop: Backdrop::Environment { degree: 1 },

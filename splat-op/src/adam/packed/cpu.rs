@@ -1,10 +1,9 @@
 //! The CPU twin of the step with packed moments, parallel over rows.
 
-use fearless_simd::{Level, dispatch};
-use rayon::prelude::*;
-
 use super::{Form, PackedFactors, Packing};
 use crate::adam::{Band, Rates};
+use crate::simd::dispatch;
+use crate::tasks;
 
 /// Numbers whose codes are unpacked at a time: their codes fit into the first-level cache.
 const BLOCK: usize = 1024;
@@ -57,8 +56,8 @@ pub fn step_on_host(state: HostState, width: usize, band: Option<Band>, step: &P
     let rows = (BLOCK / width).max(1);
     let rates = rates(factors.rate, band, width, rows);
     let (numbers, of_words) = (rows * width, rows * row_words);
-    let tasks = param.par_chunks_mut(BLOCKS * numbers).zip(grad.par_chunks(BLOCKS * numbers));
-    tasks.zip(words.par_chunks_mut(BLOCKS * of_words)).enumerate().for_each(|(task, ((param, grad), words))| {
+    let parts = param.chunks_mut(BLOCKS * numbers).zip(grad.chunks(BLOCKS * numbers));
+    tasks::for_each(parts.zip(words.chunks_mut(BLOCKS * of_words)), |task, ((param, grad), words)| {
         let blocks = param.chunks_mut(numbers).zip(grad.chunks(numbers)).zip(words.chunks_mut(of_words));
         let mut codes = vec![0; numbers];
         for (block, ((param, grad), words)) in blocks.enumerate() {
@@ -88,7 +87,7 @@ fn step_block<const EIGHT: bool>(
 ) {
     let form = const { if EIGHT { Packing::Eight.form() } else { Packing::Sixteen.form() } };
     unpack(form, words, codes, width);
-    dispatch!(Level::new(), simd => {
+    dispatch!(f32, simd => {
         let _ = simd;
         step_codes::<EIGHT>(scalars, param, grad, codes, rates, first);
     });

@@ -6,7 +6,6 @@ use glam::DVec3;
 use super::super::depth;
 use super::super::picture::mask;
 use super::super::pose;
-use super::super::shot::ExposurePoint;
 use super::*;
 use splat_model::capture::Capture;
 use splat_model::optim::scene_extent;
@@ -26,7 +25,6 @@ pub(super) fn switches(base: DemoOptions) -> Vec<(&'static str, DemoOptions)> {
         ("far", DemoOptions { far: true, ..base }),
         ("motion", DemoOptions { motion: true, ..base }),
         ("rolling", DemoOptions { rolling: true, ..base }),
-        ("defocus", DemoOptions { defocus: true, ..base }),
         ("depth", DemoOptions { depth: true, ..base }),
     ]
 }
@@ -43,7 +41,6 @@ const ALL: DemoOptions = DemoOptions {
     poses: true,
     motion: true,
     rolling: true,
-    defocus: true,
     depth: true,
     ..TINY
 };
@@ -88,7 +85,7 @@ fn each_switch_changes_the_capture_and_can_be_repeated() {
         let mut expected: Vec<_> =
             super::super::files(&options).iter().map(|file| file.to_str().unwrap().to_string()).collect();
         expected.sort();
-        let tells = ["poses", "motion", "rolling", "defocus", "all"].contains(&name);
+        let tells = ["poses", "motion", "rolling", "all"].contains(&name);
         assert_eq!(once.contains_key("truth.json"), tells, "{name}");
         assert!(beside.eq(expected.iter().map(String::as_str)), "{name} writes other files than it says");
         let parts = |file: &String| PARTS.contains(&file.split('/').next().unwrap());
@@ -141,8 +138,7 @@ fn tracks_lead_to_what_the_pictures_show() {
         let mut seen = 0;
         for (point, colour) in cloud.colours.iter().enumerate() {
             for observation in tracks.of(point) {
-                let ray = shots[observation.view]
-                    .ray(glam::Vec2::from(observation.at_px).as_dvec2(), ExposurePoint::default());
+                let ray = shots[observation.view].ray(glam::Vec2::from(observation.at_px).as_dvec2(), 0.0);
                 let shown = super::super::picture::to_bytes(display(scene.along(&ray)));
                 let apart = (0..3).map(|i| shown[i].abs_diff(colour[i])).max().unwrap();
                 // Rounded to f32, a position beside an edge may lie on it.

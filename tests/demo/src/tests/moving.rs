@@ -1,8 +1,7 @@
-//! Tests of photographs with motion blur, a rolling shutter or an open aperture.
+//! Tests of photographs with motion blur or a rolling shutter.
 
 use glam::DVec3;
 
-use super::super::shot::{Aperture, ExposurePoint};
 use super::effects::{FULL, scene};
 use super::*;
 
@@ -18,7 +17,7 @@ fn motion_is_an_average_along_a_straight_way() {
     let shot = &shots[2];
     // During the exposure, the subject moves by 12 px.
     let subject = shot.camera.ray_through(DVec2::new(120.0, 90.0)).at(shot.camera.subject_distance);
-    let at = |time: f64| shot.camera_at(0.0, ExposurePoint { time, ..ExposurePoint::default() });
+    let at = |time: f64| shot.camera_at(0.0, time);
     let [start, end] = [at(-0.5), at(0.5)].map(|camera| camera.project(subject).unwrap());
     assert!((start.distance(end) - 12.0).abs() < 0.2, "{start} {end}");
     assert!((0.5 * (start + end)).distance(DVec2::new(120.0, 90.0)) < 0.1, "the pose is the middle one");
@@ -52,16 +51,16 @@ fn rows_are_read_one_after_the_other() {
     let scene = scene(&options);
     let shot = &shots(&options)[1];
     let subject = shot.camera.ray_through(DVec2::new(120.0, 90.0)).at(shot.camera.subject_distance);
-    let [first, last] = [0.0, 180.0].map(|row| shot.camera_at(row, ExposurePoint::default()));
+    let [first, last] = [0.0, 180.0].map(|row| shot.camera_at(row, 0.0));
     let [first_px, last_px] = [first, last].map(|camera| camera.project(subject).unwrap());
     assert!((first_px.distance(last_px) - 12.0).abs() < 0.2, "{first_px} {last_px}");
-    let middle = shot.camera_at(90.0, ExposurePoint::default());
+    let middle = shot.camera_at(90.0, 0.0);
     assert!(middle.cam_from_world.abs_diff_eq(shot.camera.cam_from_world, 1e-12));
     let picture = render(&scene, shot).into_rgb8();
     let (mut error, mut moved) = (0.0, 0.0);
     let rows = [3, 20, 70, 120, 150, 177];
     for y in rows {
-        let still = Shot::plain(shot.camera_at(f64::from(y) + 0.5, ExposurePoint::default()));
+        let still = Shot::plain(shot.camera_at(f64::from(y) + 0.5, 0.0));
         for x in (0..240).step_by(4) {
             let expected = |shot: &Shot| 255.0 * display(nine(&scene, shot, DVec2::new(x.into(), y.into())) / 9.0).y;
             let found = f64::from(picture.get_pixel(x, y)[1]);
@@ -70,53 +69,4 @@ fn rows_are_read_one_after_the_other() {
         }
     }
     assert!(error < 0.7 && moved > 5.0 * error, "off by {error} levels, {moved} without motion");
-}
-
-#[test]
-fn the_aperture_blurs_what_is_near_and_what_is_far() {
-    let options = DemoOptions { defocus: true, views: 9, ..FULL };
-    for (view, shot) in shots(&options).iter().enumerate() {
-        let Some(Aperture { radius, focus_depth }) = shot.aperture else {
-            assert!(DemoOptions::held_out(view));
-            continue;
-        };
-        let through = |lens: DVec2, at_px: DVec2, depth: f64| {
-            let ray = shot.ray(at_px, ExposurePoint { lens, ..ExposurePoint::default() });
-            let cam = shot.camera.cam_from_world;
-            let (origin, direction) = (cam.transform_point3(ray.origin), cam.transform_vector3(ray.direction));
-            origin + direction * ((depth - origin.z) / direction.z)
-        };
-        let (a, b, at_px) = (DVec2::X, DVec2::NEG_X, DVec2::new(70.0, 33.0));
-        assert!(through(a, at_px, focus_depth).distance(through(b, at_px, focus_depth)) < 1e-9, "sharp in focus");
-        // Both sides of the platform, along the axis.
-        let axis = shot.camera.world_from_cam() * DVec3::Z;
-        let across = 1.95 * axis.truncate().length();
-        let middle = shot.camera.cam_from_world.transform_point3(DVec3::ZERO).z;
-        let circle_px = [middle - across, middle + across].map(|depth| {
-            let spread = through(a, at_px, depth).distance(through(b, at_px, depth));
-            let circle_px = spread * shot.camera.intrinsics.fx / depth;
-            let thin_lens = 2.0 * radius * shot.camera.intrinsics.fx * (1.0 / depth - 1.0 / focus_depth).abs();
-            assert!((circle_px / thin_lens - 1.0).abs() < 1e-9, "{circle_px} {thin_lens}");
-            circle_px
-        });
-        let [near, far] = circle_px;
-        assert!((4.0..12.0).contains(&far) && near < 12.0, "{circle_px:?} px in view {view}");
-        // Every third camera stands low.
-        assert!(view % 3 != 0 || near > 3.0, "{circle_px:?} px in view {view}");
-    }
-}
-
-/// The plane in focus is perpendicular to the axis, also for a fisheye, whose rays have unit length and not unit depth.
-#[test]
-fn what_is_in_focus_is_at_one_depth() {
-    let options = DemoOptions { defocus: true, fisheye: true, ..FULL };
-    let shot = &shots(&options)[1];
-    let focus_depth = shot.aperture.unwrap().focus_depth;
-    let at = |lens: DVec2| {
-        let ray = shot.ray(DVec2::new(30.0, 40.0), ExposurePoint { lens, ..ExposurePoint::default() });
-        let cam = shot.camera.cam_from_world;
-        let (origin, direction) = (cam.transform_point3(ray.origin), cam.transform_vector3(ray.direction));
-        origin + direction * ((focus_depth - origin.z) / direction.z)
-    };
-    assert!(at(DVec2::X).distance(at(DVec2::NEG_Y)) < 1e-9, "{} {}", at(DVec2::X), at(DVec2::NEG_Y));
 }

@@ -39,7 +39,7 @@ pub const GROUPS: &[CaseGroup] = &[
     CaseGroup { name: "rotations", title: "Rotations", cases: rotations::cases },
     CaseGroup { name: "cameras", title: "Cameras", cases: cameras::cases },
     CaseGroup { name: "colour", title: "Colour", cases: colour::cases },
-    CaseGroup { name: "rays", title: "Ray-max projection and per-pixel sort", cases: rays::cases },
+    CaseGroup { name: "rays", title: "Ray-max projection", cases: rays::cases },
     CaseGroup { name: "far", title: "Far from the origin, and very small", cases: far::cases },
     CaseGroup { name: "poison", title: "Poison", cases: poison::cases },
     CaseGroup { name: "counts", title: "Numbers of Gaussians", cases: counts::cases },

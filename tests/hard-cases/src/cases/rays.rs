@@ -1,15 +1,13 @@
-//! Per-ray rasterization: hard scenes of other groups under the ray-max projection and the per-pixel sort, and
-//! scenes that are hard for these two only.
+//! The ray-max projection: hard scenes of other groups under it, and scenes that are hard for it only.
 //!
-//! The papers' formulas in 106 bits cover neither. The reference is the twin in f64, which is compared with the exact renderer
+//! The papers' formulas in 106 bits do not cover it. The reference is the twin in f64, which is compared with the exact renderer
 //! wherever that renderer has digits left.
 
 use glam::DVec2;
-use splat_op::{CameraModel, Intrinsics, Order, Projection, RenderOptions};
+use splat_op::{CameraModel, Intrinsics, Projection, RenderOptions};
 
 use super::{near, needles, sizes};
 use crate::case::{CaseKind, HardCase};
-use crate::random::Random;
 use crate::scene::{HardScene, SMOOTH, Splat, TruthSource};
 
 /// Cases of other groups that also run with the ray-max projection.
@@ -33,68 +31,28 @@ const PROJECTED: [&str; 17] = [
     "behind the camera",
 ];
 
-/// Cases of other groups that also run with the per-pixel sort.
-const SORTED: [&str; 9] = [
-    "long needle 1e2 out of the plane",
-    "long needle 1e4 out of the plane",
-    "thin disc 1e4 out of the plane",
-    "larger than the screen",
-    "larger than the scene",
-    "crosses the camera plane",
-    "camera inside a splat",
-    "grazing the border of the view",
-    "behind the camera",
-];
-
 pub fn cases() -> Vec<HardCase> {
-    let exact = SMOOTH.with_projection(Projection::RayMax);
-    let sorted = SMOOTH.with_order(Order::PerPixelSort);
-    let both = exact.with_order(Order::PerPixelSort);
-    let others = || [needles::cases(), sizes::cases(), near::cases()].into_iter().flatten();
-    let again = |names: &'static [&str], what: &str, options: RenderOptions| -> Vec<HardCase> {
-        let chosen = others().filter(|case| names.contains(&case.name.as_str()));
-        chosen.map(|case| along_rays(case, what, options)).collect()
-    };
-    let mut cases: Vec<HardCase> = again(&PROJECTED, "ray-max projection", exact);
-    cases.extend(again(&SORTED, "per-pixel sort", sorted));
-    for (what, options) in [("per-pixel sort", sorted), ("ray-max projection and per-pixel sort", both)] {
-        let seen = |scene: HardScene| vec![scene.with_options(options).with_truth(TruthSource::Twin)];
-        cases.push(
-            HardCase::scenes(
-                format!("sheets that cross, {what}"),
-                "the order of the sheets changes along a line, where pictures jump and gradients do not exist",
-                seen(crossing()),
-            )
-            .hardness("3 sheets"),
-        );
-        cases.push(
-            HardCase::scenes(
-                format!("24 leaning layers in every pixel, {what}"),
-                "every pixel has its own order, and there are more layers than a kernel's unit sorts at once",
-                seen(leaning()),
-            )
-            .hardness("24 layers"),
-        );
-    }
-    for (what, options) in [("ray-max projection", exact), ("per-pixel sort", sorted)] {
-        let seen = |scene: HardScene| vec![scene.with_options(options).with_truth(TruthSource::Twin)];
-        cases.push(
-            HardCase::scenes(
-                format!("lens that turns back near the border, {what}"),
-                "a lens shrinks the picture more and more up to the rim of its domain, and pixels beyond the rim have no ray",
-                seen(turning_back()),
-            )
-            .hardness("1/4 of the magnification"),
-        );
-        cases.push(
-            HardCase::scenes(
-                format!("fisheye up to 90° and beyond, {what}"),
-                "the slopes of rays reach hundreds, and pixels beyond 90° have no ray",
-                seen(fisheye()),
-            )
-            .hardness("slope 105"),
-        );
-    }
+    let options = SMOOTH.with_projection(Projection::RayMax);
+    let others = [needles::cases(), sizes::cases(), near::cases()].into_iter().flatten();
+    let chosen = others.filter(|case| PROJECTED.contains(&case.name.as_str()));
+    let mut cases: Vec<HardCase> = chosen.map(|case| along_rays(case, options)).collect();
+    let seen = |scene: HardScene| vec![scene.with_options(options).with_truth(TruthSource::Twin)];
+    cases.push(
+        HardCase::scenes(
+            "lens that turns back near the border, ray-max projection",
+            "a lens shrinks the picture more and more up to the rim of its domain, and pixels beyond the rim have no ray",
+            seen(turning_back()),
+        )
+        .hardness("1/4 of the magnification"),
+    );
+    cases.push(
+        HardCase::scenes(
+            "fisheye up to 90° and beyond, ray-max projection",
+            "the slopes of rays reach hundreds, and pixels beyond 90° have no ray",
+            seen(fisheye()),
+        )
+        .hardness("slope 105"),
+    );
     cases
 }
 
@@ -131,45 +89,12 @@ fn fisheye() -> HardScene {
     )
 }
 
-/// Runs a case of another group with other options.
-fn along_rays(case: HardCase, what: &str, options: RenderOptions) -> HardCase {
+/// Runs a case of another group with the ray-max projection.
+fn along_rays(case: HardCase, options: RenderOptions) -> HardCase {
     let CaseKind::Scenes(scenes) = case.kind else { return case };
     let scene = |scene: HardScene| scene.with_options(options).with_truth(TruthSource::Twin);
     let scenes = scenes.into_iter().map(scene).collect();
-    HardCase { name: format!("{}, {what}", case.name), kind: CaseKind::Scenes(scenes), ..case }
-}
-
-/// Discs that intersect each other.
-fn crossing() -> HardScene {
-    let sheet = |i: usize, quat: [f64; 4]| {
-        let colour = std::array::from_fn::<f64, 3, _>(|channel| if channel == i { 0.9 } else { 0.1 });
-        let splat = Splat::at([29.0 + i as f64, 22.3], 3.0, 9.0).quat(quat).opacity(0.8);
-        let [x, y, _] = splat.scale;
-        splat.scale([x, y, 0.02]).colour(&colour)
-    };
-    let (cos, sin) = (0.9, 0.43);
-    HardScene::new(
-        "turned",
-        &[sheet(0, [cos, 0.0, sin, 0.02]), sheet(1, [cos, 0.03, -sin, 0.0]), sheet(2, [cos, sin, 0.05, 0.01])],
-    )
-}
-
-/// Wide, flat and randomly rotated layers, so that each pixel has its own order. Pixels and layers are few, so that no two layers
-/// change places within rounding error, where the picture would jump.
-fn leaning() -> HardScene {
-    let lens = Intrinsics { cx: 8.2, cy: 5.9, ..Intrinsics::centred(16, 12, 20.0) };
-    let mut random = Random::new(12);
-    let splats: Vec<Splat> = (0..24)
-        .map(|_| {
-            let px = [random.between(0.0, 16.0), random.between(0.0, 12.0)];
-            let splat = Splat::seen_by(&lens, px, random.between(2.0, 6.0), random.between(5.0, 12.0));
-            let [x, y, z] = splat.scale;
-            let quat = [1.0, random.between(-0.4, 0.4), random.between(-0.4, 0.4), random.between(-1.0, 1.0)];
-            let colour = random.fill(3, 0.0, 1.0);
-            splat.scale([x, y, 0.05 * z]).quat(quat).opacity(random.between(0.05, 0.3)).colour(&colour)
-        })
-        .collect();
-    HardScene::new("16 × 12 px", &splats).with_camera(lens)
+    HardCase { name: format!("{}, ray-max projection", case.name), kind: CaseKind::Scenes(scenes), ..case }
 }
 
 #[cfg(test)]
@@ -178,6 +103,6 @@ mod tests {
 
     #[test]
     fn every_case_that_is_named_is_there() {
-        assert_eq!(cases().len(), PROJECTED.len() + SORTED.len() + 8);
+        assert_eq!(cases().len(), PROJECTED.len() + 2);
     }
 }

@@ -1,0 +1,75 @@
+//! Parallel loops. Those of rayon are generic over their closures, and each takes as long to compile as a kernel; all loops here share one.
+
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use rayon::prelude::*;
+
+/// Calls `task` with each part of the work and its number, in parallel.
+pub(crate) fn for_each<T: Send>(parts: impl IntoIterator<Item = T>, task: impl Fn(usize, T) + Sync) {
+    map(parts, task);
+}
+
+/// Returns the results of `task` for each part of the work and its number, in the order of the parts.
+pub(crate) fn map<T: Send, R: Send>(parts: impl IntoIterator<Item = T>, task: impl Fn(usize, T) -> R + Sync) -> Vec<R> {
+    map_with(parts, || (), |(), number, part| task(number, part))
+}
+
+/// [`map`] with buffers, which one task after the other reuses.
+pub(crate) fn map_with<T: Send, B: Send, R: Send>(
+    parts: impl IntoIterator<Item = T>,
+    buffers: impl Fn() -> B + Sync,
+    task: impl Fn(&mut B, usize, T) -> R + Sync,
+) -> Vec<R> {
+    let slots: Vec<Mutex<Slot<T, R>>> = parts.into_iter().map(|part| Mutex::new(Slot::Part(part))).collect();
+    let free = Mutex::new(Vec::new());
+    run(slots.len(), &|number| {
+        let Slot::Part(part) = std::mem::replace(&mut *lock(&slots[number]), Slot::Taken) else { return };
+        let mut own = lock(&free).pop().unwrap_or_else(&buffers);
+        let result = task(&mut own, number, part);
+        lock(&free).push(own);
+        *lock(&slots[number]) = Slot::Result(result);
+    });
+    let results =
+        slots.into_iter().filter_map(|slot| match slot.into_inner().unwrap_or_else(PoisonError::into_inner) {
+            Slot::Result(result) => Some(result),
+            Slot::Part(_) | Slot::Taken => None,
+        });
+    results.collect()
+}
+
+/// A part of the work, and then its result.
+enum Slot<T, R> {
+    Part(T),
+    Taken,
+    Result(R),
+}
+
+/// A task that panics ends the whole loop, so that nobody sees what it left.
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+fn run(count: usize, task: &(dyn Fn(usize) + Sync)) {
+    (0..count).into_par_iter().for_each(task);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_part_is_used_once_and_results_are_in_order() {
+        let mut numbers = vec![0; 1000];
+        for_each(numbers.chunks_mut(7), |number, part| part.iter_mut().for_each(|value| *value += number));
+        assert!(numbers.iter().enumerate().all(|(i, value)| *value == i / 7));
+        let parts: Vec<String> = (0..300).map(|i| i.to_string()).collect();
+        let found = map_with(parts, Vec::new, |buffer: &mut Vec<usize>, number, part| {
+            buffer.push(number);
+            (number, part, buffer.len())
+        });
+        assert!(found.iter().enumerate().all(|(i, (number, part, _))| *number == i && *part == i.to_string()));
+        // Tasks one after the other share a buffer: there are no more of them than threads.
+        let fresh = found.iter().filter(|(.., uses)| *uses == 1).count();
+        assert!(fresh <= rayon::current_num_threads() + 1, "{fresh} buffers");
+    }
+}
