@@ -50,9 +50,9 @@ pub fn scenes() -> Vec<Vec<u8>> {
     let limits = "0 0 1 0 0 0 inf -3 -3 -inf 1 0 0 0\n0 1 1 0 0 0 -inf -3 -3 -3 1 0 0 0\n";
     seeds.push((header("ascii", 2, &|_| "float") + limits).into_bytes());
     let flat = GaussianRows {
-        logit_opacities: vec![f32::INFINITY, f32::NEG_INFINITY],
-        log_scales: vec![[-2.0, -2.0, f32::NEG_INFINITY]; 2],
-        ..rows(2, 0)
+        logit_opacities: vec![f32::INFINITY, f32::NEG_INFINITY, 1.0],
+        log_scales: vec![[-2.0, -2.0, f32::NEG_INFINITY], [-2.0; 3], [-2.0; 3]],
+        ..rows(3, 0)
     };
     let mut file = Vec::new();
     ply::write_to(&mut file, &flat, DVec3::ZERO).expect("into memory");
