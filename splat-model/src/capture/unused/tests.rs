@@ -1,7 +1,7 @@
 use std::fs;
 
 use super::*;
-use crate::capture::demo::{self, DemoOptions};
+use splat_demo::{self as demo, DemoOptions};
 use crate::capture::testing::assert_says;
 
 /// A capture of three photographs, 0000.png to 0002.png, without the mark that it is a demo.
