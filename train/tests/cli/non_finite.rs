@@ -1,6 +1,5 @@
 //! Runs and scenes with values that are not finite.
 
-use std::fs;
 use std::path::Path;
 
 use burn::tensor::Tensor;
@@ -11,7 +10,7 @@ use splat_model::trainer::LossInputs;
 use splat_train::options::{Cli, Command};
 use splat_train::train;
 
-use crate::run::{DEMO, TRAIN, TRAINED, end, refuse, splat, succeed};
+use crate::run::{DEMO, TRAIN, TRAINED, end, refuse, splat};
 use crate::{json, text};
 
 /// Whether a photograph of the demo capture is trained on.
