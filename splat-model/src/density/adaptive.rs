@@ -49,10 +49,6 @@ impl Adaptive {
         step >= self.config.from && step.is_multiple_of(self.config.every.max(1))
     }
 
-    fn refines_at(&self, step: usize) -> bool {
-        self.is_time_at(step) && self.densifies_at(step)
-    }
-
     fn resets_at(&self, step: usize) -> bool {
         self.config.reset_every > 0 && step.is_multiple_of(self.config.reset_every)
     }

@@ -289,12 +289,12 @@ pub fn read(path: &Path) -> Result<(SceneFile, Format), FormatError> {
         Beginning::Ply => {
             let (input, header) = PlyReader::open(path)?;
             let is_compressed = compressed::is_compressed(&header);
-            let (rows, WorldFrame { origin, metres_per_unit }) = match is_compressed {
+            let (rows, WorldFrame { origin, metres_per_unit, trained }) = match is_compressed {
                 true => compressed::read(path, input, &header)?,
                 false => ply::read_rows(input, &header)?,
             };
             let format = if is_compressed { Format::CompressedPly } else { Format::Ply };
-            (SceneFile { rows, origin, metres_per_unit, antialiased: false }, format)
+            (SceneFile { rows, origin, metres_per_unit, antialiased: trained.antialias, trained }, format)
         }
     })
 }

@@ -21,7 +21,7 @@ use super::checkpoints::{self, Checkpoints, RunState, SavedRun, SoFar};
 use super::config::{self, CONFIG};
 use super::folders::{inputs_of, open, prepare};
 use super::results::{write_learnt, write_scene};
-use super::start::{start_points, started};
+use super::start::{is_random, start_points, started};
 use super::steps::{Done, Steps};
 use super::{ResumeArgs, TrainArgs};
 use crate::effects::Chosen;
@@ -37,7 +37,7 @@ use crate::report::metrics::{Metrics, Seconds, peak_rss_mib, seconds_since};
 use crate::report::page::{self, ReportPage};
 use crate::report::{self, SCENE};
 use crate::view::scene::{ShownScene, Viewpoint};
-use crate::{input, reconstruct};
+use crate::reconstruct;
 
 /// The `options` of `metrics.json`.
 #[derive(Serialize)]
@@ -153,14 +153,11 @@ fn to_the_end(
     args.lpips = args.lpips.from_anywhere();
     args.start = args.start.map(std::path::absolute).transpose()?;
     let (seen, max_side) = (split.require_train()?, args.photos.max_side);
-    let mut effects = args.effects.choose(&capture, seen, args.model.antialias.unwrap_or_default(), max_side)?;
+    let effects = args.effects.choose(&capture, seen, args.model.antialias.unwrap_or_default(), max_side)?;
     effects.configure(&mut config, args.background, args.sh_degree);
     config.density = config.density.focused(capture.focus.map(Focus::on));
-    if capture.points.positions.is_empty() {
+    if args.start.is_none() && is_random(&capture, seen, max_side) {
         config.density = config.density.without_points();
-        if args.start.is_none() {
-            progress::note("the capture has no points: training starts from random splats around the cameras");
-        }
     }
     let available = budget::available();
     let cache = budget::cache(args.cache_mb, available) / ranks.count();
