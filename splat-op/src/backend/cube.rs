@@ -221,9 +221,8 @@ impl SplatBackend for CubeBackend {
             // A cell that is already filled holds the same trace.
             let _ = cell.0.set(Box::new(kept));
         }
-        // Some drivers collect launches until they are told to begin, and the device may have nothing else to do by now. Faults
-        // are reported when something is read.
-        let _ = gpu.client.flush();
+        // The device may have nothing else to do by now.
+        gpu.begin();
         planes_tensor(planes, &spec, &inputs.background)
     }
 

@@ -39,6 +39,8 @@ pub(crate) struct Gpu {
     pub shared_bytes: usize,
     /// Size of the largest buffer, bytes.
     pub buffer_limit: u64,
+    /// Whether launches are collected until the device is told to begin; elsewhere it begins with each.
+    collects: bool,
 }
 
 /// Largest buffer that kernels can index, bytes: they number elements of four bytes by u32, even if a device supports larger
@@ -55,7 +57,15 @@ impl Gpu {
             plane_units: plane_units(properties),
             shared_bytes: properties.hardware.max_shared_memory_size,
             buffer_limit: properties.memory.max_page_size.min(INDEX_LIMIT).min(lowered_limit()),
+            collects: client.name().starts_with("wgpu"),
             client: client.clone(),
+        }
+    }
+
+    /// Lets the device begin with what was launched so far. Faults are reported when something is read.
+    pub fn begin(&self) {
+        if self.collects {
+            let _ = self.client.flush();
         }
     }
 }

@@ -80,8 +80,7 @@ pub(super) fn launch_intersect_within(
     let capacity = capacity.map(|capacity| capacity.min(gpu.buffer_limit / 4) as usize);
     let early = capacity.map(|capacity| counted.lists(gpu, Room::new(gpu, capacity)));
     match early {
-        // Some drivers collect launches until they are told to begin; they report faults when something is read.
-        Some(_) => drop(gpu.client.flush()),
+        Some(_) => gpu.begin(),
         None => count_idle_wait(),
     }
     let read = cubecl::future::block_on(sizes).unwrap_or_else(|error| panic!("{error}"));
