@@ -53,13 +53,4 @@ fn quoted(field: &str) -> String {
 }
 
 #[cfg(test)]
-pub mod tests {
-    use super::*;
-
-    #[test]
-    fn commas_and_quotes_are_quoted() {
-        assert_eq!(quoted("a b"), "a b");
-        assert_eq!(quoted("a, b"), "\"a, b\"");
-        assert_eq!(quoted("a \"b\""), "\"a \"\"b\"\"\"");
-    }
-}
+pub mod tests;

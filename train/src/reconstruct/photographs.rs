@@ -179,21 +179,4 @@ fn link_folder(_: &Path, _: &Path) -> io::Result<()> {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_camera_starts_with_its_focal_length_in_the_middle() {
-        let of = |model: CameraModelName| model.parameters(900.5, [640, 481]);
-        assert_eq!(of(CameraModelName::SimplePinhole), "900.500,320.0,240.5");
-        assert_eq!(of(CameraModelName::SimpleRadial), "900.500,320.0,240.5,0");
-        assert_eq!(of(CameraModelName::Opencv), "900.500,900.500,320.0,240.5,0,0,0,0");
-    }
-
-    #[test]
-    fn names_are_those_of_the_command_line() {
-        for model in CameraModelName::value_variants() {
-            assert_eq!(model.to_possible_value().unwrap().get_name(), model.name());
-        }
-    }
-}
+mod tests;
