@@ -78,7 +78,7 @@ impl PointsSeen {
     }
 
     /// How many points no photograph shows, and what that means where they are most.
-    pub(crate) fn unseen_said(&self) -> String {
+    pub fn unseen_said(&self) -> String {
         let Self { points, unseen, .. } = self;
         if *unseen == 0 {
             return format!("photographs show all {points} points");

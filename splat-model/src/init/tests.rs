@@ -217,3 +217,22 @@ fn a_small_cloud_begins_as_a_large_one() {
     let at_one_place = from_points(&cloud(4.0)).log_scales[0][0];
     assert!((at_one_place - SMALLEST_SQUARED_DISTANCE.sqrt().ln()).abs() < 1e-6, "{at_one_place}");
 }
+
+#[test]
+fn few_points_are_filled_up_to_what_photographs_can_show() {
+    // Fifty pixels for each splat, and 20,000 splats at most.
+    for (points, views, pixels, expected) in [
+        (0, 1, 0, RANDOM_COUNT),
+        (0, 40, 10_000_000, RANDOM_COUNT),
+        (1, 40, 10_000_000, RANDOM_COUNT - 1),
+        (1_999, 40, 10_000_000, RANDOM_COUNT - 1_999),
+        (2_000, 40, 10_000_000, 0),
+        (99, 12, 50_000, 901),
+        (100, 12, 50_000, 0),
+        (99, 11, 50_000, 0),
+        (9, 11, 50_000, 991),
+        (1, 40, 499, 0),
+    ] {
+        assert_eq!(missing(points, views, pixels), expected, "{points} points, {views} photographs, {pixels} px");
+    }
+}

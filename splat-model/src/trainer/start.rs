@@ -8,8 +8,8 @@ use crate::density::rows::Trained;
 use crate::gaussians::{GaussianRows, Gaussians};
 use crate::init;
 
-/// The initial Gaussians of a run over `photos` that starts from `points`, or from random points if there are none, at most `most`; and
-/// how many photographs show those points.
+/// The initial Gaussians of a run over `photos` that starts from `points`, and from random ones where those are few, at most `most`; and
+/// how many photographs show the points, or the random ones if there are no others.
 pub(super) fn first_rows(
     photos: &[Photograph],
     points: &PointCloud,
@@ -18,10 +18,13 @@ pub(super) fn first_rows(
 ) -> (GaussianRows, PointsSeen) {
     let cameras: Vec<_> = photos.iter().map(|photo| (photo.intrinsics, photo.cam_from_world)).collect();
     let mut start = init::thinned(&init::distinct(points), most);
-    if start.positions.is_empty() {
-        start = init::random_points(&cameras, init::RANDOM_COUNT.min(most), rng);
-    }
-    let seen = PointsSeen::of(&cameras, &start.positions);
+    let pixels = cameras.iter().map(|(camera, _)| camera.width * camera.height).sum();
+    let own = start.positions.len();
+    let random = init::random_points(&cameras, init::missing(own, cameras.len(), pixels).min(most - own), rng);
+    start.positions.extend(random.positions);
+    start.colours.extend(random.colours);
+    let of_seen = if own > 0 { own } else { start.positions.len() };
+    let seen = PointsSeen::of(&cameras, &start.positions[..of_seen]);
     (init::from_points(&init::ordered(&start)), seen)
 }
 
@@ -63,7 +66,7 @@ mod tests {
     use crate::density::AdaptiveConfig;
     use crate::gaussians::testing::random_rows;
     use crate::trainer::TrainConfig;
-    use crate::trainer::testing::{photos, points};
+    use crate::trainer::testing::{photos, points, ring};
 
     fn started(max_splats: usize, sh_degree: usize, scene: &GaussianRows) -> Trainer {
         let density = AdaptiveConfig { max_splats, ..AdaptiveConfig::default() };
@@ -98,5 +101,23 @@ mod tests {
             [first, trainer.gaussians().sh_degree()]
         };
         assert_eq!([degrees(2, 3), degrees(3, 1), degrees(0, 2)], [[2, 3], [1, 1], [0, 2]]);
+    }
+
+    #[test]
+    fn few_points_start_among_random_ones() {
+        let few = PointCloud { positions: points().positions[..5].to_vec(), colours: vec![[7; 3]; 5] };
+        let start = |views: usize, most: usize| {
+            let density = AdaptiveConfig { max_splats: most, ..AdaptiveConfig::default() };
+            let config = TrainConfig { steps: 1, density: density.into(), ..TrainConfig::default() };
+            Trainer::new(ring(views), &few, config, &Device::flex()).unwrap().rows()
+        };
+        // Sixteen photographs of 32 × 24 px.
+        let found = start(16, 1_000);
+        assert_eq!(found.len(), 16 * 32 * 24 / 50);
+        assert!(few.positions.iter().all(|point| found.means.contains(point)));
+        let sizes: Vec<f32> = found.log_scales.iter().map(|scale| scale[0]).collect();
+        assert!(sizes.iter().all(|size| size.is_finite()));
+        assert_eq!(start(16, 100).len(), 100, "at most as many as the run may have");
+        assert_eq!(start(8, 1_000).len(), 5, "few photographs");
     }
 }

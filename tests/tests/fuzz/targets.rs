@@ -257,6 +257,12 @@ impl Colmap {
     }
 }
 
+/// Lines of photographs around zero, and of one far away.
+fn strays() -> String {
+    let centre = |i: usize| if i == 9 { 1e6 } else { i as f64 };
+    (0..10).map(|i| format!("{} 1 0 0 0 {} 0 4 1 stray{i}.png\n\n", 10 + i, centre(i))).collect()
+}
+
 impl FuzzTarget for Colmap {
     fn name(&self) -> &'static str {
         self.name
@@ -274,6 +280,9 @@ impl FuzzTarget for Colmap {
                 text(1, &|text| format!("\u{feff}{text}").encode_utf16().flat_map(u16::to_le_bytes).collect()),
                 text(1, &|text| text.replace("sub/", "sub\\").into_bytes()),
                 text(2, &|text| text.encode_utf16().flat_map(u16::to_be_bytes).collect()),
+                // A photograph far from the others among enough of them, and points several times at one place.
+                text(1, &|text| [text, &strays()].concat().into_bytes()),
+                text(2, &|text| [text, &"3 5 5 5 1 2 3 0.1\n4 5 5 5 1 2 3 0.1\n"].concat().into_bytes()),
             ],
             _ => Vec::new(),
         };

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use serde::Serialize;
-use splat_model::capture::{Capture, Split};
+use splat_model::capture::{Capture, PointsSeen, Split};
 use splat_model::cleanup::Bulk;
 use splat_model::effects::masks;
 use splat_model::formats;
@@ -163,6 +163,11 @@ pub fn of_capture(capture: &Capture) -> CaptureInfo {
     warnings.extend(capture.check_photographs(&all).err().map(|error| error.to_string()));
     if capture.points.positions.is_empty() {
         warnings.push("there are no sparse points: training starts from random splats".into());
+    } else {
+        let cameras: Vec<_> = capture.views.iter().map(|view| (view.intrinsics, view.cam_from_world)).collect();
+        let seen = PointsSeen::of(&cameras, &capture.points.positions);
+        // A few points beyond all photographs are usual.
+        warnings.extend((2 * seen.unseen > seen.points).then(|| seen.unseen_said()));
     }
     let pixels: f64 = capture.views.iter().map(|view| (view.intrinsics.width * view.intrinsics.height) as f64).sum();
     let split = Split::of(capture, capture.split.is_none().then_some(Split::USUAL));

@@ -22,7 +22,7 @@ use super::checkpoints::{self, Checkpoints, RunState, SavedRun, SoFar};
 use super::config::{self, CONFIG};
 use super::folders::{inputs_of, open, prepare};
 use super::results::{write_learnt, write_scene};
-use super::start::{start_points, started};
+use super::start::{is_random, start_points, started};
 use super::steps::{Done, Steps};
 use super::{ResumeArgs, TrainArgs};
 use crate::accuracy::{self, RequestedAccuracy};
@@ -161,11 +161,8 @@ fn to_the_end(
     let mut effects = args.effects.choose(&capture, seen, args.model.antialias.unwrap_or_default(), max_side)?;
     effects.configure(&mut config, args.background, args.sh_degree);
     config.density = config.density.focused(capture.focus.map(Focus::on));
-    if capture.points.positions.is_empty() {
+    if args.start.is_none() && is_random(&capture, seen, max_side) {
         config.density = config.density.without_points();
-        if args.start.is_none() {
-            progress::note("the capture has no points: training starts from random splats around the cameras");
-        }
     }
     let available = budget::available();
     let cache = budget::cache(args.cache_mb, available) / ranks.count();

@@ -47,16 +47,22 @@ pub(crate) fn start_points(capture: &Capture, train: &[Photograph], args: &Train
     if count as f64 <= REPEATED * all as f64 {
         progress::note(&format!("{} of {all} points are at the place of another one and left out", all - count));
     }
-    // EXPERIMENT
-    if let Ok(to) = std::env::var("SPLAT_FILL")
-        && count > 0
-    {
-        let to: usize = to.parse()?;
-        let filled = init::filled(&points, &cameras, to, args.seed);
-        progress::note(&format!("filled to {}", filled.positions.len()));
-        return Ok(filled);
-    }
     Ok(points)
+}
+
+/// Whether a run on these views starts from random splats, all or most of them, because the capture has no points or few. Says so.
+pub(crate) fn is_random(capture: &Capture, views: &[usize], max_side: Option<u32>) -> bool {
+    let points = init::distinct(&capture.points).positions.len();
+    let pixels = capture.mean_pixels(views, max_side) * views.len() as f64;
+    let missing = init::missing(points, views.len(), pixels as usize);
+    match (missing, points) {
+        (0, _) => return false,
+        (_, 0) => progress::note("the capture has no points: training starts from random splats around the cameras"),
+        _ => progress::note(&format!(
+            "the capture has {points} points, which are few: training starts from {missing} random splats around the cameras too"
+        )),
+    }
+    true
 }
 
 /// The points in the region of a block, or all points of a whole capture.

@@ -3,6 +3,7 @@
 use std::fs;
 use std::path::Path;
 
+use glam::DAffine3;
 use image::codecs::jpeg::JpegEncoder;
 use splat_model::capture::{Capture, View, write_binary};
 use splat_model::formats::{self, Format};
@@ -61,6 +62,43 @@ fn a_capture_without_points_is_said_to_start_at_random() {
     fs::remove_file(capture.path().join("sparse/0/points3D.bin")).unwrap();
     let said = trained(capture.path(), &["--effects", "none"]);
     assert_eq!(said.matches("no points: training starts from random splats").count(), 1, "{said}");
+}
+
+#[test]
+fn few_points_are_said_to_start_among_random_ones() {
+    let capture = capture();
+    let Capture { views, mut points, .. } = Capture::load(capture.path()).unwrap();
+    points.positions.truncate(4);
+    points.colours.truncate(4);
+    write_binary(capture.path(), &views, &points).unwrap();
+    let said = trained(capture.path(), &["--effects", "none"]);
+    // Seven photographs of 64 × 48 px to train on, fifty pixels for each splat.
+    let part = "4 points, which are few: training starts from 426 random splats";
+    assert_eq!(said.matches(part).count(), 1, "{said}");
+}
+
+#[test]
+fn points_that_no_photograph_shows_are_said_by_every_command_that_reads_a_capture() {
+    let capture = capture();
+    let Capture { views, points, .. } = Capture::load(capture.path()).unwrap();
+    let said = succeed(&mut splat(&["inspect", text(capture.path())])).stdout;
+    let count = points.positions.len();
+    assert!(said.contains("photographs show ") && said.contains(&format!("of the {count} points")), "{said}");
+    // Cameras with OpenGL's axes.
+    let turned = |view: &View| {
+        let cam_from_world = DAffine3::from_rotation_x(std::f64::consts::PI) * view.cam_from_world;
+        View { cam_from_world, ..view.clone() }
+    };
+    write_binary(capture.path(), &views.iter().map(turned).collect::<Vec<_>>(), &points).unwrap();
+    let none = format!("no photograph shows {count} of the {count} points");
+    let out = capture.path().join("out");
+    let arguments = ["train", text(capture.path()), "--effects", "none", "--device", "cpu", "--out", text(&out)];
+    refuse(&mut splat(&arguments), &["no splat would be left", &none, "OpenGL"]);
+    assert!(!out.join("scene.ply").exists());
+    for command in ["inspect", "info"] {
+        let said = succeed(&mut splat(&[command, text(capture.path())])).stdout;
+        assert!(said.contains(&none), "{command}: {said}");
+    }
 }
 
 #[test]
