@@ -39,10 +39,7 @@ impl ModelArgs {
     /// Returns these choices, and where there is none, that of a scene's training.
     pub fn or(&self, trained: &TrainedAs) -> Self {
         let projection = if trained.ray_max { ProjectionArg::RayMax } else { ProjectionArg::Affine };
-        Self {
-            antialias: self.antialias.or(Some(trained.antialias)),
-            projection: self.projection.or(Some(projection)),
-        }
+        Self { antialias: self.antialias.or(Some(trained.antialias)), projection: self.projection.or(Some(projection)) }
     }
 
     /// The dials turned from the standard setting, apart from [`Self::antialias`].

@@ -248,7 +248,10 @@ mod tests {
 
         fs::write(&file, "steps = 9\nmax-side = 64\nquiet = true\n[anything]\nssim_weight = 0.5\n").unwrap();
         let args = train(&["train", "--config", path]);
-        assert_eq!((args.steps, args.photos.max_side, args.voice.quiet, args.ssim_weight), (Some(9), Some(64), true, 0.5));
+        assert_eq!(
+            (args.steps, args.photos.max_side, args.voice.quiet, args.ssim_weight),
+            (Some(9), Some(64), true, 0.5)
+        );
         for (text, part) in [
             ("step = 9", "`step` is no option"),
             ("steps = -9", "--steps"),

@@ -1,4 +1,3 @@
-
 use std::alloc::System;
 
 use super::*;

@@ -247,7 +247,10 @@ fn processes_that_were_started_together_need_mpi() {
         let mut command = splat(&TRAIN);
         command.env(variable, count);
         let processes = format!("{count} processes");
-        refuse(command.arg(DEMO.as_path()).arg("--out").arg(&out), &[&processes, "--features mpi", "docs/LONG_RUNS.md"]);
+        refuse(
+            command.arg(DEMO.as_path()).arg("--out").arg(&out),
+            &[&processes, "--features mpi", "docs/LONG_RUNS.md"],
+        );
     }
     assert!(!out.exists());
 }

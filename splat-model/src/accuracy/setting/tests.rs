@@ -1,4 +1,3 @@
-
 use super::*;
 
 /// Fails if a preset sets a dial that the table does not have, or a value that it does not have.

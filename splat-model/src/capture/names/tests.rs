@@ -1,4 +1,3 @@
-
 use super::*;
 
 fn folder(names: &[&str]) -> tempfile::TempDir {

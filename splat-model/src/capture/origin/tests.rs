@@ -1,4 +1,3 @@
-
 use glam::DQuat;
 
 use super::*;

@@ -1,4 +1,3 @@
-
 use glam::DAffine3;
 use splat_op::Intrinsics;
 

@@ -1,4 +1,3 @@
-
 use super::*;
 
 fn camera(angle_rad: f64) -> (Intrinsics, DAffine3) {

@@ -1,4 +1,3 @@
-
 use image::RgbImage;
 
 use super::super::View;

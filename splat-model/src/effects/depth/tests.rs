@@ -1,4 +1,3 @@
-
 use super::*;
 use crate::gaussians::values_of;
 use splat_demo::{self as demo, DemoOptions};

@@ -1,4 +1,3 @@
-
 use burn::tensor::{Distribution, Int, TensorData};
 
 use super::*;

@@ -1,4 +1,3 @@
-
 use splat_op::{Camera, Intrinsics};
 
 use super::*;

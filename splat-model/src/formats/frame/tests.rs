@@ -1,4 +1,3 @@
-
 use splat_op::sh::harmonics;
 
 use super::*;

@@ -1,4 +1,3 @@
-
 use super::*;
 
 fn assert_close(found: f64, expected: f64) {

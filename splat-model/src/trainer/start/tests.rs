@@ -8,8 +8,7 @@ use crate::trainer::testing::{photos, points, ring};
 
 fn started(max_splats: usize, sh_degree: usize, scene: &GaussianRows) -> Trainer {
     let density = AdaptiveConfig { max_splats, ..AdaptiveConfig::default() };
-    let config =
-        TrainConfig { steps: 9, sh_degree, sh_every: 2, density: density.into(), ..TrainConfig::default() };
+    let config = TrainConfig { steps: 9, sh_degree, sh_every: 2, density: density.into(), ..TrainConfig::default() };
     let trainer = Trainer::new(photos([0.0; 3]), &points(), config, &Device::flex()).unwrap();
     trainer.from_scene(scene, &points()).unwrap()
 }

@@ -1,4 +1,3 @@
-
 use super::*;
 
 fn args(blocks: Option<usize>, splats_per_block: Option<usize>) -> PlanArgs {

@@ -1,4 +1,3 @@
-
 use burn::tensor::Device;
 use splat_op::RenderOptions;
 

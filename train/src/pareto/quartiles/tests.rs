@@ -1,4 +1,3 @@
-
 use super::*;
 
 fn point(quality_db: f64, lower: f64, upper: f64) -> (f64, Quartiles) {

@@ -1,4 +1,3 @@
-
 use splat_model::accuracy::Dial;
 
 use super::super::reference::ReferenceRender;

@@ -1,4 +1,3 @@
-
 use splat_model::accuracy::Setting;
 use splat_op::{Projection, RenderOptions};
 

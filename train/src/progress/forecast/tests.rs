@@ -1,4 +1,3 @@
-
 use splat_model::trainer::Resolution;
 
 use super::*;

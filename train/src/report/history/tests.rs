@@ -1,4 +1,3 @@
-
 use super::*;
 
 /// Scores of one view, as an earlier version wrote them.

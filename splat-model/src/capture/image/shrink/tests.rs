@@ -1,4 +1,3 @@
-
 use glam::{DAffine3, DVec2, DVec3};
 
 use super::*;

@@ -1,4 +1,3 @@
-
 use super::*;
 
 /// The opacity of `count` Gaussians at one position, integrated along a line through it by the trapezoidal rule, which

@@ -1,4 +1,3 @@
-
 use std::path::PathBuf;
 
 use glam::{DAffine3, DVec3};

@@ -1,4 +1,3 @@
-
 use super::*;
 use splat_demo::{self as demo, DemoOptions};
 

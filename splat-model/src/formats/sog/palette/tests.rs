@@ -1,4 +1,3 @@
-
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 

@@ -1,4 +1,3 @@
-
 use super::*;
 use crate::trainer::testing::ring;
 
