@@ -8,7 +8,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use splat_op::Intrinsics;
 
-use crate::capture::{Capture, Photograph, PhotographFacts, PointCloud, Tracks, origin, strays};
+use crate::capture::{Capture, PointCloud, Tracks, origin, strays};
 use crate::cleanup::Bulk;
 use crate::effects::depth::{Depths, from_tracks};
 use crate::effects::smoothing::Smoothing;
@@ -41,12 +41,6 @@ fn statistics(capture: &Capture) -> Vec<(&'static str, f64, f64)> {
     let mut sizes: Vec<f32> = init::from_points(&start).log_scales.iter().map(|log| log[0].exp()).collect();
     sizes.sort_by(f32::total_cmp);
     let least = init::from_points(&small).log_scales.iter().map(|log| log[0].exp()).fold(f32::INFINITY, f32::min);
-    let facts = |(i, &(intrinsics, cam_from_world)): (usize, &(Intrinsics, DAffine3))| {
-        let facts =
-            PhotographFacts { name: i.to_string(), intrinsics, cam_from_world, has_alpha: false, has_mask: false };
-        Photograph::read_later(facts, &Default::default(), || unreachable!("no pixel is read"))
-    };
-    let photographs: Vec<Photograph> = cameras.iter().enumerate().map(facts).collect();
     let filter = Smoothing::new(cameras.iter().map(|(camera, pose)| (camera, pose)));
     let unseen = [&start.positions[..], &[[0.0, 0.0, 1e9]]].concat();
     let all: Vec<usize> = (0..capture.views.len()).collect();

@@ -40,7 +40,7 @@ pub(crate) struct Gpu {
     /// Size of the largest buffer, bytes.
     pub buffer_limit: u64,
     /// Whether launches are collected until the device is told to begin; elsewhere it begins with each.
-    collects: bool,
+    pub collects: bool,
 }
 
 /// Largest buffer that kernels can index, bytes: they number elements of four bytes by u32, even if a device supports larger

@@ -163,7 +163,7 @@ pub(super) fn rasterize_backward_planes_kernel<A: FloatCell>(
                     let i = word.trailing_zeros();
                     word &= word - 1;
                     let place = (bucket * comptime!(BUCKET as u32) + i) as usize;
-                    let value = LayerEllipse::load(&ellipses, place).alpha(pixel.x, pixel.row, &frame, shape);
+                    let value = LayerEllipse::load(&ellipses, place).alpha(pixel.x, pixel.row, &frame);
                     let (_, next, stops) = layer(value, through, stopped, current, frame.transmittance_min);
                     through = next;
                     stopped = stops;
@@ -198,8 +198,7 @@ pub(super) fn rasterize_backward_planes_kernel<A: FloatCell>(
                         for _ in 0..earlier + in_part {
                             let i = bucket_start + left.trailing_zeros();
                             left &= left - 1;
-                            let value =
-                                LayerEllipse::load(&ellipses, i as usize).alpha(pixel.x, pixel.row, &frame, shape);
+                            let value = LayerEllipse::load(&ellipses, i as usize).alpha(pixel.x, pixel.row, &frame);
                             let (_, next, stops) = layer(value, through, stopped, before, frame.transmittance_min);
                             through = next;
                             stopped = stops;
@@ -218,8 +217,7 @@ pub(super) fn rasterize_backward_planes_kernel<A: FloatCell>(
                                 left &= left - 1;
                                 group_places[k] = i;
                                 let place = (bucket_start + i) as usize;
-                                let value =
-                                    LayerEllipse::load(&ellipses, place).alpha(pixel.x, pixel.row, &frame, shape);
+                                let value = LayerEllipse::load(&ellipses, place).alpha(pixel.x, pixel.row, &frame);
                                 let (alpha, next, stops) =
                                     layer(value, through, stopped, before, frame.transmittance_min);
                                 alphas[k] = alpha;

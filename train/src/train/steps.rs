@@ -17,7 +17,6 @@ use super::stop::{Interrupted, Stop};
 use super::time_limit::{TimeLimit, set_steps};
 use crate::live::Live;
 use crate::output::OutputFolder;
-use crate::progress;
 use crate::ranks::{self, Order};
 use crate::report::history::History;
 use crate::report::log::{FEW, RunLog};
