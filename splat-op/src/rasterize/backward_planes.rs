@@ -391,7 +391,8 @@ fn store_sums<A: FloatCell>(
         #[unroll]
         for k in 0..held {
             let value = index + comptime!(((k << steps) + chunk * VALUES) as u32);
-            if lane % sharers == 0 && value < comptime!((chunk * VALUES + len) as u32) {
+            let sharer = lane % sharers;
+            if sharer == 0 && value < comptime!((chunk * VALUES + len) as u32) {
                 let second = value >= comptime!(columns as u32);
                 let row = select(second, second_row, first_row);
                 let at = row * columns + value as usize - select(second, columns, 0usize);
