@@ -75,7 +75,10 @@ pub(super) fn check(bytes: &[u8], size: [usize; 2]) -> Result<(), String> {
             0xc4 => picture.tables(segment),
             0xdd => segment.first_chunk().map(|&count| picture.restart = u16::from_be_bytes(count).into()),
             0xda => match picture.scan(segment, &bytes[at..]) {
-                Some(length) => Some(at += length?),
+                Some(length) => {
+                    at += length?;
+                    Some(())
+                }
                 None => None,
             },
             _ => Some(()),
