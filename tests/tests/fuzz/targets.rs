@@ -282,7 +282,7 @@ impl FuzzTarget for Colmap {
                 text(2, &|text| text.encode_utf16().flat_map(u16::to_be_bytes).collect()),
                 // A photograph far from the others among enough of them, and points several times at one place.
                 text(1, &|text| [text, &strays()].concat().into_bytes()),
-                text(2, &|text| [text, &"3 5 5 5 1 2 3 0.1\n4 5 5 5 1 2 3 0.1\n"].concat().into_bytes()),
+                text(2, &|text| [text, "3 5 5 5 1 2 3 0.1\n4 5 5 5 1 2 3 0.1\n"].concat().into_bytes()),
             ],
             _ => Vec::new(),
         };

@@ -57,7 +57,8 @@ fn a_photograph_at_zero_far_away_or_with_another_pose_is_named_and_left_out() {
         views[5].cam_from_world = DAffine3::from_rotation_y(std::f64::consts::PI) * views[5].cam_from_world;
     };
     let beside = |views: &mut [View]| views[5].cam_from_world.translation.x += 1.5;
-    let cases: [(&str, DVec3, usize, bool, &dyn Fn(&mut [View]), &str); 6] = [
+    type Case<'a> = (&'a str, DVec3, usize, bool, &'a dyn Fn(&mut [View]), &'a str);
+    let cases: [Case; 6] = [
         ("unaligned", UTM, 300, true, &at_zero, "times the size of the scene"),
         ("unaligned, no tracks", UTM, 300, false, &at_zero, "times the size of the scene"),
         ("unaligned, no points", UTM, 0, false, &at_zero, "times the size of the scene"),
