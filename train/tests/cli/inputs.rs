@@ -85,7 +85,7 @@ fn cases() -> Vec<Case> {
         case("clean given/scene.ply OUT --capture cap --device cpu", "cap/scene.ply", None),
         case("export given/scene.ply --html OUT", "given/scene.ply", None),
         case("export given/scene.ply --views colmap --html OUT", "colmap/sparse/0/cameras.bin", None),
-        case("reconstruct colmap/views --out OUT", "colmap/views/0000.png", Some("colmap/views")),
+        case("reconstruct plain/views --out OUT", "plain/views/0000.png", Some("plain/views")),
         case("demo --views 3 --width 16 --height 16 --out OUT", "photos/images/0000.png", Some("photos")),
         case(
             "blocks plan plan/coarse --out OUT --blocks 2 -- --steps 4 --device cpu --effects none",
@@ -110,7 +110,9 @@ fn inputs() -> TempDir {
     copy(&DEMO.join("sparse"), &path("colmap/sparse"));
     symlink("views", path("colmap/images")).unwrap();
     copy(&DEMO.join("images"), &path("colmap/masks"));
-    copy(&DEMO.join("images"), &path("photos/images"));
+    for photographs in ["photos/images", "plain/views"] {
+        copy(&DEMO.join("images"), &path(photographs));
+    }
     for folder in ["cap", "plan/coarse"] {
         write_json(&path(folder), &demo);
     }

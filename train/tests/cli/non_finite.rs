@@ -92,7 +92,7 @@ fn poisoned() -> (GaussianRows, usize) {
     rows.means[0][1] = f32::NAN;
     rows.log_scales[1] = [f32::INFINITY; 3];
     rows.rotations[2] = [0.0; 4];
-    rows.logit_opacities[3] = f32::NEG_INFINITY;
+    rows.logit_opacities[3] = f32::NAN;
     rows.sh_dc[4][2] = f32::NAN;
     rows.sh_dc[5][0] = f32::MAX;
     (rows, 6)

@@ -154,7 +154,10 @@ fn what_a_user_put_into_a_reconstruction_stays() {
     // The photographs themselves are no place for it.
     let before = files(&alone.path("photos"));
     refuse(&mut alone.splat("ok", &["reconstruct", "photos", "--out", "photos"]), &["photos is an input", "choose"]);
-    refuse(&mut alone.splat("ok", &["reconstruct", "made/images", "--out", "made"]), &["made/images", "is an input"]);
+    refuse(
+        &mut alone.splat("ok", &["reconstruct", "made/images", "--out", "made"]),
+        &["made/images has cameras already"],
+    );
     assert!(files(&alone.path("photos")) == before && alone.path("made/images/0001.png").exists());
 }
 
