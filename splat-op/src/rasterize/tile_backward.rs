@@ -163,8 +163,9 @@ fn backwards<S: Simd, F: Real, const C: usize, const LONG: bool>(
     let mut features = [zero; C];
     let colour_lanes = colour_lanes::<S, F, C>(simd, colour);
     let slope = splat.inverse_v * splat.footprint.shear;
-    for (layer, &place) in layers.chunks_exact_mut(2 * len::<S, F>()).zip(places) {
-        let place = place as usize;
+    let layer_len = 2 * len::<S, F>();
+    for (i, &place) in places.iter().enumerate() {
+        let (layer, place) = (&mut layers[i * layer_len..][..layer_len], place as usize);
         let [behind, lost] = rho.load::<S, LONG>(simd, place);
         let before = lanes::<S, F>(simd, layer, 0);
         let alpha = lanes::<S, F>(simd, layer, len::<S, F>());
@@ -208,8 +209,8 @@ fn backwards<S: Simd, F: Real, const C: usize, const LONG: bool>(
     for channel in 0..channels {
         let sum = if C == 0 {
             let mut sum = zero;
-            for (layer, &place) in layers.chunks_exact(2 * len::<S, F>()).zip(places) {
-                sum = plane(channel, place as usize).mul_add(lanes::<S, F>(simd, layer, 0), sum);
+            for (i, &place) in places.iter().enumerate() {
+                sum = plane(channel, place as usize).mul_add(lanes::<S, F>(simd, &layers[i * layer_len..], 0), sum);
             }
             sum
         } else {

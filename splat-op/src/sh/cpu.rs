@@ -106,8 +106,8 @@ impl<F: Real> CameraPositionCpu<F> {
 #[inline(always)]
 fn linear_colour<F: Real>(y: &[F; SH_COEFFICIENTS_MAX], sh: &[F]) -> [F; 3] {
     let mut colour = [F::of(0.5); 3];
-    for (weight, c) in y.iter().zip(sh.chunks_exact(3)) {
-        colour = add(colour, scale([c[0], c[1], c[2]], *weight));
+    for (weight, c) in y.iter().zip(sh.as_chunks().0) {
+        colour = add(colour, scale(*c, *weight));
     }
     colour
 }
@@ -200,8 +200,8 @@ pub(crate) fn sh_backward_cpu<F: Real>(
             let colour = linear_colour(&y, sh);
             let g = [0, 1, 2].map(|c| if colour[c] > F::ZERO { g[c] } else { F::ZERO });
             if needs.sh {
-                for (out, weight) in grad_sh[row * local..row * (local + 1)].chunks_exact_mut(3).zip(y) {
-                    out.copy_from_slice(&scale(g, weight));
+                for (out, weight) in grad_sh[row * local..row * (local + 1)].as_chunks_mut().0.iter_mut().zip(&y) {
+                    *out = scale(g, *weight);
                 }
             }
             if through_direction && degree > 0 && distance > F::ZERO {
@@ -224,8 +224,8 @@ pub(crate) fn sh_backward_cpu<F: Real>(
 #[inline(always)]
 fn direction_backward<F: Real>(direction: [F; 3], distance: F, degree: usize, sh: &[F], g: [F; 3]) -> [F; 3] {
     let mut grad_basis = [F::ZERO; SH_COEFFICIENTS_MAX];
-    for (out, c) in grad_basis.iter_mut().zip(sh.chunks_exact(3)) {
-        *out = dot(g, [c[0], c[1], c[2]]);
+    for (out, c) in grad_basis.iter_mut().zip(sh.as_chunks().0) {
+        *out = dot(g, *c);
     }
     let grad = basis_backward(direction, degree, &grad_basis);
     scale(sub(grad, scale(direction, dot(direction, grad))), F::ONE / distance)

@@ -164,7 +164,8 @@ impl Real for f32 {
         for c in &constants[2..] {
             p = p.mul_add(s, *c);
         }
-        p * L::from_bits(shifted.to_bits() << 23)
+        // `to_bits` would do, but is a function of its own.
+        p * (shifted.bitcast::<L::Bits>() << 23).bitcast::<L>()
     }
 
     #[inline(always)]
@@ -187,8 +188,8 @@ impl Real for f32 {
         // 2ⁿ is split in two factors, because n exceeds the exponents of a float on both sides.
         let half = (n * 0.5).floor();
         let powers = each!([half, n - half], |n| {
-            let exponent: u32x8<S> = ((n + ROUND).to_bits() << 23) + (127 << 23);
-            f32x8::<S>::from_bits(exponent)
+            let exponent = ((n + ROUND).bitcast::<u32x8<S>>() << 23) + (127 << 23);
+            exponent.bitcast::<f32x8<S>>()
         });
         p * powers[0] * powers[1]
     }
