@@ -32,8 +32,8 @@ pub(crate) struct Gpu {
     pub client: Client,
     /// Whether atomic addition of floats is supported; otherwise additions exchange the bits of floats.
     pub float_atomics: bool,
-    /// Number of units of every plane, where planes are whole and their units exchange values; otherwise kernels go through shared
-    /// memory.
+    /// Number of units of every plane, where planes are whole and their units exchange values and wait for one another; otherwise
+    /// kernels go through shared memory. WGSL has no such wait.
     pub plane_units: Option<u32>,
     /// Shared memory of a cube, bytes.
     pub shared_bytes: usize,
@@ -75,7 +75,8 @@ impl Gpu {
 fn plane_units(properties: &DeviceProperties) -> Option<u32> {
     let hardware = &properties.hardware;
     let forced = std::env::var("SPLAT_PLANES").ok().and_then(|units| units.parse().ok());
-    let same = hardware.plane_size_min == hardware.plane_size_max && properties.features.plane.contains(Plane::Ops);
+    let same = hardware.plane_size_min == hardware.plane_size_max
+        && [Plane::Ops, Plane::Sync].iter().all(|&feature| properties.features.plane.contains(feature));
     forced.or_else(|| same.then_some(hardware.plane_size_min)).filter(|units| *units > 1)
 }
 

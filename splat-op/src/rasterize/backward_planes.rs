@@ -1,12 +1,13 @@
-//! The pass over the layers, for devices with plane operations; `backward.rs` has the form for all others.
+//! The pass over the layers, for devices whose planes exchange values and wait; `backward.rs` has the form for all others.
 //!
-//! A unit is a pixel throughout. The sums over the pixels of a block go from unit to unit by shuffles, so shared memory holds
-//! sums alone, and a cube has as many planes as a tile has blocks.
+//! A unit is a pixel while it passes the layers of its block, and a row of eight pixels of one layer while sums are made: what a
+//! layer gives each pixel goes through a small table of the plane's own in shared memory. So a sum over 32 pixels takes eight
+//! additions and two shuffles, and no plane waits for another.
 
 use cubecl::prelude::*;
 
 use super::backward::{MOMENTS, row_len};
-use super::blocks::{BLOCK, BLOCKS, pixel_of};
+use super::blocks::{BLOCK, BLOCKS, WIDTH, pixel_of};
 use super::forward::WORDS;
 use super::layer::{
     BUCKET, FOOTPRINT, Four, KernelShape, LayerEllipse, RasterFrame, SEGMENT, TilePixel, colours_of, first_slot, layer,
@@ -18,11 +19,11 @@ use crate::gpu::atomic::FloatCell;
 use crate::intersect::TILE_PIXELS;
 use crate::intersect::forward::TileLists;
 
-/// Number of layers whose alphas a unit keeps in registers between its way forwards and its way back.
+/// Number of layers that a plane sums at a time. A unit keeps their alphas in registers on its way forwards.
 const TOGETHER: usize = 8;
 
-/// Number of values that are added up together: they take one shuffle each.
-const VALUES: usize = 16;
+/// Number of pixels that a unit sums: a row of a block.
+const RUN: usize = WIDTH;
 
 /// Sizes of planes that the kernel is written for. A block's pixels are whole planes.
 pub(crate) const PLANES: [u32; 2] = [8, 32];
@@ -32,19 +33,27 @@ const fn partial_len(columns: usize, direct: bool) -> usize {
     if direct { 1 } else { TILE_PIXELS * columns }
 }
 
+/// Numbers of a table: a row of a plane's pixels for each of its layers, and one more, so that the units that read a column are
+/// served at once.
+const fn table_len(plane_units: usize) -> usize {
+    TILE_PIXELS / plane_units * TOGETHER * (plane_units + 1)
+}
+
 /// Bytes of shared memory that the kernel takes.
-pub(super) const fn shared_bytes(columns: usize, direct: bool) -> usize {
-    4 * (SEGMENT * (4 * FOOTPRINT + 4 + 1) + WORDS + partial_len(columns, direct))
+pub(super) const fn shared_bytes(shape: KernelShape, columns: usize, plane_units: usize, direct: bool) -> usize {
+    let of_segment = SEGMENT * (4 * FOOTPRINT + 4 + 1) + WORDS;
+    let of_planes = 2 * table_len(plane_units) + TILE_PIXELS / plane_units * TOGETHER;
+    4 * (of_segment + of_planes + TILE_PIXELS * shape.channels() + partial_len(columns, direct))
 }
 
 /// Does what `rasterize_backward_kernel` does, for few channels. A cube of a unit per pixel takes a segment.
 ///
 /// In a bucket, the units of a block pass the layers of the block's word from the last to the first, eight at a time: forwards for
-/// `α` and `T`, which stay in registers, then backwards for `∂L/∂α`, whose moments are added up over the plane. Layers before
-/// these eight are evaluated once more for their transmittance; few words have more than eight.
+/// `α` and `T`, which stay in registers, then backwards for `∂L/∂α`. Layers before these eight are evaluated once more for their
+/// transmittance; few words have more than eight.
 ///
-/// With `direct`, every plane adds its sums to the rows of the Gaussians, and no plane waits for another. Without, the planes of a
-/// cube meet after each bucket and add up their sums in a fixed order first: where the order matters, or an addition is dear.
+/// With `direct`, every plane adds its sums to the rows of the Gaussians. Without, the planes of a cube meet after each bucket and
+/// add up their sums in a fixed order first: where the order matters, or an addition is dear.
 #[cube(launch_unchecked)]
 pub(super) fn rasterize_backward_planes_kernel<A: FloatCell>(
     projected: &[f32],
@@ -77,6 +86,10 @@ pub(super) fn rasterize_backward_planes_kernel<A: FloatCell>(
     let mut ellipses = Shared::<[Four]>::new_slice(comptime!(SEGMENT * FOOTPRINT));
     let mut colours = Shared::<[Four]>::new_slice(comptime!(SEGMENT));
     let mut targets = Shared::<[u32]>::new_slice(comptime!(SEGMENT));
+    let mut gradients = Shared::<[f32]>::new_slice(comptime!(TILE_PIXELS * channels));
+    let mut heights = Shared::<[f32]>::new_slice(comptime!(table_len(plane_units as usize)));
+    let mut shares = Shared::<[f32]>::new_slice(comptime!(table_len(plane_units as usize)));
+    let mut group = Shared::<[u32]>::new_slice(comptime!(TILE_PIXELS / plane_units as usize * TOGETHER));
     let mut partial = Shared::<[f32]>::new_slice(comptime!(partial_len(columns, direct)));
 
     let slot = CUBE_POS as u32;
@@ -142,7 +155,17 @@ pub(super) fn rasterize_backward_planes_kernel<A: FloatCell>(
                 if pixel.inside {
                     gradient[channel] = grad[plane_of(channel, shape) * plane + pixel.index];
                 }
+                gradients[comptime!(channel * TILE_PIXELS) + unit as usize] = gradient[channel];
             }
+            // The layer of the group and the pixels that this unit sums.
+            let own_layer = lane / comptime!(plane_units / RUN as u32);
+            let run_in_plane = lane % comptime!(plane_units / RUN as u32) * comptime!(RUN as u32);
+            let run_start = plane_index * plane_units + run_in_plane;
+            let first_of_run = TilePixel::of(tile_origin(tile, &frame), pixel_of(run_start), &frame);
+            let run_x = first_of_run.x;
+            let run_row = first_of_run.row;
+            let table_row = comptime!(plane_units as usize + 1);
+            let table = plane_index as usize * comptime!(TOGETHER * (plane_units as usize + 1));
             let mut behind = suffix_rho[slot as usize * comptime!(TILE_PIXELS) + unit as usize];
             let at_start = kept[slot as usize * comptime!(shape.kept() * TILE_PIXELS) + unit as usize];
             sync_cube();
@@ -226,73 +249,72 @@ pub(super) fn rasterize_backward_planes_kernel<A: FloatCell>(
                                 stopped = stops;
                             }
                         }
-                        // Two layers at a time: their sums wait for one another's shuffles.
                         #[unroll]
-                        for back in 0..comptime!(TOGETHER / 2) {
-                            let pair = comptime!(TOGETHER - 2 - 2 * back);
-                            if comptime!(pair as u32) < here {
-                                let mut values = Array::<f32>::new(comptime!(2 * columns));
+                        for back in 0..comptime!(TOGETHER) {
+                            let k = comptime!(TOGETHER - 1 - back);
+                            if comptime!(k as u32) < here {
+                                let all = colours[(bucket_start + group_places[k]) as usize];
+                                let mut along = 0.0f32;
                                 #[unroll]
-                                for side in 0..2usize {
-                                    // The second comes first.
-                                    let k = comptime!(pair + 1 - side);
-                                    let place = (bucket_start + group_places[k]) as usize;
-                                    let ellipse = LayerEllipse::load(&ellipses, place);
-                                    let all = colours[place];
-                                    let mut along = 0.0f32;
-                                    #[unroll]
-                                    for channel in 0..channels {
-                                        along += gradient[channel] * all.extract(channel);
-                                    }
-                                    let ahead = select(comptime!(k as u32) < here, along - behind, 0.0);
-                                    behind += alphas[k] * ahead;
-                                    let h = select(alphas[k] < frame.alpha_max, weights[k] * ahead, 0.0);
-                                    let (u, below) = ellipse.along_column(pixel.x);
-                                    let v = (below + pixel.row) * ellipse.inverse_v;
-                                    let hv = h * v;
-                                    let at = comptime!(side * columns);
-                                    values[at] = h;
-                                    values[at + 1] = h * u;
-                                    values[at + 2] = hv;
-                                    values[at + 3] = h * u * u;
-                                    values[at + 4] = hv * u;
-                                    values[at + 5] = hv * v;
-                                    #[unroll]
-                                    for channel in 0..channels {
-                                        values[comptime!(at + MOMENTS + channel)] = weights[k] * gradient[channel];
-                                    }
-                                    if comptime!(absolute) {
-                                        let slope = ellipse.inverse_v * ellipse.shear;
-                                        values[comptime!(at + MOMENTS + channels)] =
-                                            (h * u * ellipse.inverse_u - hv * slope).abs();
-                                        values[comptime!(at + MOMENTS + channels + 1)] = (hv * ellipse.inverse_v).abs();
-                                    }
+                                for channel in 0..channels {
+                                    along += gradient[channel] * all.extract(channel);
                                 }
-                                let first_row = plane_index * part_places - first_place;
-                                let mut rows = (
-                                    (first_row + group_places[comptime!(pair + 1)]) as usize,
-                                    (first_row + group_places[pair]) as usize,
-                                );
-                                if comptime!(direct) {
-                                    rows = (
-                                        targets[(bucket_start + group_places[comptime!(pair + 1)]) as usize] as usize,
-                                        targets[(bucket_start + group_places[pair]) as usize] as usize,
-                                    );
+                                let ahead = along - behind;
+                                behind += alphas[k] * ahead;
+                                let at = table + comptime!(k * (plane_units as usize + 1)) + lane as usize;
+                                heights[at] = select(alphas[k] < frame.alpha_max, weights[k] * ahead, 0.0);
+                                shares[at] = weights[k];
+                                if lane == 0 {
+                                    group[plane_index as usize * TOGETHER + k] = group_places[k];
                                 }
-                                let both = comptime!(pair as u32 + 1) < here;
-                                store_sums::<A>(
-                                    &values,
-                                    &mut partial,
-                                    sums,
-                                    rows,
-                                    both,
-                                    lane,
-                                    columns,
-                                    plane_units,
-                                    direct,
-                                );
                             }
                         }
+                        sync_plane();
+                        let mut values = Array::<f32>::new(columns);
+                        #[unroll]
+                        for column in 0..columns {
+                            values[column] = 0.0f32;
+                        }
+                        let mut row = 0usize;
+                        if own_layer < here {
+                            let in_bucket = group[plane_index as usize * TOGETHER + own_layer as usize];
+                            let place = (bucket_start + in_bucket) as usize;
+                            row = (plane_index * part_places + in_bucket - first_place) as usize;
+                            if comptime!(direct) {
+                                row = targets[place] as usize;
+                            }
+                            let ellipse = LayerEllipse::load(&ellipses, place);
+                            let at = table + own_layer as usize * table_row + run_in_plane as usize;
+                            #[unroll]
+                            for i in 0..comptime!(RUN) {
+                                let h = heights[at + i];
+                                let share = shares[at + i];
+                                let (u, below) = ellipse.along_column(run_x + comptime!(i as f32));
+                                let v = (below + run_row) * ellipse.inverse_v;
+                                let hu = h * u;
+                                let hv = h * v;
+                                values[0] += h;
+                                values[1] += hu;
+                                values[2] += hv;
+                                values[3] += hu * u;
+                                values[4] += hv * u;
+                                values[5] += hv * v;
+                                #[unroll]
+                                for channel in 0..channels {
+                                    let of_pixel = gradients[comptime!(channel * TILE_PIXELS + i) + run_start as usize];
+                                    values[comptime!(MOMENTS + channel)] += share * of_pixel;
+                                }
+                                if comptime!(absolute) {
+                                    let slope = ellipse.inverse_v * ellipse.shear;
+                                    values[comptime!(MOMENTS + channels)] +=
+                                        (hu * ellipse.inverse_u - hv * slope).abs();
+                                    values[comptime!(MOMENTS + channels + 1)] += (hv * ellipse.inverse_v).abs();
+                                }
+                            }
+                        }
+                        let stores = own_layer < here;
+                        store_sums::<A>(&values, &mut partial, sums, (row, stores), lane, columns, plane_units, direct);
+                        sync_plane();
                     }
                     if comptime!(!direct) {
                         sync_cube();
@@ -336,73 +358,56 @@ pub(super) fn rasterize_backward_planes_kernel<A: FloatCell>(
     }
 }
 
-/// Stores the sum over the units of a plane of each of the values of two layers, `columns` each, in the rows of the layers, or with
-/// `direct` adds it to them; of the second layer alone unless `both` is set.
+/// Stores the sums over the units of a layer of each of the `columns` values in row `row`, or with `direct` adds them to it, if
+/// `stores` is set.
 ///
-/// Sixteen values go together. In each step a unit keeps a half of its values, those of its side, and adds the other side's share of
-/// them, which it gets in exchange for its share of the other half.
+/// In each step a unit keeps a half of its values, those of its side, and adds the other side's share of them, which it gets in
+/// exchange for its share of the other half. A value without a partner is added up on both sides.
 #[cube]
 fn store_sums<A: FloatCell>(
     values: &Array<f32>,
     to: &mut Shared<[f32]>,
     sums: &[A],
-    rows: (usize, usize),
-    both: bool,
+    target: (usize, bool),
     lane: u32,
     #[comptime] columns: usize,
     #[comptime] plane_units: u32,
     #[comptime] direct: bool,
 ) {
-    let (first_row, second_row) = rows;
+    let (row, stores) = target;
+    let steps = comptime!((plane_units / RUN as u32).trailing_zeros());
+    let mut own = Array::<f32>::new(columns);
     #[unroll]
-    for chunk in 0..comptime!((2 * columns).div_ceil(VALUES)) {
-        let len = comptime!((2 * columns - chunk * VALUES).min(VALUES));
-        let width = comptime!(len.next_power_of_two());
-        let steps = comptime!(plane_units.trailing_zeros());
-        let mut own = Array::<f32>::new(width);
+    for column in 0..columns {
+        own[column] = values[column];
+    }
+    // The column of the first value that the unit holds.
+    let mut first = 0u32;
+    #[unroll]
+    for step in 0..steps {
+        let live = comptime!(columns.div_ceil(1 << step));
+        let distance = comptime!(1u32 << step);
+        let upper = (lane & distance) != 0;
         #[unroll]
-        for k in 0..width {
-            own[k] = 0.0f32;
-            if comptime!(k < len) {
-                own[k] = values[comptime!(chunk * VALUES + k)];
-            }
+        for k in 0..comptime!(live / 2) {
+            let even = own[2 * k];
+            let odd = own[2 * k + 1];
+            own[k] = select(upper, odd, even) + plane_shuffle_xor(select(upper, even, odd), distance);
         }
-        // The value that the unit holds at last, or the first of them.
-        let mut index = 0u32;
-        #[unroll]
-        for step in 0..steps {
-            let distance = comptime!(plane_units >> (step + 1));
-            let live = comptime!(width >> step);
-            if comptime!(live >= 2) {
-                let upper = (lane & distance) != 0;
-                #[unroll]
-                for k in 0..comptime!(live / 2) {
-                    let even = own[2 * k];
-                    let odd = own[2 * k + 1];
-                    own[k] = select(upper, odd, even) + plane_shuffle_xor(select(upper, even, odd), distance);
-                }
-                index |= select(upper, comptime!(1u32 << step), 0u32);
+        if comptime!(live % 2 == 1) {
+            own[comptime!(live / 2)] = own[comptime!(live - 1)] + plane_shuffle_xor(own[comptime!(live - 1)], distance);
+        }
+        first |= select(upper, distance, 0u32);
+    }
+    #[unroll]
+    for k in 0..comptime!(columns.div_ceil(1 << steps)) {
+        let column = first + comptime!((k << steps) as u32);
+        if stores && column < comptime!(columns as u32) {
+            let at = row * columns + column as usize;
+            if comptime!(direct) {
+                A::add(&sums[at], own[k]);
             } else {
-                own[0] = own[0] + plane_shuffle_xor(own[0], distance);
-            }
-        }
-        let held = comptime!((width >> steps).max(1));
-        let sharers = comptime!((plane_units as usize / width).max(1) as u32);
-        #[unroll]
-        for k in 0..held {
-            let value = index + comptime!(((k << steps) + chunk * VALUES) as u32);
-            let sharer = lane % sharers;
-            if sharer == 0 && value < comptime!((chunk * VALUES + len) as u32) {
-                let second = value >= comptime!(columns as u32);
-                let row = select(second, second_row, first_row);
-                let at = row * columns + value as usize - select(second, columns, 0usize);
-                if second || both {
-                    if comptime!(direct) {
-                        A::add(&sums[at], own[k]);
-                    } else {
-                        to[at] = own[k];
-                    }
-                }
+                to[at] = own[k];
             }
         }
     }

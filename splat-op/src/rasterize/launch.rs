@@ -174,8 +174,8 @@ pub(crate) fn launch_rasterize_backward(
                 };
             }
             let direct = !ordered && gpu.float_atomics;
-            let fits = shape.few() && shared_bytes(columns, direct) <= gpu.shared_bytes;
-            let planes = gpu.plane_units.filter(|units| fits && PLANES.contains(units));
+            let fits = |units: u32| shared_bytes(shape, columns, units as usize, direct) <= gpu.shared_bytes;
+            let planes = gpu.plane_units.filter(|&units| shape.few() && PLANES.contains(&units) && fits(units));
             match (planes, gpu.float_atomics) {
                 (Some(units), true) => {
                     launch!(rasterize_backward_planes_kernel, Atomic<f32>, TILE_PIXELS, units, direct)
