@@ -52,11 +52,14 @@ pub(crate) fn begin(path: &Path) -> io::Result<NamedTempFile> {
 
 /// Gives a complete file its name.
 pub(crate) fn finish(temporary: NamedTempFile, path: &Path) -> io::Result<()> {
-    if temporary.as_file().metadata()?.len() == 0 && path.exists() {
+    // Opened anew: a writer that was given the name may have put another file there.
+    let written = File::options().write(true).open(temporary.path())?;
+    if written.metadata()?.len() == 0 && path.exists() {
         return Err(io::Error::other("it would be empty, and the file of that name is kept"));
     }
     // Without this, a power cut after the rename could leave an empty file in place of a good one.
-    temporary.as_file().sync_all()?;
+    written.sync_all()?;
+    drop(written);
     temporary.persist(path).map_err(|error| error.error)?;
     Ok(())
 }

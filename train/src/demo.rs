@@ -296,7 +296,7 @@ mod tests {
             .filter(|(_, value)| value.is_boolean())
             .map(|(name, _)| name.clone())
             .collect();
-        assert_eq!(flags.len(), 15);
+        assert_eq!(flags.len(), 14);
         assert_eq!(marked(&["--town"]), made_with(&DemoOptions::TOWN));
         for flag in flags.into_iter().filter(|flag| flag != "town") {
             let mut expected = plain.clone();

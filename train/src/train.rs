@@ -96,7 +96,7 @@ pub struct TrainArgs {
     #[serde(default)]
     pub cameras: CameraArgs,
     /// Device to compute on
-    #[arg(long, value_name = "NAME", default_value_t, help = device::help())]
+    #[arg(long, value_name = "NAME", default_value_t, help = device::help(), help_heading = USUAL)]
     #[serde(with = "crate::as_text")]
     pub device: DeviceName,
     /// Random seed
@@ -107,6 +107,7 @@ pub struct TrainArgs {
         long,
         value_name = "N",
         default_value_t = TrainConfig::default().density.max_splats(),
+        help_heading = USUAL,
         value_parser = RangedU64ValueParser::<usize>::new().range(1..)
     )]
     pub max_splats: usize,
@@ -129,10 +130,10 @@ pub struct TrainArgs {
         value_parser = RangedU64ValueParser::<usize>::new().range(1..))]
     pub batch: usize,
     /// Photographs.
-    #[command(flatten)]
+    #[command(flatten, next_help_heading = USUAL)]
     pub photos: PhotoArgs,
     /// Highest degree of the spherical harmonics
-    #[arg(long, value_name = "D", help = "Highest degree of the spherical harmonics, 0 to 4 [default: 3, or 0 where colours need none]",
+    #[arg(long, value_name = "D", help_heading = USUAL, help = "Highest degree of the spherical harmonics, 0 to 4 [default: 3, or 0 where colours need none]",
         long_help = format!(
         "Highest degree of the spherical harmonics, 0 to 4: how finely colour may vary with the direction of view \
          [default: {}, or 0 where `--effects auto` finds no such variation; with the demo capture {DEMO_SH_DEGREE}]",
@@ -169,7 +170,7 @@ pub struct TrainArgs {
     /// Background behind the scene: black, white, R,G,B from 0 to 1, random (a new colour at each step), learned,
     /// environment or environment:D (learned light from infinity, spherical harmonics of degree D) [default: black, or
     /// the background that the effects call for]
-    #[arg(long, value_name = "WHAT")]
+    #[arg(long, value_name = "WHAT", help_heading = USUAL)]
     #[serde(with = "crate::as_text::optional", default)]
     pub background: Option<TrainBackground>,
     /// Effects to simulate: auto, none, a list, or +NAME and -NAME
@@ -177,7 +178,7 @@ pub struct TrainArgs {
     /// Effects to simulate: `auto` (as `splat inspect` decides), `none`, a comma-separated list of names, or `+NAME`
     /// and `-NAME` to adjust `auto`. Names: antialias, alpha, exposure, bilateral-grid, masks, pose-refinement,
     /// environment, motion-blur, rolling-shutter, depth-supervision
-    #[arg(long, value_name = "LIST", default_value_t, allow_hyphen_values = true)]
+    #[arg(long, value_name = "LIST", default_value_t, allow_hyphen_values = true, help_heading = USUAL)]
     #[serde(with = "crate::as_text")]
     pub effects: EffectsArg,
     /// Score the scene on at most four held-out views every N steps, before the refinement of the same step, for the curve in
@@ -185,18 +186,18 @@ pub struct TrainArgs {
     #[arg(long, value_name = "N", help_heading = ACCURACY)]
     pub eval_during: Option<usize>,
     /// Also write the scene every N steps, as scene-000500.ply
-    #[arg(long, value_name = "N", value_parser = RangedU64ValueParser::<usize>::new().range(1..))]
+    #[arg(long, value_name = "N", help_heading = USUAL, value_parser = RangedU64ValueParser::<usize>::new().range(1..))]
     pub export_every: Option<usize>,
     /// LPIPS.
     #[command(flatten, next_help_heading = ACCURACY)]
     #[serde(default)]
     pub lpips: LpipsArgs,
     /// Amount of output.
-    #[command(flatten)]
+    #[command(flatten, next_help_heading = USUAL)]
     #[serde(skip)]
     pub voice: VoiceArgs,
     /// View in the browser.
-    #[command(flatten)]
+    #[command(flatten, next_help_heading = USUAL)]
     #[serde(skip)]
     pub live: LiveArgs,
     /// Memory for decoded photographs, and as much for photographs prepared for the loss, MB. Photographs that do not
@@ -210,6 +211,9 @@ pub struct TrainArgs {
 }
 
 /// Headings of the help, below the options that people use. Short help leaves out what is below a heading.
+///
+/// A heading of flattened options holds for what follows them, until the next one.
+const USUAL: Option<&str> = None;
 const DENSITY: &str = "Density";
 const OPTIMISER: &str = "Optimiser";
 const ACCURACY: &str = "Accuracy";

@@ -10,6 +10,7 @@ use crate::progress;
 
 /// What the scale is measured from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum ScaleFrom {
     /// GPS positions in EXIF
     Gps,

@@ -315,10 +315,11 @@ fn a_file_is_named_for_what_it_is_and_leaves_nothing() {
         ("a.jpg", b"\xff\xd8\xff\xe0\0\x10JFIF", ["a.jpg is a JPG picture", "name the folder"]),
     ] {
         fs::write(alone.path(name), bytes).unwrap();
-        for arguments in [&["train", name, "--out", "out"][..], &["reconstruct", name], &["inspect", name]] {
+        for arguments in [&["train", name, "--out", "out"][..], &["reconstruct", name]] {
             refuse(&mut alone.splat("ok", arguments), &parts);
         }
     }
+    refuse(&mut alone.splat("ok", &["inspect", "a.jpg"]), &["a.jpg", "a JPG picture"]);
     assert!(!alone.path("out").exists() && alone.called().is_empty());
     // FFmpeg knows more videos than this program: what is not known is left to it.
     for (name, bytes) in [("a.mp4", &b"\0\0\0\x18ftypmp42\0\0\0\0mp42isom"[..]), ("a.y4m", &[1; 64])] {

@@ -182,7 +182,7 @@ fn options_are_those_of_the_run() {
 fn a_run_is_repeated_from_its_options() {
     let (again, begun) = (fresh("again"), fresh("begun"));
     let options = WHOLE.0.join("run.toml");
-    succeed(splat(&["train", "--config", text(&options), "--out"]).arg(&again));
+    succeed(&mut splat(&["train", "--config", text(&options), "--out", text(&again)]));
     assert_as_whole(&again);
     let text_of = |out: &Path| fs::read_to_string(out.join("run.toml")).unwrap();
     assert_eq!(text_of(&again), fs::read_to_string(&options).unwrap());
@@ -193,7 +193,7 @@ fn a_run_is_repeated_from_its_options() {
     fs::copy(&options, begun.join("run.toml")).unwrap();
     succeed(&mut resuming(&begun));
     assert_as_whole(&begun);
-    refuse(splat(&["train", "--config", text(&options), "--out"]).arg(&WHOLE.0), &["run.toml is an input"]);
+    refuse(&mut splat(&["train", "--config", text(&options), "--out", text(&WHOLE.0)]), &["run.toml is an input"]);
 }
 
 #[test]
