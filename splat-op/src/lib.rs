@@ -149,11 +149,14 @@ pub mod adam;
 
 pub mod tally;
 
+pub mod argsort;
+
 pub mod backend;
 #[cfg(feature = "cube")]
 mod gpu;
 mod limits;
 mod linalg;
+mod read;
 mod record;
 mod render;
 mod simd;
@@ -171,6 +174,7 @@ pub use camera::{Camera, CameraModel, Intrinsics, Projector};
 pub use colour::{colours, colours_up_to, evaluate_sh, visible_colours};
 pub use dials::{Culling, Exponential, Storage};
 pub use error::SplatError;
+pub use read::read;
 pub use options::{Accumulation, MAX_UNCULLED_INTERSECTIONS, Order, Projection, RenderOptions};
 pub use render::{render, render_view};
 pub use splats::{Colour, Extras, Splats};

@@ -4,19 +4,19 @@
 
 mod relocate;
 
-use burn::tensor::{Device, Tensor, activation::sigmoid};
-use rand::Rng;
-use rand::distr::Distribution;
-use rand::distr::weighted::WeightedIndex;
+use burn::tensor::{DType, Device, Int, Tensor, activation::sigmoid};
+use rand::{Rng, RngExt};
 use serde::{Deserialize, Serialize};
 use splat_op::Splats;
 
 use self::relocate::share;
 use super::noise::Noise;
-use super::order::morton_order;
+use super::order::z_order;
+use super::pick::{counts, ones, picked, repeated, rounded_down, rows_on, running_sums};
 use super::rows::{RowEdit, Trained};
 use super::strategy::{RefineReport, Strategy, StrategyContext};
-use crate::gaussians::{self, GaussianRows, Gaussians, RowsError};
+use super::turn::{rotated, unit};
+use crate::gaussians::{GaussianRows, Gaussians, RowsError, logit};
 use crate::loss::regularise;
 use crate::state::{State, StateError};
 
@@ -91,46 +91,41 @@ impl Mcmc {
     /// proportional to its opacity and shares its opacity and size with all new ones at its position. (The paper draws for
     /// the dead first and then for the additional ones. One draw for both is equivalent.)
     fn refine(&self, scene: &mut Trained, rng: &mut dyn Rng) -> Result<Option<RefineReport>, RowsError> {
-        let rows = scene.gaussians.to_rows();
-        let opacities: Vec<f64> = (0..rows.len()).map(|i| self.opacity_of_living(&rows, i)).collect();
-        let living = opacities.iter().filter(|opacity| **opacity > 0.0).count();
+        let plain = scene.gaussians.untracked();
+        let (rows, opacities) = (plain.len(), plain.opacities());
+        let usable = opacities.clone().greater_elem(0.0);
+        let lives = usable.clone().bool_and(plain.logit_opacities.val().greater_elem(logit(self.config.dead_opacity)));
+        let living = if rows == 0 { 0 } else { counts([lives.clone()])[0] };
         // Without living Gaussians there is nothing to share.
-        let Ok(by_opacity) = WeightedIndex::new(&opacities) else { return Ok(None) };
-        // The cap ends growth and removes no living Gaussian.
-        let wanted = self.grown(rows.len()).max(living);
-        let mut drawn = vec![0_usize; rows.len()];
-        (living..wanted).for_each(|_| drawn[by_opacity.sample(rng)] += 1);
-
-        let mut edit = RowEdit::default();
-        edit.add.sh_degree = rows.sh_degree;
-        edit.add.reserve_exact(drawn.iter().filter(|more| **more > 0).map(|more| more + 1).sum());
-        for (i, &more) in drawn.iter().enumerate().filter(|(_, more)| **more > 0) {
-            let (opacity, factor) = share(opacities[i], more + 1);
-            let add = &mut edit.add;
-            for _ in 0..=more {
-                add.push(&rows, i);
-                let last = add.len() - 1;
-                add.logit_opacities[last] = (opacity / (1.0 - opacity)).ln() as f32;
-                add.log_scales[last] = rows.log_scales[i].map(|log| log + factor.ln() as f32);
-            }
+        if living == 0 {
+            return Ok(None);
         }
-        let stays = |row: &u32| opacities[*row as usize] > 0.0 && drawn[*row as usize] == 0;
-        edit.keep = morton_order(&rows.means).into_iter().filter(stays).collect();
-        let (cloned, pruned) = (wanted - living, rows.len() - living);
-        drop(rows);
+        // The cap ends growth and removes no living Gaussian.
+        let draws = rounded_down(self.grown(rows).max(living)).saturating_sub(living);
+        let drawn = drawn(opacities.clone().mask_fill(lives.clone().bool_not(), 0.0), draws, rng);
+        let shares = drawn.clone().greater_elem(0);
+        let [sharing] = counts([shares.clone()]);
+
+        let order = z_order(&plain.means.val(), &usable);
+        let keep = picked(&order, &lives.bool_and(shares.clone().bool_not()), living - sharing);
+        let edit = if sharing == 0 {
+            RowEdit::new(keep, rows_on(&order.device(), &[]))
+        } else {
+            let new = repeated(drawn.clone() + ones(shares), draws + sharing);
+            let together = (drawn.select(0, new.clone()) + 1).float().cast(opacities.dtype());
+            let (each, factor) = share(opacities.select(0, new.clone()), together);
+            let log_scales = plain.log_scales.val().select(0, new.clone()) + factor.log().unsqueeze_dim::<2>(1);
+            let logits = each.clone().log() - each.neg().log1p();
+            RowEdit::new(keep, new).with("log_scales", log_scales).with("logit_opacities", logits)
+        };
+        drop(plain);
         scene.edit(&edit)?;
-        Ok(Some(RefineReport { cloned, pruned, ..RefineReport::default() }))
+        Ok(Some(RefineReport { cloned: draws, pruned: rows - living, ..RefineReport::default() }))
     }
 
     /// Number of Gaussians to reach from `count` in a refinement.
     fn grown(&self, count: usize) -> usize {
         ((count as f64 * self.config.growth) as usize).min(self.config.max_splats)
-    }
-
-    /// The opacity of a living Gaussian. 0 for a dead or unusable one.
-    fn opacity_of_living(&self, rows: &GaussianRows, i: usize) -> f64 {
-        let opacity = gaussians::sigmoid(rows.logit_opacities[i]);
-        if rows.is_usable(i) && opacity > self.config.dead_opacity { opacity } else { 0.0 }
     }
 
     /// Adds noise to the centres: `λ Σ η σ(k (t − o))`, with `λ` the learning rate times [`McmcConfig::noise`], `Σ` the
@@ -161,20 +156,20 @@ impl Mcmc {
     }
 }
 
-/// Real part, `[N, 1]`, and imaginary parts, `[N, 3]`, of the normalised quaternions `[N, 4]`, wxyz.
-fn unit(quaternions: Tensor<2>) -> (Tensor<2>, Tensor<2>) {
-    // Divided by the largest component first, because its square may overflow or underflow in f32.
-    let largest = quaternions.clone().abs().max_dim(1);
-    let sized = quaternions / largest;
-    let length = sized.clone().square().sum_dim(1).sqrt();
-    let unit = sized / length;
-    (unit.clone().narrow(1, 0, 1), unit.narrow(1, 1, 3))
-}
-
-/// Rotates `v` by unit quaternions: `v + 2 w (u × v) + 2 u × (u × v)`.
-fn rotated(v: Tensor<2>, w: Tensor<2>, u: Tensor<2>) -> Tensor<2> {
-    let twice = u.clone().cross(v.clone(), 1) * 2.0;
-    v + twice.clone() * w + u.cross(twice, 1)
+/// How often each row is drawn in `draws` draws with probabilities in the proportion of `opacities`, `[N]`: systematic resampling
+/// (Kitagawa 1996), which draws each row as often as expected, rounded up or down at random.
+fn drawn(opacities: Tensor<1>, draws: usize, rng: &mut dyn Rng) -> Tensor<1, Int> {
+    let [rows] = opacities.dims();
+    // Sums of whole numbers below 2^31, which are the same on every device.
+    let levels = (1_u64 << (30 - rows.max(1).next_power_of_two().ilog2().clamp(10, 30))) as f64;
+    let sums = running_sums((opacities * levels + 0.5).floor().int().cast(DType::I32)).float();
+    // The last sum comes to all draws, in spite of rounding.
+    let per_level = sums.clone().narrow(0, rows - 1, 1).recip() * (draws as f64 * (1.0 + 1e-6));
+    // Below one in f32 too, so that a row of no weight is not drawn.
+    let places = (sums * per_level.expand([rows]) + rng.random::<f32>()).floor().clamp_max(draws as f64);
+    let places = places.int().cast(DType::I32);
+    let first = Tensor::zeros([1], (&places.device(), DType::I32));
+    places.clone() - Tensor::cat(vec![first, places.narrow(0, 0, rows - 1)], 0)
 }
 
 impl Strategy for Mcmc {

@@ -4,6 +4,7 @@ use rand::Rng;
 
 use super::{TrainError, Trainer};
 use crate::capture::{Photograph, PointCloud, PointsSeen};
+use crate::density::rounded_down;
 use crate::density::rows::Trained;
 use crate::gaussians::{GaussianRows, Gaussians};
 use crate::init;
@@ -21,6 +22,7 @@ pub(super) fn first_rows(
     if start.positions.is_empty() {
         start = init::random_points(&cameras, init::RANDOM_COUNT.min(most), rng);
     }
+    start.truncate(rounded_down(start.positions.len()));
     let seen = PointsSeen::of(&cameras, &start.positions);
     (init::from_points(&init::ordered(&start)), seen)
 }
@@ -39,7 +41,11 @@ impl Trainer {
         let room = self.config.density.max_splats().saturating_sub(scene.len());
         let mut rows = match points.positions.is_empty() || room == 0 {
             true => GaussianRows::default(),
-            false => init::from_points(&init::ordered(&init::thinned(&init::distinct(points), room))),
+            false => {
+                let mut points = init::ordered(&init::thinned(&init::distinct(points), room));
+                points.truncate(rounded_down(scene.len() + points.positions.len()).saturating_sub(scene.len()));
+                init::from_points(&points)
+            }
         };
         self.density.start(&mut rows);
         rows.sh_degree = scene.sh_degree.min(self.config.sh_degree);
