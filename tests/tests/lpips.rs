@@ -99,7 +99,12 @@ fn values_are_those_of_the_authors_package() {
                 () => (usize::MAX, 5),
             };
             let mut compared = 0;
-            for case in reference["cases"].as_array().unwrap().iter().filter(|case| case["net"] == **net && case["input"] == "-1..1") {
+            for case in reference["cases"]
+                .as_array()
+                .unwrap()
+                .iter()
+                .filter(|case| case["net"] == **net && case["input"] == "-1..1")
+            {
                 let [height, width] = ["height", "width"].map(|key| case[key].as_u64().unwrap() as usize);
                 if height * width > most_pixels {
                     continue;

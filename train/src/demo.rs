@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
-use splat_model::capture::Capture;
 use splat_demo::{self as demo, DemoOptions};
+use splat_model::capture::Capture;
 
 use crate::own::{self, OwnFiles};
 use crate::{output, progress};

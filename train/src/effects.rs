@@ -1,6 +1,5 @@
 //! `--effects`: the effects that a run simulates, and their entry in `metrics.json`.
 
-use std::collections::BTreeMap;
 use std::fmt;
 use std::str::FromStr;
 

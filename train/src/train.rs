@@ -267,15 +267,17 @@ mod tests {
         assert_eq!(of("2000"), TrainConfig::for_steps(2_000));
         assert_eq!(config(&["capture", "--opacity-weight", "0"]).unwrap().opacity_weight, 0.0);
         let original = config(&["capture", "--strategy", "adaptive", "--sh-every", "1000"]).unwrap();
-        assert_eq!(original, TrainConfig { learning_rates: LearningRates::for_steps(30_000), ..TrainConfig::default() });
+        assert_eq!(
+            original,
+            TrainConfig { learning_rates: LearningRates::for_steps(30_000), ..TrainConfig::default() }
+        );
     }
 
     #[test]
     fn what_a_checkpoint_keeps_of_the_options_is_all_of_them() {
         let arguments =
             ["c", "--out", "o", "--device", "gpu:1", "--effects=auto,-masks", "--background", "0.1,0.2,0.3"];
-        let more =
-            ["--projection", "ray-max", "--accuracy", "fast", "--opacity-weight", "0.1", "--eval-during", "9"];
+        let more = ["--projection", "ray-max", "--accuracy", "fast", "--opacity-weight", "0.1", "--eval-during", "9"];
         let cli = Cli::try_parse_from(["splat", "train"].iter().chain(&arguments).chain(&more)).unwrap();
         let Command::Train(args) = cli.command else { panic!("asked for train") };
         let text = serde_json::to_string(&args).unwrap();

@@ -197,7 +197,8 @@ impl Depths {
 
     /// Whether a view's depth must be rendered: the step is supervised, and the photograph has known depths.
     fn supervises(&self, at: EffectContext) -> bool {
-        at.step.is_multiple_of(self.config.every.max(1)) && self.samples.get(at.view).is_some_and(|samples| !samples.is_empty())
+        at.step.is_multiple_of(self.config.every.max(1))
+            && self.samples.get(at.view).is_some_and(|samples| !samples.is_empty())
     }
 
     /// The loss of a supervised view, `[1]`, from the render's accumulated depth and alpha, `[H, W, 1]` each.
@@ -256,8 +257,8 @@ impl DeviceDepths {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use splat_demo::{self as demo, DemoOptions};
     use crate::gaussians::values_of;
+    use splat_demo::{self as demo, DemoOptions};
 
     fn depths(samples: Vec<DepthSample>, every: usize) -> Depths {
         let weight = Falling { from: 2.0, to: 1.0 };

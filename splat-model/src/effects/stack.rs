@@ -35,7 +35,6 @@ impl EffectStack {
     pub fn get_mut<T: Effect>(&mut self) -> Option<&mut T> {
         self.0.iter_mut().find_map(|effect| (&mut **effect as &mut dyn Any).downcast_mut())
     }
-
 }
 
 impl Effect for EffectStack {

@@ -1,7 +1,4 @@
-//! Half turns between the frame of scenes here, right-down-front, and those of other formats. A half turn is its own inverse, so reading
-//! and writing are the same function.
-
-use crate::gaussians::GaussianRows;
+//! Half turns between the frame of scenes here, right-down-front, and those of other formats. A half turn is its own inverse.
 
 /// Half a turn about an axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -31,21 +28,6 @@ impl HalfTurn {
             Self::Z => m % 2 != 0,
         };
         if odd { -1.0 } else { 1.0 }
-    }
-
-    /// Turns all Gaussians. No number changes but for its sign.
-    pub fn turn(self, rows: &mut GaussianRows) {
-        let axes = self.axes();
-        for mean in &mut rows.means {
-            *mean = [0, 1, 2].map(|axis| axes[axis] * mean[axis]);
-        }
-        for [_, x, y, z] in &mut rows.rotations {
-            [*x, *y, *z] = [axes[0] * *x, axes[1] * *y, axes[2] * *z];
-        }
-        let per_row = rows.rest_per_row().max(1);
-        for (i, coefficient) in rows.sh_rest.iter_mut().enumerate() {
-            *coefficient *= self.sign(1 + i % per_row / 3);
-        }
     }
 }
 

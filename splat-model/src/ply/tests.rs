@@ -8,7 +8,8 @@ use proptest::prelude::*;
 use tempfile::TempDir;
 
 use super::row::{names, rest_per_channel};
-use super::{PlyError, WorldFrame, read, write, write_header, write_parts, write_to};
+use super::write::write_header;
+use super::{PlyError, WorldFrame, read, write, write_parts, write_to};
 use crate::gaussians::GaussianRows;
 
 /// Rows whose values all differ, so that tests detect a swap of any two.

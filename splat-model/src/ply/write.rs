@@ -103,13 +103,13 @@ pub fn write_to(out: &mut impl Write, rows: &GaussianRows, world: impl Into<Worl
 }
 
 /// Writes the header of a file with `count` Gaussians.
-pub(crate) fn write_header(out: &mut impl Write, count: usize, sh_degree: usize, world: WorldFrame) -> io::Result<()> {
+pub(super) fn write_header(out: &mut impl Write, count: usize, sh_degree: usize, world: WorldFrame) -> io::Result<()> {
     let header = file_header(world, [element(VERTEX, count, ScalarType::Float, names(sh_degree))]);
     Writer::<DefaultElement>::new().write_header(out, &header).map(drop)
 }
 
 /// Writes Gaussians after a header, or after others of the same degree.
-pub(crate) fn write_rows(out: &mut impl Write, rows: &GaussianRows) -> io::Result<()> {
+fn write_rows(out: &mut impl Write, rows: &GaussianRows) -> io::Result<()> {
     let mut values = Vec::new();
     for i in 0..rows.len() {
         values.clear();

@@ -3,8 +3,8 @@
 use splat_op::SplatError;
 use thiserror::Error;
 
-use super::ranks::RankError;
 use super::Resolution;
+use super::ranks::RankError;
 use crate::capture::{CaptureError, PointsSeen};
 use crate::effects::optics::LensError;
 use crate::gaussians::RowsError;

@@ -9,7 +9,6 @@ use rand_chacha::ChaCha8Rng;
 use splat_op::Intrinsics;
 
 use super::effects::typical_depth;
-use splat_demo::{self as demo, DemoOptions};
 use crate::capture::{Capture, Photograph, PhotographFacts, PointCloud, Tracks, origin, strays};
 use crate::cleanup::Bulk;
 use crate::effects::depth::{Depths, from_tracks};
@@ -17,6 +16,7 @@ use crate::effects::smoothing::Smoothing;
 use crate::effects::{Plan, Survey};
 use crate::init;
 use crate::optim::{near_plane, scene_extent};
+use splat_demo::{self as demo, DemoOptions};
 
 const VIEWS: usize = 20;
 const UTM: DVec3 = DVec3::new(500_123.25, 5_412_345.5, 312.125);

@@ -124,10 +124,7 @@ impl Trainer {
 
     fn account_of(&mut self, one: &OneView) -> ViewAccount {
         let leaves = self.effects.leaves(self.at(one.view));
-        let signals = one
-            .seen
-            .as_ref()
-            .map(|seen| ([seen.gradient.is_some(), seen.abs_gradient.is_some()], seen.size));
+        let signals = one.seen.as_ref().map(|seen| ([seen.gradient.is_some(), seen.abs_gradient.is_some()], seen.size));
         ViewAccount {
             loss_bits: one.loss.clone().into_scalar::<f32>().to_bits(),
             scene: one.gradients.present(),

@@ -11,7 +11,7 @@ use splat_model::effects::EffectKind;
 
 use super::coarse;
 use super::job;
-use super::planned::{JOBS, PLAN, BlockPlan, PlanFolder};
+use super::planned::{BlockPlan, JOBS, PLAN, PlanFolder};
 use crate::input;
 use crate::progress::{self, VoiceArgs};
 use crate::train::TrainArgs;

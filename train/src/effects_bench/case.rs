@@ -247,13 +247,7 @@ impl EffectCase {
             seconds[i] = metrics.seconds.train.unwrap_or_default();
             score_db[i] = self.evaluate(capture, &out, eval)?;
         }
-        Ok(EffectGain {
-            planned: plan.effects(),
-            harmonics: plan.sh_degree().is_none(),
-            evidence,
-            score_db,
-            seconds,
-        })
+        Ok(EffectGain { planned: plan.effects(), harmonics: plan.sh_degree().is_none(), evidence, score_db, seconds })
     }
 
     fn train(&self, capture: &Path, out: &Path, options: &[&str], scale: &RunSize) -> Result<Metrics> {

@@ -6,7 +6,7 @@ use splat_model::accuracy::{DIALS, Dial, Judge, Preset};
 use splat_op::RenderOptions;
 
 use super::dials::Role;
-use super::measure::{Isolated, BenchOutcome, SettingMeasurements};
+use super::measure::{BenchOutcome, Isolated, SettingMeasurements};
 use super::quartiles::{Quartiles, decibels};
 use super::training::TrainingResult;
 

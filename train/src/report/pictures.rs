@@ -10,7 +10,6 @@ use image::{ImageFormat, RgbImage};
 use splat_model::evaluate::Comparison;
 use splat_model::gaussians::values_of;
 
-
 /// Magnification of the error: a twentieth of the range, plainly visible in the pictures side by side, becomes a fifth,
 /// and a quarter and more becomes white.
 pub const ERROR_GAIN: f32 = 4.0;

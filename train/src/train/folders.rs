@@ -51,8 +51,7 @@ pub fn open(args: &TrainArgs) -> Result<(PathBuf, Capture, Instant)> {
 /// Everything that a run reads: `source` as it was named, the capture, and the files of options. A resumed run has its own scene and does
 /// not read that of `--start`.
 pub fn inputs_of(source: Inputs, args: &TrainArgs, capture: &Capture, begins: bool) -> Inputs {
-    let inputs =
-        source.and_capture(capture).and(&args.lpips.lpips);
+    let inputs = source.and_capture(capture).and(&args.lpips.lpips);
     args.start.iter().filter(|_| begins).fold(inputs, |inputs, scene| inputs.and_scene(scene))
 }
 

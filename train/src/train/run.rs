@@ -36,7 +36,7 @@ use crate::report::page::{self, ReportPage};
 use crate::report::{self, SCENE};
 use crate::snapshots::{Described, Snapshots};
 use crate::view::scene::{ShownScene, Viewpoint};
-use crate::{input, reconstruct};
+use crate::reconstruct;
 
 /// The `options` of `metrics.json`.
 #[derive(Serialize)]
@@ -152,7 +152,7 @@ fn to_the_end(
     args.lpips = args.lpips.from_anywhere();
     args.start = args.start.map(std::path::absolute).transpose()?;
     let (seen, max_side) = (split.require_train()?, args.photos.max_side);
-    let mut effects = args.effects.choose(&capture, seen, args.model.antialias, max_side)?;
+    let effects = args.effects.choose(&capture, seen, args.model.antialias, max_side)?;
     effects.configure(&mut config, args.background, args.sh_degree);
     config.density = config.density.focused(capture.focus.map(Focus::on));
     if capture.points.positions.is_empty() {

@@ -62,7 +62,10 @@ fn gltf_is_written_and_not_read() {
         let said = succeed(&mut splat(&["convert", text(&trained()), text(&path)])).stdout;
         assert!(said.contains("glTF, ") && said.ends_with("nothing is lost\n"), "{said}");
         let back = folder.path().join("back.ply");
-        refuse(&mut splat(&["convert", text(&path), text(&back)]), &[name, "written here and not read", "splat-transform"]);
+        refuse(
+            &mut splat(&["convert", text(&path), text(&back)]),
+            &[name, "written here and not read", "splat-transform"],
+        );
         assert!(!back.exists());
     }
 }

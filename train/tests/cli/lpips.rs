@@ -8,7 +8,7 @@ use safetensors::Dtype;
 use safetensors::tensor::TensorView;
 use serde_json::Value;
 
-use crate::run::{DEMO, TRAIN, TRAINED, end, fresh, refuse, splat, succeed};
+use crate::run::{DEMO, TRAIN, TRAINED, fresh, refuse, splat, succeed};
 use crate::{files, json, text};
 
 /// AlexNet with meaningless weights: uneven, so that pictures differ, and positive, so that features do not vanish.

@@ -1,6 +1,5 @@
 //! Runs and scenes with values that are not finite.
 
-use std::fs;
 use std::path::Path;
 
 use burn::tensor::Tensor;
@@ -11,7 +10,7 @@ use splat_model::trainer::LossInputs;
 use splat_train::options::{Cli, Command};
 use splat_train::train;
 
-use crate::run::{DEMO, TRAIN, TRAINED, end, refuse, splat, succeed};
+use crate::run::{DEMO, TRAIN, TRAINED, end, refuse, splat};
 use crate::{json, text};
 
 /// Whether a photograph of the demo capture is trained on.
@@ -51,7 +50,8 @@ fn a_gradient_that_is_not_finite_ends_the_run_and_keeps_the_scene() {
         let view = named_view(&message);
         assert!(is_training_view(view), "{message}");
         let scene = out.join("scene.ply");
-        let parts = ["error: ", &format!("step {step}"), "gradient of `means`, `rotations`", "render is sound", text(&scene)];
+        let parts =
+            ["error: ", &format!("step {step}"), "gradient of `means`, `rotations`", "render is sound", text(&scene)];
         parts.iter().for_each(|part| assert!(message.contains(part), "{part:?} is not in: {message}"));
         assert!(!out.join("metrics.json").exists(), "there is nothing to measure");
         ply::read(&scene).unwrap().0
@@ -79,7 +79,10 @@ fn the_program_says_which_step_and_view() {
     let scene = out.join("scene.ply");
     let mut command = splat(&TRAIN);
     command.arg(DEMO.as_path()).args(arguments);
-    refuse(&mut command, &["step 1", "photograph `000", "the loss is not finite", "every stage of the render is sound", text(&scene)]);
+    refuse(
+        &mut command,
+        &["step 1", "photograph `000", "the loss is not finite", "every stage of the render is sound", text(&scene)],
+    );
     assert!(ply::read(&scene).unwrap().0.len() > 100);
 }
 

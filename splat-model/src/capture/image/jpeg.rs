@@ -7,7 +7,7 @@ mod bits;
 #[cfg(test)]
 mod tests;
 
-use self::bits::{Bits, HuffmanCodes, DAMAGED, END, JpegFault};
+use self::bits::{Bits, DAMAGED, END, HuffmanCodes, JpegFault};
 
 /// Bytes between the last block and a marker that some cameras write, and every decoder skips.
 const MOST_LEFT: usize = 16;

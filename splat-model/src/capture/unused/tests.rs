@@ -1,8 +1,8 @@
 use std::fs;
 
 use super::*;
-use crate::capture::demo::{self, DemoOptions};
 use crate::capture::testing::assert_says;
+use splat_demo::{self as demo, DemoOptions};
 
 /// A capture of three photographs, 0000.png to 0002.png, without the mark that it is a demo.
 fn capture() -> tempfile::TempDir {

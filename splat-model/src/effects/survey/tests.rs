@@ -3,10 +3,10 @@
 use tempfile::TempDir;
 
 use super::*;
-use splat_demo::{self as demo, DemoOptions};
 use crate::capture::testing::real_capture;
 use crate::effects::plan::{Decision, EffectVerdict};
 use crate::effects::{EffectKind, Plan};
+use splat_demo::{self as demo, DemoOptions};
 
 const SMALL: DemoOptions =
     DemoOptions { width: 128, height: 96, views: 16, points: 3000, seed: 3, ..DemoOptions::PLAIN };

@@ -82,8 +82,7 @@ fn document(rows: &GaussianRows, attributes: &[Attribute], scene: &SceneFile) ->
         accessor.insert("count".into(), json!(rows.len()));
         accessor.insert("bufferView".into(), json!(i));
         if name == POSITION {
-            accessor
-                .extend([("min".into(), json!(low.map(f64::from))), ("max".into(), json!(high.map(f64::from)))]);
+            accessor.extend([("min".into(), json!(low.map(f64::from))), ("max".into(), json!(high.map(f64::from)))]);
         }
         accessors.push(accessor);
         names.insert(name, json!(i));

@@ -10,7 +10,7 @@ use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, DateTime, ZipWriter};
 
 use super::codebook::{Quantised, quantise};
-use super::meta::{Asset, ValueCodes, PictureFiles, Harmonics, Means, Meta};
+use super::meta::{Asset, Harmonics, Means, Meta, PictureFiles, ValueCodes};
 use super::palette::palette;
 use super::{LARGEST, META, PER_ROW, PLACES, compressed};
 use crate::formats::{FormatError, SceneFile, extras, opacity, quaternion};
@@ -36,9 +36,8 @@ pub struct SogOptions {
 
 /// Writes rows that fit the format ([`crate::formats::fit`]). `scene` gives the origin and the mark of antialiasing.
 pub fn write(path: &Path, rows: &GaussianRows, scene: &SceneFile, options: SogOptions) -> Result<(), FormatError> {
-    let written = pack(rows, scene, options).and_then(|archive| {
-        replace(path, |out| out.write_all(&archive)).map_err(|source| (WRITE, source))
-    });
+    let written = pack(rows, scene, options)
+        .and_then(|archive| replace(path, |out| out.write_all(&archive)).map_err(|source| (WRITE, source)));
     written.map_err(|(action, source)| FormatError::io(path, action)(source))
 }
 

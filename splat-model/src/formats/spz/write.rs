@@ -47,12 +47,7 @@ pub fn write(path: &Path, rows: &GaussianRows, antialiased: bool, options: SpzOp
     replace(path, |out| write_to(out, rows, antialiased, options)).map_err(FormatError::io(path, WRITE))
 }
 
-fn write_to(
-    out: &mut impl Write,
-    rows: &GaussianRows,
-    antialiased: bool,
-    options: SpzOptions,
-) -> io::Result<()> {
+fn write_to(out: &mut impl Write, rows: &GaussianRows, antialiased: bool, options: SpzOptions) -> io::Result<()> {
     let fraction = fraction(farthest(&rows.means));
     let sections = pack(rows, fraction, options.sh_bits.map(|bits| bits.clamp(1, 8)));
     let count = u32::try_from(rows.len()).map_err(|_| io::Error::other("more Gaussians than the format can count"))?;

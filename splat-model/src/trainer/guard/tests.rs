@@ -99,7 +99,9 @@ fn a_step_that_is_not_finite_changes_nothing_and_is_named() {
         let TrainError::NonFinite { step, view, .. } = error else { panic!("{message}") };
         assert_eq!(step, bad_step);
         assert!(["a", "b", "c", "d"].contains(&view.as_str()));
-        for part in [what, &format!("step {step}"), &format!("photograph `{view}`"), "every stage of the render is sound"] {
+        for part in
+            [what, &format!("step {step}"), &format!("photograph `{view}`"), "every stage of the render is sound"]
+        {
             assert!(message.contains(part), "{part:?} is not in: {message}");
         }
         assert_eq!(after, before, "the scene changed");

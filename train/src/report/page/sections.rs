@@ -93,7 +93,7 @@ pub fn views(scores: Option<&Scores>, comparisons: &Comparisons) -> String {
     text + "</div>\n</section>\n"
 }
 
-/// The survey of the capture, the decisions on effects, and their measured cost.
+/// The survey of the capture and the decisions on effects.
 pub fn effects(chosen: Option<&Chosen>) -> String {
     let Some(chosen) = chosen else { return String::new() };
     let names: Vec<&str> = chosen.on.iter().map(|effect| effect.name()).collect();
@@ -102,15 +102,6 @@ pub fn effects(chosen: Option<&Chosen>) -> String {
         "<section>\n<h2>Survey and effects</h2>\n<p>Effects: {on} (<code>--effects {}</code>).</p>\n",
         escape(&chosen.asked)
     );
-    let costs = names.iter().filter_map(|name| {
-        let cost = chosen.measured.get(name)?;
-        Some(vec![(*name).to_owned(), format!("{:.2}", cost.ms_per_step), format!("{:.2}", cost.mib)])
-    });
-    let costs: Vec<Vec<String>> = costs.collect();
-    if !costs.is_empty() {
-        let titles = [("effect", ""), ("measured, ms a step", "number"), ("memory, MiB", "number")];
-        text.push_str(&table(&titles, costs));
-    }
     match chosen.grounds() {
         Some((survey, plan)) => _ = writeln!(text, "<pre>{}</pre>", escape(&inspect::text(survey, plan))),
         None => text.push_str("<p>The capture was not surveyed: nothing was left to decide.</p>\n"),

@@ -74,7 +74,10 @@ fn numbers_that_json_does_not_have() {
 fn paths_that_lead_nowhere() {
     let pose = format!(r#""transform_matrix": {LOOKING_BACK}"#);
     assert_says(&message(&format!("[{{{pose}}}]")), &["frame 0", "`file_path` is missing"]);
-    assert_says(&message(&format!(r#"[{{"file_path": 5, {pose}}}]"#)), &["frames[0].file_path on line 1", "integer `5`", "a string"]);
+    assert_says(
+        &message(&format!(r#"[{{"file_path": 5, {pose}}}]"#)),
+        &["frames[0].file_path on line 1", "integer `5`", "a string"],
+    );
     let long = "x/".repeat(201);
     for path in ["../a.png", "..\\\\a.png", "C:\\\\a.png", "/etc/a.png", "", ".", "a\\u0000.png", "a\\n.png", &long] {
         assert_says(
