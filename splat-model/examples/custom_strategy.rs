@@ -55,8 +55,7 @@ impl Strategy for Budget {
         let stays = scene.gaussians.logit_opacities.val().inner().greater_elem(-4.6);
         let [kept] = counts([stays.clone()]);
         let cloned = self.most.saturating_sub(kept).min(kept / 5);
-        let pulled = pulled.mask_fill(stays.clone().bool_not(), 0.0);
-        let (clones, _) = largest(&pulled, cloned);
+        let (clones, _) = largest(&pulled, &stays, cloned);
         let order = Tensor::arange(0..rows as i64, (&device, DType::I32));
         let keep = picked(&order, &stays, kept);
         scene.edit(&RowEdit::new(keep, picked(&order, &clones, cloned)))?;

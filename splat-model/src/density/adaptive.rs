@@ -140,9 +140,8 @@ impl Adaptive {
                 let most = (focus.beyond_share * self.config.max_splats as f64) as usize;
                 let room = self.paced(most.saturating_sub(surviving_far), (surviving_far, wanted_far), step);
                 if room < wanted_far {
-                    let others = gradients.clone().mask_fill(far.clone().bool_not(), 0.0);
-                    let admitted = far.clone().bool_not().bool_or(largest(&others, room).0);
-                    wanted = wanted.bool_and(admitted);
+                    let admitted = largest(gradients, &far, room).0;
+                    wanted = wanted.bool_and(far.bool_not().bool_or(admitted));
                     count -= wanted_far - room;
                 }
             }
@@ -152,7 +151,7 @@ impl Adaptive {
         let (rows, threshold) = if most == count {
             (wanted, self.config.grad_threshold)
         } else {
-            let (rows, next) = largest(&gradients.clone().mask_fill(wanted.bool_not(), 0.0), most);
+            let (rows, next) = largest(gradients, &wanted, most);
             (rows, next.unwrap_or(self.config.grad_threshold))
         };
         Chosen { rows, count: most, threshold, surviving: surviving + spared, spared }
@@ -161,8 +160,7 @@ impl Adaptive {
     /// `sound` and the most opaque `count` of the other rows.
     fn spare(&self, scene: &Gaussians, sound: Tensor<1, Bool>, count: usize) -> Tensor<1, Bool> {
         // Opacities are zero where a row is unusable, and those come last.
-        let opacities = scene.opacities() + f32::MIN_POSITIVE;
-        largest(&opacities.mask_fill(sound.clone(), 0.0), count).0.bool_or(sound)
+        largest(&scene.opacities(), &sound.clone().bool_not(), count).0.bool_or(sound)
     }
 
     /// The part of the `room` left for more than `count` rows that the refinement at `step` may use, if so many are `wanted`. Copying

@@ -7,7 +7,7 @@ mod relocate;
 use burn::tensor::{DType, Device, Int, Tensor, activation::sigmoid};
 use rand::{Rng, RngExt};
 use serde::{Deserialize, Serialize};
-use splat_op::Splats;
+use splat_op::{Splats, read};
 
 use self::relocate::share;
 use super::noise::Noise;
@@ -95,14 +95,21 @@ impl Mcmc {
         let (rows, opacities) = (plain.len(), plain.opacities());
         let usable = opacities.clone().greater_elem(0.0);
         let lives = usable.clone().bool_and(plain.logit_opacities.val().greater_elem(logit(self.config.dead_opacity)));
-        let living = if rows == 0 { 0 } else { counts([lives.clone()])[0] };
+        if rows == 0 {
+            return Ok(None);
+        }
+        let weights = weights(opacities.clone().mask_fill(lives.clone().bool_not(), 0.0));
+        let total = weights.clone().narrow(0, rows - 1, 1);
+        let numbers: Vec<usize> =
+            read(Tensor::cat(vec![ones(lives.clone()).sum(), total], 0)).iter::<i64>().map(|n| n as usize).collect();
+        let (living, total) = (numbers[0], numbers[1]);
         // Without living Gaussians there is nothing to share.
-        if living == 0 {
+        if total == 0 {
             return Ok(None);
         }
         // The cap ends growth and removes no living Gaussian.
         let draws = rounded_down(self.grown(rows).max(living)).saturating_sub(living);
-        let drawn = drawn(opacities.clone().mask_fill(lives.clone().bool_not(), 0.0), draws, rng);
+        let drawn = drawn(weights, total, draws, rng);
         let shares = drawn.clone().greater_elem(0);
         let [sharing] = counts([shares.clone()]);
 
@@ -156,18 +163,22 @@ impl Mcmc {
     }
 }
 
-/// How often each row is drawn in `draws` draws with probabilities in the proportion of `opacities`, `[N]`: systematic resampling
-/// (Kitagawa 1996), which draws each row as often as expected, rounded up or down at random.
-fn drawn(opacities: Tensor<1>, draws: usize, rng: &mut dyn Rng) -> Tensor<1, Int> {
-    let [rows] = opacities.dims();
-    // Sums of whole numbers below 2^31, which are the same on every device.
-    let levels = (1_u64 << (30 - rows.max(1).next_power_of_two().ilog2().clamp(10, 30))) as f64;
-    let sums = running_sums((opacities * levels + 0.5).floor().int().cast(DType::I32)).float();
-    // The last sum comes to all draws, in spite of rounding.
-    let per_level = sums.clone().narrow(0, rows - 1, 1).recip() * (draws as f64 * (1.0 + 1e-6));
-    // Below one in f32 too, so that a row of no weight is not drawn.
-    let places = (sums * per_level.expand([rows]) + rng.random::<f32>()).floor().clamp_max(draws as f64);
-    let places = places.int().cast(DType::I32);
+/// Running sums of opacities, `[N]`, as whole numbers below 2^31, which are the same on every device.
+fn weights(opacities: Tensor<1>) -> Tensor<1, Int> {
+    let rows_bits = opacities.dims()[0].next_power_of_two().ilog2();
+    let levels = f64::from(1_u32 << (30 - rows_bits.clamp(10, 30)));
+    running_sums((opacities * levels + 0.5).floor().int().cast(DType::I32))
+}
+
+/// How often each row is drawn in `draws` draws with probabilities in the proportion of the weights whose running sums are `sums`,
+/// `[N]`, with the sum `total`: systematic resampling (Kitagawa 1996), which draws each row as often as expected, rounded up or down.
+/// A sum is rounded once, so that every device draws the same rows.
+fn drawn(sums: Tensor<1, Int>, total: usize, draws: usize, rng: &mut dyn Rng) -> Tensor<1, Int> {
+    let [rows] = sums.dims();
+    // Rows of no weight at the start are not drawn, and the last sum comes to all draws, in spite of rounding.
+    let start = 0.999 * rng.random::<f64>() * total as f64 / draws.max(1) as f64;
+    let per_weight = draws as f64 * (1.0 + 1e-6) / total as f64;
+    let places = ((sums + start as i64).float() * per_weight).floor().int().cast(DType::I32).clamp_max(draws as i64);
     let first = Tensor::zeros([1], (&places.device(), DType::I32));
     places.clone() - Tensor::cat(vec![first, places.narrow(0, 0, rows - 1)], 0)
 }

@@ -58,11 +58,13 @@ pub fn picked(order: &Tensor<1, Int>, mask: &Tensor<1, Bool>, count: usize) -> T
     order.clone().select(0, argsort(others, 1).narrow(0, 0, count))
 }
 
-/// The mask of the `count` rows with the largest of `values`, `[N]`, which are not negative, and the largest value of the others.
-/// Among equal values, later rows count as larger.
-pub fn largest(values: &Tensor<1>, count: usize) -> (Tensor<1, Bool>, Option<f64>) {
+/// The mask of the `count` rows of the mask `among` with the largest of `values`, `[N]`, which are not negative, and the largest value
+/// of the others. Among equal values, later rows count as larger.
+pub fn largest(values: &Tensor<1>, among: &Tensor<1, Bool>, count: usize) -> (Tensor<1, Bool>, Option<f64>) {
     let [rows] = values.dims();
-    let order = argsort_floats(values.clone());
+    // Zeros of the mask come after others.
+    let keys = (values.clone() + f64::from(f32::MIN_POSITIVE)).mask_fill(among.clone().bool_not(), 0.0);
+    let order = argsort_floats(keys);
     let next = (count < rows).then(|| order.clone().narrow(0, rows - count - 1, 1));
     let next = next.and_then(|row| read(values.clone().select(0, row)).iter::<f64>().next());
     (inverse(order).greater_equal_elem((rows - count) as i64), next)
@@ -128,13 +130,17 @@ mod tests {
             let mask = values.clone().greater_elem(1.0);
             assert_eq!(counts([mask.clone(), mask.clone().bool_not()]), [3, 2]);
             assert_eq!(ints(picked(&on(&device, &[4, 1, 3, 0, 2]), &mask, 3)), [4, 3, 2]);
-            for (count, expected, next) in [(0, vec![], Some(3.0)), (1, vec![4], Some(3.0)), (3, vec![2, 3, 4], Some(0.5))]
-            {
-                let (mask, found) = largest(&values, count);
+            let all = || values.clone().greater_equal_elem(0.0);
+            let cases = [(0, vec![], Some(3.0)), (1, vec![4], Some(3.0)), (3, vec![2, 3, 4], Some(0.5))];
+            for (count, expected, next) in cases {
+                let (mask, found) = largest(&values, &all(), count);
                 assert_eq!(ints(picked(&all_rows(5, &device), &mask, count)), expected, "{count}");
                 assert_eq!(found, next, "{count}");
             }
-            assert_eq!(largest(&values, 5).1, None);
+            assert_eq!(largest(&values, &all(), 5).1, None);
+            // Of those below one, zero too.
+            let (mask, next) = largest(&values, &mask.bool_not(), 2);
+            assert_eq!((ints(picked(&all_rows(5, &device), &mask, 2)), next), (vec![0, 1], Some(3.0)));
         }
     }
 

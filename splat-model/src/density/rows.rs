@@ -55,8 +55,7 @@ impl RowEdit {
         self
     }
 
-    /// Number of new rows.
-    pub fn added(&self) -> usize {
+    fn added(&self) -> usize {
         self.source.dims()[0] - self.kept
     }
 
@@ -123,9 +122,13 @@ impl Trained {
 
     fn check(&self, field: &'static str, values: &Tensor<2>, added: usize) -> Result<(), RowsError> {
         let sh_degree = self.gaussians.sh_degree();
-        let widths = [("means", 3), ("rotations", 4), ("log_scales", 3), ("logit_opacities", 1)];
-        let widths = widths.into_iter().chain([("sh", 3 * (sh_degree + 1) * (sh_degree + 1))]);
-        let width = widths.into_iter().find(|(name, _)| *name == field).map_or(0, |(_, width)| width);
+        let width = match field {
+            "means" | "log_scales" => 3,
+            "rotations" => 4,
+            "logit_opacities" => 1,
+            "sh" => 3 * (sh_degree + 1) * (sh_degree + 1),
+            _ => 0,
+        };
         let (found, expected) = (values.shape().num_elements(), added * width);
         match found == expected && width > 0 {
             true => Ok(()),

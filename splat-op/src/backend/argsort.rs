@@ -16,7 +16,7 @@ use crate::counters::count_twin_call;
 #[backend_extension(Cube: cfg(feature = "cube"), Flex, NdArray, Fusion: cfg(feature = "fusion"))]
 pub trait ArgsortBackend: Backend {
     /// Returns the order of whole numbers below `2^bits`, `[N]`, i32.
-    #[fusion(dtype = keys, shape = keys)]
+    #[fusion(dtype = burn::tensor::DType::I32, shape = keys)]
     fn argsort(keys: IntTensor<Self>, bits: u32) -> IntTensor<Self>;
 
     /// Returns the order of numbers in f32 that are not negative, `[N]`.
