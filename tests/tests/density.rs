@@ -12,6 +12,7 @@ use splat_model::density::{AdaptiveConfig, DensityConfig, McmcConfig, Observed, 
 use splat_model::gaussians::{GaussianRows, Gaussians};
 use splat_op::test_hooks::read_bytes;
 use splat_tests::places;
+use splat_tests::slope::slope_trainer;
 
 const EXTENT: f64 = 2.0;
 const STEP: usize = 600;
@@ -109,6 +110,22 @@ fn a_refinement_reads_back_counts_only() {
             println!("{name}, {count} Gaussians, {place:?}: {bytes} bytes, {seconds:.3} s");
             assert!((1..=BYTES).contains(&bytes), "{name}: {bytes} bytes read back at {count} Gaussians on {place:?}");
         }
+    }
+}
+
+/// Steps in between read the counts of `intersect` and the guard's verdict. (The counts are two numbers for each of at most 1,024 cubes.)
+#[test]
+fn a_step_reads_back_a_few_numbers() {
+    let _alone = ALONE.lock();
+    for place in places() {
+        let mut run = slope_trainer(&place.device);
+        run.step().expect("a sound run");
+        let before = read_bytes();
+        (0..100).for_each(|_| drop(run.step().expect("a sound run")));
+        place.device.sync().expect("the device is there");
+        let bytes = (read_bytes() - before) as f64 / 100.0;
+        println!("{}: {bytes} bytes a step", place.name);
+        assert!(bytes > 0.0 && bytes <= 64.0, "{}: {bytes} bytes read back a step", place.name);
     }
 }
 

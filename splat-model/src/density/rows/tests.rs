@@ -1,10 +1,9 @@
-use burn::tensor::{DType, Device, Distribution};
+use burn::tensor::{Device, Distribution};
 
 use super::*;
 use crate::density::rows_on;
 use crate::gaussians::GaussianRows;
 use crate::optim::{Adam, LearningRates};
-use crate::state::State;
 use crate::gaussians::testing::{devices, random_rows};
 use crate::gaussians::values_of;
 
