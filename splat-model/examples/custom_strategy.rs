@@ -3,11 +3,11 @@
 //! Run with a capture: `cargo run --release -p splat-model --example custom_strategy -- CAPTURE`.
 use std::path::Path;
 
-use burn::tensor::{Device, Tensor};
+use burn::tensor::{DType, Device, Tensor};
 use rand::Rng;
 use splat_model::capture::{Capture, load_all};
 use splat_model::density::rows::{RowEdit, Trained};
-use splat_model::density::{Observed, RefineReport, Signals, Strategy, StrategyContext};
+use splat_model::density::{Observed, RefineReport, Signals, Strategy, StrategyContext, counts, largest, picked};
 use splat_model::evaluate::evaluate;
 use splat_model::gaussians::RowsError;
 use splat_model::state::{State, StateError};
@@ -47,23 +47,19 @@ impl Strategy for Budget {
         if !self.acts_at(at.step) || at.step == at.steps {
             return Ok(None);
         }
-        let rows = scene.gaussians.to_rows();
-        let Some(Ok(pulled)) = self.pulled.take().map(|pulled| pulled.into_data().try_into_vec::<f32>()) else {
-            return Ok(None);
-        };
-        let mut edit = RowEdit::default();
-        edit.add.sh_degree = rows.sh_degree;
+        let Some(pulled) = self.pulled.take() else { return Ok(None) };
+        // All of this is on the device; only the number of rows to keep is read.
+        let rows = scene.gaussians.len();
+        let device = pulled.device();
         // The logit of 0.01.
-        edit.keep = (0..rows.len() as u32).filter(|row| rows.logit_opacities[*row as usize] > -4.6).collect();
-        let mut by_pull = edit.keep.clone();
-        by_pull.sort_by(|a, b| pulled[*b as usize].total_cmp(&pulled[*a as usize]));
-        let room = self.most.saturating_sub(edit.keep.len()).min(rows.len() / 5);
-        for row in by_pull.into_iter().take(room) {
-            edit.add.push(&rows, row as usize);
-        }
-        scene.edit(&edit)?;
-        let (cloned, pruned) = (edit.add.len(), rows.len() - edit.keep.len());
-        Ok(Some(RefineReport { cloned, pruned, ..RefineReport::default() }))
+        let stays = scene.gaussians.logit_opacities.val().inner().greater_elem(-4.6);
+        let [kept] = counts([stays.clone()]);
+        let cloned = self.most.saturating_sub(kept).min(kept / 5);
+        let (clones, _) = largest(&pulled, &stays, cloned);
+        let order = Tensor::arange(0..rows as i64, (&device, DType::I32));
+        let keep = picked(&order, &stays, kept);
+        scene.edit(&RowEdit::new(keep, picked(&order, &clones, cloned)))?;
+        Ok(Some(RefineReport { cloned, pruned: rows - kept, ..RefineReport::default() }))
     }
 
     // Saved so that an interrupted run continues without a difference.

@@ -6,7 +6,7 @@ use burn::module::{Module, Param};
 use burn::tensor::kind::Basic;
 use burn::tensor::{Device, Int, Tensor, TensorData, activation};
 use rayon::prelude::*;
-use splat_op::{Colour, RawSplats, Splats, activate, largest_tensor};
+use splat_op::{Colour, RawSplats, Splats, activate, largest_tensor, read};
 use thiserror::Error;
 
 /// The rows of a scene on the host, as in scene files. Row `i` of every field belongs to Gaussian `i`.
@@ -411,8 +411,13 @@ fn tensor<const D: usize>(values: Vec<f32>, shape: [usize; D], device: &Device) 
 
 /// All elements of a tensor, row-major.
 pub fn values_of<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
-    let data = tensor.into_data().convert::<f32>();
+    let data = read(tensor).convert::<f32>();
     data.try_into_vec().expect("converted to f32 in the line above")
+}
+
+/// The logit of an opacity: −∞ for 0.
+pub(crate) fn logit(opacity: f64) -> f64 {
+    (opacity / (1.0 - opacity)).ln()
 }
 
 /// The logistic function in f64: the opacity of a logit.

@@ -106,6 +106,10 @@ pub struct Trainer {
     /// How many photographs show the points that the run started from.
     seen: PointsSeen,
     step: usize,
+    /// `[3]`: the background of views without one of their own.
+    background: Tensor<1>,
+    /// `[N, 2]`: the values of the last step's probe, which nobody reads.
+    probe: Option<Tensor<2>>,
 }
 
 impl Trainer {
@@ -169,6 +173,8 @@ impl Trainer {
             queue: Vec::new(),
             seen,
             step: 0,
+            background: Tensor::from_floats(config.background, device),
+            probe: None,
             config,
         })
     }

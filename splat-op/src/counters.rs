@@ -9,6 +9,7 @@ static TWIN_CALLS: AtomicU64 = AtomicU64::new(0);
 static ALLOCATED: AtomicU64 = AtomicU64::new(0);
 static BOUND: AtomicU64 = AtomicU64::new(0);
 static IDLE_WAITS: AtomicU64 = AtomicU64::new(0);
+static READ: AtomicU64 = AtomicU64::new(0);
 static REPEATED_LISTS: AtomicU64 = AtomicU64::new(0);
 static CAPACITY: AtomicU64 = AtomicU64::new(u64::MAX);
 #[cfg(feature = "cube")]
@@ -34,6 +35,15 @@ pub fn bound_bytes() -> u64 {
 /// it waited for.
 pub fn idle_waits() -> u64 {
     IDLE_WAITS.load(Ordering::Relaxed)
+}
+
+/// Returns the bytes that [`crate::read`] and the operations of this crate have copied from devices to the host so far.
+pub fn read_bytes() -> u64 {
+    READ.load(Ordering::Relaxed)
+}
+
+pub(crate) fn count_read(bytes: u64) {
+    READ.fetch_add(bytes, Ordering::Relaxed);
 }
 
 /// Returns the number of views whose lists were written twice, because they were longer than expected.

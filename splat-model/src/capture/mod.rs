@@ -220,3 +220,11 @@ pub struct PointCloud {
     /// Display-referred colours, 0 to 255.
     pub colours: Vec<[u8; 3]>,
 }
+
+impl PointCloud {
+    /// Drops the points from `count` on.
+    pub fn truncate(&mut self, count: usize) {
+        self.positions.truncate(count);
+        self.colours.truncate(count);
+    }
+}

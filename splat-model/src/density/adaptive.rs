@@ -4,17 +4,18 @@
 mod config;
 mod division;
 
-use burn::tensor::{Device, Tensor};
+use burn::tensor::{Bool, Device, Int, Tensor};
 use rand::Rng;
 use splat_op::tally::{self, Tally};
 
 pub use self::config::{AdaptiveConfig, GRADUAL_OPACITY_WEIGHT};
 pub use self::division::Division;
-use self::division::{push_halves, push_parts};
-use super::order::morton_order;
+use self::division::{Divided, parts};
+use super::order::z_order;
+use super::pick::{counts, largest, picked, rows_on, whole};
 use super::rows::{RowEdit, Trained};
 use super::strategy::{Observed, RefineReport, Signals, Strategy, StrategyContext};
-use crate::gaussians::{self, GaussianRows, RowsError, values_of};
+use crate::gaussians::{Gaussians, RowsError, logit};
 use crate::state::{State, StateError};
 
 /// Largest multiple of [`AdaptiveConfig::growth`] that a refinement takes. A refinement that adds 28% raises the loss of the small demo
@@ -54,92 +55,113 @@ impl Adaptive {
     }
 
     fn densify(&mut self, scene: &mut Trained, step: usize, rng: &mut dyn Rng) -> Result<RefineReport, RowsError> {
-        let rows = scene.gaussians.to_rows();
-        let gradients = self.mean_gradients(rows.len());
-        let keep_largest = self.config.reset_every == 0 || step <= self.config.reset_every;
-        let doomed: Vec<bool> = (0..rows.len()).map(|i| self.is_doomed(&rows, i, keep_largest)).collect();
-        let wanted = |i: &usize| !doomed[*i] && f64::from(gradients[*i]) > self.config.grad_threshold;
-        let wanted = self.focused((0..rows.len()).filter(wanted).collect(), (&rows, &doomed), &gradients, step);
-        let (chosen, threshold) = self.choose(wanted, &gradients, &doomed, step);
-        let split_above = (self.config.split_scale * self.extent) as f32;
-
-        let mut report = RefineReport { threshold, ..Default::default() };
-        let mut edit = RowEdit::default();
-        edit.add.sh_degree = rows.sh_degree;
-        edit.add.reserve_exact(2 * chosen.len());
-        let mut replaced = doomed.clone();
-        for &i in &chosen {
-            let halves = self.config.division == Division::LongAxis;
-            if !halves && largest_scale(&rows, i) <= split_above {
-                report.cloned += 1;
-                edit.add.push(&rows, i);
-                continue;
-            }
-            replaced[i] = true;
-            report.split += 1;
-            if halves {
-                push_halves(&mut edit.add, &rows, i);
-            } else {
-                push_parts(&mut edit.add, &rows, i, rng);
-            }
+        let plain = scene.gaussians.untracked();
+        if plain.is_empty() {
+            return Ok(RefineReport { threshold: self.config.grad_threshold, ..RefineReport::default() });
         }
-        edit.keep = morton_order(&rows.means).into_iter().filter(|&row| !replaced[row as usize]).collect();
-        report.pruned = doomed.iter().filter(|&&gone| gone).count();
-        drop(rows);
+        let gradients = self.mean_gradients(&plain);
+        let usable = plain.opacities().greater_elem(0.0);
+        let sound = self.sound(&plain, &usable, step);
+        let wanted = gradients.clone().greater_elem(self.config.grad_threshold).bool_and(sound.clone());
+        let Chosen { rows: chosen, count, threshold, surviving, spared } =
+            self.choose(&plain, (&sound, wanted), &gradients, step);
+        let sound = if spared > 0 { self.spare(&plain, sound, spared) } else { sound };
+
+        // Those that are split make place for their parts.
+        let halves = self.config.division == Division::LongAxis;
+        let (splits, split) = if halves {
+            (chosen.clone(), count)
+        } else {
+            let above = (self.config.split_scale * self.extent).ln();
+            let splits = chosen.clone().bool_and(largest_log_scale(&plain).greater_elem(above));
+            (splits.clone(), if count == 0 { 0 } else { counts([splits])[0] })
+        };
+        let (kept, cloned) = (surviving - split, count - split);
+        let order = z_order(&plain.means.val(), &usable);
+        let keep = picked(&order, &sound.bool_and(splits.clone().bool_not()), kept);
+        let rows = |mask: &Tensor<1, Bool>, count| picked(&order, mask, count);
+        let edit = match (cloned, split) {
+            (0, 0) => RowEdit::new(keep, rows_on(&order.device(), &[])),
+            (_, 0) => RowEdit::new(keep, rows(&chosen, cloned)),
+            _ => {
+                let clones = (cloned > 0).then(|| rows(&chosen.bool_and(splits.clone().bool_not()), cloned));
+                let splits = rows(&splits, split);
+                let twice = Tensor::cat(vec![splits.clone(), splits.clone()], 0);
+                let parts =
+                    if halves { division::halves(&plain, &splits) } else { parts(&plain, &twice, rng.next_u64()) };
+                with_parts(&plain, keep, clones, twice, parts)
+            }
+        };
+        let pruned = plain.len() - surviving;
+        drop(plain);
         scene.edit(&edit)?;
         self.limit_elongation(scene);
         self.seen = None;
-        Ok(report)
+        Ok(RefineReport { cloned, split, pruned, threshold })
     }
 
-    /// Mean gradient of each Gaussian over the steps in which it was visible.
-    fn mean_gradients(&mut self, count: usize) -> Vec<f32> {
+    /// `[N]`: mean gradient of each Gaussian over the steps in which it was visible.
+    fn mean_gradients(&mut self, scene: &Gaussians) -> Tensor<1> {
         match self.seen.take() {
-            Some(Tally { sums, counts }) => values_of(sums / counts.clamp_min(1.0)),
-            None => vec![0.0; count],
+            Some(Tally { sums, counts }) => sums / counts.clamp_min(1.0),
+            None => scene.logit_opacities.val().zeros_like(),
         }
     }
 
-    /// Whether a Gaussian is too faint, too large, or unusable. No optimiser step makes a non-finite value finite.
-    fn is_doomed(&self, rows: &GaussianRows, i: usize, keep_largest: bool) -> bool {
-        let opacity = gaussians::sigmoid(rows.logit_opacities[i]);
-        let largest = f64::from(largest_scale(rows, i));
-        let sound = opacity >= self.config.prune_opacity && rows.is_usable(i);
-        !(sound && (keep_largest || largest <= self.config.prune_scale * self.extent))
+    /// `[N]`: whether each Gaussian is neither too faint nor too large nor unusable. No optimiser step makes a non-finite value finite.
+    fn sound(&self, scene: &Gaussians, usable: &Tensor<1, Bool>, step: usize) -> Tensor<1, Bool> {
+        let seen = scene.logit_opacities.val().greater_equal_elem(logit(self.config.prune_opacity));
+        let sound = seen.bool_and(usable.clone());
+        if self.config.reset_every == 0 || step <= self.config.reset_every {
+            return sound;
+        }
+        let most = (self.config.prune_scale * self.extent).ln();
+        sound.bool_and(largest_log_scale(scene).lower_equal_elem(most))
     }
 
-    /// The rows to copy or split of those that are wanted, in order: beyond the focus only as many as still fit into its share, those
-    /// with the largest gradients.
-    fn focused(
+    /// Selects the rows to copy or split of those that are `wanted`. The largest gradients are chosen where there is not room for all.
+    fn choose(
         &self,
-        mut wanted: Vec<usize>,
-        (rows, doomed): (&GaussianRows, &[bool]),
-        gradients: &[f32],
+        scene: &Gaussians,
+        (sound, mut wanted): (&Tensor<1, Bool>, Tensor<1, Bool>),
+        gradients: &Tensor<1>,
         step: usize,
-    ) -> Vec<usize> {
-        let Some(focus) = self.config.focus else { return wanted };
-        let surviving = (0..rows.len()).filter(|&i| !doomed[i] && focus.is_beyond(rows, i)).count();
-        let most = (focus.beyond_share * self.config.max_splats as f64) as usize;
-        let mut beyond: Vec<usize> = wanted.extract_if(.., |i| focus.is_beyond(rows, *i)).collect();
-        let room = self.paced(most.saturating_sub(surviving), (surviving, beyond.len()), step);
-        by_gradient(&mut beyond, gradients);
-        wanted.extend(beyond.into_iter().take(room));
-        wanted.sort_unstable();
-        wanted
+    ) -> Chosen {
+        let (surviving, mut count);
+        match self.config.focus {
+            None => [surviving, count] = counts([sound.clone(), wanted.clone()]),
+            Some(focus) => {
+                let beyond = focus.beyond(&scene.means.val());
+                let far = wanted.clone().bool_and(beyond.clone());
+                let far_sound = sound.clone().bool_and(beyond);
+                let [all, all_wanted, surviving_far, wanted_far] =
+                    counts([sound.clone(), wanted.clone(), far_sound, far.clone()]);
+                (surviving, count) = (all, all_wanted);
+                // Beyond the focus only as many as still fit into its share.
+                let most = (focus.beyond_share * self.config.max_splats as f64) as usize;
+                let room = self.paced(most.saturating_sub(surviving_far), (surviving_far, wanted_far), step);
+                if room < wanted_far {
+                    let admitted = largest(gradients, &far, room).0;
+                    wanted = wanted.bool_and(far.bool_not().bool_or(admitted));
+                    count -= wanted_far - room;
+                }
+            }
+        }
+        let room = self.paced(self.config.max_splats.saturating_sub(surviving), (surviving, count), step);
+        let (most, spared) = whole(surviving, count.min(room), gradients.dims()[0] - surviving);
+        let (rows, threshold) = if most == count {
+            (wanted, self.config.grad_threshold)
+        } else {
+            let (rows, next) = largest(gradients, &wanted, most);
+            (rows, next.unwrap_or(self.config.grad_threshold))
+        };
+        Chosen { rows, count: most, threshold, surviving: surviving + spared, spared }
     }
 
-    /// Selects the rows to copy or split of those that are wanted, in order, and returns the threshold of the selection.
-    fn choose(&self, mut chosen: Vec<usize>, gradients: &[f32], doomed: &[bool], step: usize) -> (Vec<usize>, f64) {
-        let surviving = doomed.iter().filter(|&&gone| !gone).count();
-        let room = self.paced(self.config.max_splats.saturating_sub(surviving), (surviving, chosen.len()), step);
-        if chosen.len() <= room {
-            return (chosen, self.config.grad_threshold);
-        }
-        by_gradient(&mut chosen, gradients);
-        let threshold = f64::from(gradients[chosen[room]]);
-        chosen.truncate(room);
-        chosen.sort_unstable();
-        (chosen, threshold)
+    /// `sound` and the most opaque `count` of the other rows.
+    fn spare(&self, scene: &Gaussians, sound: Tensor<1, Bool>, count: usize) -> Tensor<1, Bool> {
+        // Opacities are zero where a row is unusable, and those come last.
+        largest(&scene.opacities(), &sound.clone().bool_not(), count).0.bool_or(sound)
     }
 
     /// The part of the `room` left for more than `count` rows that the refinement at `step` may use, if so many are `wanted`. Copying
@@ -241,13 +263,43 @@ fn tallied(tally: Option<Tally>, grad: Tensor<2>, per_axis: [f32; 2]) -> Tally {
     }
 }
 
-/// Sorts rows by falling gradient.
-fn by_gradient(rows: &mut [usize], gradients: &[f32]) {
-    rows.sort_by(|&a, &b| gradients[b].total_cmp(&gradients[a]).then(a.cmp(&b)));
+/// The rows to copy or split.
+struct Chosen {
+    /// `[N]`.
+    rows: Tensor<1, Bool>,
+    count: usize,
+    /// Gradient above which rows are chosen.
+    threshold: f64,
+    /// Number of rows that are not removed, with those of `spared`.
+    surviving: usize,
+    /// Number of rows that stay although they are not sound, for the sake of their number.
+    spared: usize,
 }
 
-fn largest_scale(rows: &GaussianRows, i: usize) -> f32 {
-    rows.log_scales[i].iter().fold(f32::NEG_INFINITY, |largest, log| largest.max(*log)).exp()
+/// The edit that copies `clones` and replaces others by their parts, whose rows come from `whole`.
+fn with_parts(
+    scene: &Gaussians,
+    keep: Tensor<1, Int>,
+    clones: Option<Tensor<1, Int>>,
+    whole: Tensor<1, Int>,
+    parts: Divided,
+) -> RowEdit {
+    let Divided { means, log_scales, logit_opacities } = parts;
+    let Some(clones) = clones else {
+        let edit = RowEdit::new(keep, whole).with("means", means).with("log_scales", log_scales);
+        return edit.with("logit_opacities", logit_opacities);
+    };
+    let after = |values: Tensor<2>, parts| Tensor::cat(vec![values.select(0, clones.clone()), parts], 0);
+    let edit = RowEdit::new(keep, Tensor::cat(vec![clones.clone(), whole], 0));
+    let logits = scene.logit_opacities.val().select(0, clones.clone());
+    edit.with("means", after(scene.means.val(), means))
+        .with("log_scales", after(scene.log_scales.val(), log_scales))
+        .with("logit_opacities", Tensor::cat(vec![logits, logit_opacities], 0))
+}
+
+/// `[N]`: logarithm of each Gaussian's largest standard deviation.
+fn largest_log_scale(scene: &Gaussians) -> Tensor<1> {
+    scene.log_scales.val().max_dim(1).squeeze_dim(1)
 }
 
 #[cfg(test)]

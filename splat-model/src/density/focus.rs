@@ -1,10 +1,9 @@
 //! Growth in a part of the scene.
 
-use glam::Vec3;
+use burn::tensor::{Bool, Tensor};
 use serde::{Deserialize, Serialize};
 
 use crate::capture::blocks::Bounds;
-use crate::gaussians::GaussianRows;
 
 /// The part of a scene in which Gaussians are added freely. Beyond it they may take a share of the rows only, so that a block's
 /// surroundings are there and remain coarse.
@@ -26,8 +25,18 @@ impl Focus {
         Self { bounds, beyond_share: Self::BEYOND_SHARE }
     }
 
-    /// Whether Gaussian `i` lies beyond the bounds.
-    pub(super) fn is_beyond(&self, rows: &GaussianRows, i: usize) -> bool {
-        !self.bounds.contains(Vec3::from(rows.means[i]).as_dvec3())
+    /// `[N]`: whether each of `means`, `[N, 3]`, lies beyond the bounds ([`Bounds::contains`]).
+    pub(super) fn beyond(&self, means: &Tensor<2>) -> Tensor<1, Bool> {
+        let [count, _] = means.dims();
+        let Bounds { box_from_world, low, high } = self.bounds;
+        let coordinate = |axis: usize| means.clone().narrow(1, axis, 1).reshape([count]);
+        let within = (0..3).flat_map(|axis| {
+            let [x, y, z] = box_from_world[axis];
+            let local = coordinate(0) * x + coordinate(1) * y + coordinate(2) * z;
+            let above = low[axis].map(|low| local.clone().greater_equal_elem(low));
+            [above, high[axis].map(|high| local.lower_elem(high))]
+        });
+        let within = within.flatten().reduce(Tensor::bool_and);
+        within.map_or_else(|| coordinate(0).greater_elem(f32::INFINITY), Tensor::bool_not)
     }
 }

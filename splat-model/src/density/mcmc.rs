@@ -4,19 +4,19 @@
 
 mod relocate;
 
-use burn::tensor::{Device, Tensor, activation::sigmoid};
-use rand::Rng;
-use rand::distr::Distribution;
-use rand::distr::weighted::WeightedIndex;
+use burn::tensor::{DType, Device, Int, Tensor, activation::sigmoid};
+use rand::{Rng, RngExt};
 use serde::{Deserialize, Serialize};
-use splat_op::Splats;
+use splat_op::{Splats, read};
 
 use self::relocate::share;
 use super::noise::Noise;
-use super::order::morton_order;
+use super::order::z_order;
+use super::pick::{counts, ones, picked, repeated, rounded_down, rows_on, running_sums};
 use super::rows::{RowEdit, Trained};
 use super::strategy::{RefineReport, Strategy, StrategyContext};
-use crate::gaussians::{self, GaussianRows, Gaussians, RowsError};
+use super::turn::{rotated, unit};
+use crate::gaussians::{GaussianRows, Gaussians, RowsError, logit};
 use crate::loss::regularise;
 use crate::state::{State, StateError};
 
@@ -91,46 +91,48 @@ impl Mcmc {
     /// proportional to its opacity and shares its opacity and size with all new ones at its position. (The paper draws for
     /// the dead first and then for the additional ones. One draw for both is equivalent.)
     fn refine(&self, scene: &mut Trained, rng: &mut dyn Rng) -> Result<Option<RefineReport>, RowsError> {
-        let rows = scene.gaussians.to_rows();
-        let opacities: Vec<f64> = (0..rows.len()).map(|i| self.opacity_of_living(&rows, i)).collect();
-        let living = opacities.iter().filter(|opacity| **opacity > 0.0).count();
-        // Without living Gaussians there is nothing to share.
-        let Ok(by_opacity) = WeightedIndex::new(&opacities) else { return Ok(None) };
-        // The cap ends growth and removes no living Gaussian.
-        let wanted = self.grown(rows.len()).max(living);
-        let mut drawn = vec![0_usize; rows.len()];
-        (living..wanted).for_each(|_| drawn[by_opacity.sample(rng)] += 1);
-
-        let mut edit = RowEdit::default();
-        edit.add.sh_degree = rows.sh_degree;
-        edit.add.reserve_exact(drawn.iter().filter(|more| **more > 0).map(|more| more + 1).sum());
-        for (i, &more) in drawn.iter().enumerate().filter(|(_, more)| **more > 0) {
-            let (opacity, factor) = share(opacities[i], more + 1);
-            let add = &mut edit.add;
-            for _ in 0..=more {
-                add.push(&rows, i);
-                let last = add.len() - 1;
-                add.logit_opacities[last] = (opacity / (1.0 - opacity)).ln() as f32;
-                add.log_scales[last] = rows.log_scales[i].map(|log| log + factor.ln() as f32);
-            }
+        let plain = scene.gaussians.untracked();
+        let (rows, opacities) = (plain.len(), plain.opacities());
+        let usable = opacities.clone().greater_elem(0.0);
+        let lives = usable.clone().bool_and(plain.logit_opacities.val().greater_elem(logit(self.config.dead_opacity)));
+        if rows == 0 {
+            return Ok(None);
         }
-        let stays = |row: &u32| opacities[*row as usize] > 0.0 && drawn[*row as usize] == 0;
-        edit.keep = morton_order(&rows.means).into_iter().filter(stays).collect();
-        let (cloned, pruned) = (wanted - living, rows.len() - living);
-        drop(rows);
+        let weights = weights(opacities.clone().mask_fill(lives.clone().bool_not(), 0.0));
+        let total = weights.clone().narrow(0, rows - 1, 1);
+        let numbers: Vec<usize> =
+            read(Tensor::cat(vec![ones(lives.clone()).sum(), total], 0)).iter::<i64>().map(|n| n as usize).collect();
+        let (living, total) = (numbers[0], numbers[1]);
+        // Without living Gaussians there is nothing to share.
+        if total == 0 {
+            return Ok(None);
+        }
+        // The cap ends growth and removes no living Gaussian.
+        let draws = rounded_down(self.grown(rows).max(living)).saturating_sub(living);
+        let drawn = drawn(weights, total, draws, rng);
+        let shares = drawn.clone().greater_elem(0);
+        let [sharing] = counts([shares.clone()]);
+
+        let order = z_order(&plain.means.val(), &usable);
+        let keep = picked(&order, &lives.bool_and(shares.clone().bool_not()), living - sharing);
+        let edit = if sharing == 0 {
+            RowEdit::new(keep, rows_on(&order.device(), &[]))
+        } else {
+            let new = repeated(drawn.clone() + ones(shares), draws + sharing);
+            let together = (drawn.select(0, new.clone()) + 1).float().cast(opacities.dtype());
+            let (each, factor) = share(opacities.select(0, new.clone()), together);
+            let log_scales = plain.log_scales.val().select(0, new.clone()) + factor.log().unsqueeze_dim::<2>(1);
+            let logits = each.clone().log() - each.neg().log1p();
+            RowEdit::new(keep, new).with("log_scales", log_scales).with("logit_opacities", logits)
+        };
+        drop(plain);
         scene.edit(&edit)?;
-        Ok(Some(RefineReport { cloned, pruned, ..RefineReport::default() }))
+        Ok(Some(RefineReport { cloned: draws, pruned: rows - living, ..RefineReport::default() }))
     }
 
     /// Number of Gaussians to reach from `count` in a refinement.
     fn grown(&self, count: usize) -> usize {
         ((count as f64 * self.config.growth) as usize).min(self.config.max_splats)
-    }
-
-    /// The opacity of a living Gaussian. 0 for a dead or unusable one.
-    fn opacity_of_living(&self, rows: &GaussianRows, i: usize) -> f64 {
-        let opacity = gaussians::sigmoid(rows.logit_opacities[i]);
-        if rows.is_usable(i) && opacity > self.config.dead_opacity { opacity } else { 0.0 }
     }
 
     /// Adds noise to the centres: `λ Σ η σ(k (t − o))`, with `λ` the learning rate times [`McmcConfig::noise`], `Σ` the
@@ -161,20 +163,24 @@ impl Mcmc {
     }
 }
 
-/// Real part, `[N, 1]`, and imaginary parts, `[N, 3]`, of the normalised quaternions `[N, 4]`, wxyz.
-fn unit(quaternions: Tensor<2>) -> (Tensor<2>, Tensor<2>) {
-    // Divided by the largest component first, because its square may overflow or underflow in f32.
-    let largest = quaternions.clone().abs().max_dim(1);
-    let sized = quaternions / largest;
-    let length = sized.clone().square().sum_dim(1).sqrt();
-    let unit = sized / length;
-    (unit.clone().narrow(1, 0, 1), unit.narrow(1, 1, 3))
+/// Running sums of opacities, `[N]`, as whole numbers below 2^31, which are the same on every device.
+fn weights(opacities: Tensor<1>) -> Tensor<1, Int> {
+    let rows_bits = opacities.dims()[0].next_power_of_two().ilog2();
+    let levels = f64::from(1_u32 << (30 - rows_bits.clamp(10, 30)));
+    running_sums((opacities * levels + 0.5).floor().int().cast(DType::I32))
 }
 
-/// Rotates `v` by unit quaternions: `v + 2 w (u × v) + 2 u × (u × v)`.
-fn rotated(v: Tensor<2>, w: Tensor<2>, u: Tensor<2>) -> Tensor<2> {
-    let twice = u.clone().cross(v.clone(), 1) * 2.0;
-    v + twice.clone() * w + u.cross(twice, 1)
+/// How often each row is drawn in `draws` draws with probabilities in the proportion of the weights whose running sums are `sums`,
+/// `[N]`, with the sum `total`: systematic resampling (Kitagawa 1996), which draws each row as often as expected, rounded up or down.
+/// A sum is rounded once, so that every device draws the same rows.
+fn drawn(sums: Tensor<1, Int>, total: usize, draws: usize, rng: &mut dyn Rng) -> Tensor<1, Int> {
+    let [rows] = sums.dims();
+    // Rows of no weight at the start are not drawn, and the last sum comes to all draws, in spite of rounding.
+    let start = 0.999 * rng.random::<f64>() * total as f64 / draws.max(1) as f64;
+    let per_weight = draws as f64 * (1.0 + 1e-6) / total as f64;
+    let places = ((sums + start as i64).float() * per_weight).floor().int().cast(DType::I32).clamp_max(draws as i64);
+    let first = Tensor::zeros([1], (&places.device(), DType::I32));
+    places.clone() - Tensor::cat(vec![first, places.narrow(0, 0, rows - 1)], 0)
 }
 
 impl Strategy for Mcmc {

@@ -1,8 +1,44 @@
 //! The order of Gaussians in memory: neighbours in space are neighbours in memory, so that the Gaussians of one tile are
 //! close together.
 
+use burn::tensor::{Bool, DType, Int, Tensor};
 use glam::Vec3;
 use rayon::prelude::*;
+use splat_op::argsort::argsort;
+
+/// Bits of a coordinate in one key of the order on a device, and keys.
+const AXIS_BITS: u32 = 10;
+
+/// The order of the rows `usable`, `[N]`, of `means`, `[N, 3]`, world frame, along the Z-order curve (Morton 1966) through their
+/// bounding box, in cells of a millionth of its longest side. Rows of one cell keep their order. Other rows are anywhere among them.
+pub(super) fn z_order(means: &Tensor<2>, usable: &Tensor<1, Bool>) -> Tensor<1, Int> {
+    let [count, _] = means.dims();
+    let unusable = usable.clone().bool_not().reshape([count, 1]).expand([count, 3]);
+    // Both bounds in one reduction. An unusable row is as far inside as the device's numbers reach.
+    let inside = |values: Tensor<2>| values.mask_fill(unusable.clone(), f32::MAX).swap_dims(0, 1);
+    let bounds = Tensor::cat(vec![inside(means.clone()), inside(means.clone().neg())], 0).min_dim(1);
+    let low = bounds.clone().narrow(0, 0, 3);
+    // Halves, because the bounding box of finite f32 numbers may be larger than the largest f32.
+    let side = (bounds.narrow(0, 3, 3).neg() * 0.5 - low.clone() * 0.5).max_dim(0);
+    let cells = f64::from(1 << (2 * AXIS_BITS)) - 1.0;
+    let half_places = (means.clone() * 0.5 - (low * 0.5).swap_dims(0, 1)) / side.clamp_min(f32::MIN_POSITIVE);
+    let places = (half_places * cells).clamp(0.0, cells).mask_fill(unusable, 0.0).floor().int().cast(DType::I32);
+    let coarse = interleaved(places.clone().bitwise_right_shift_scalar(AXIS_BITS as i32));
+    let fine = interleaved(places.bitwise_and_scalar((1 << AXIS_BITS) - 1));
+    let by_fine = argsort(fine, 3 * AXIS_BITS);
+    by_fine.clone().select(0, argsort(coarse.select(0, by_fine), 3 * AXIS_BITS))
+}
+
+/// `[N]`: the bits of three numbers of ten bits, `[N, 3]`, in turn.
+fn interleaved(places: Tensor<2, Int>) -> Tensor<1, Int> {
+    let [count, _] = places.dims();
+    let spread = [(16, 0x0300_00ff), (8, 0x0300_f00f), (4, 0x030c_30c3), (2, 0x0924_9249)];
+    let spread = spread.into_iter().fold(places, |bits, (by, mask): (i32, i32)| {
+        bits.clone().bitwise_or(bits.bitwise_left_shift_scalar(by)).bitwise_and_scalar(mask)
+    });
+    let axis = |axis: usize| spread.clone().narrow(1, axis, 1).reshape([count]);
+    axis(0) + axis(1) * 2 + axis(2) * 4
+}
 
 /// The order of `means`, world frame, along the Z-order curve (Morton 1966) through the bounding box of all finite rows.
 /// Non-finite rows come last. Rows of one cell keep their order.

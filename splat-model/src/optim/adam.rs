@@ -74,7 +74,7 @@ impl Adam {
         moments: &mut Moments<D>,
         t: usize,
     ) -> Tensor<D> {
-        let Stored::Full { m, v } = moments.take().0 else { panic!("packed moments have no form in tensors") };
+        let Stored::Full { m, v } = moments.take() else { panic!("packed moments have no form in tensors") };
         let (param, m, v) = step_in_tensors(&self.factors(lr.into(), t), param, grad, (m, v));
         *moments = Moments::full(m, v);
         param
@@ -91,12 +91,12 @@ impl Adam {
     ) -> Tensor<D> {
         assert_eq!(param.shape(), grad.shape(), "a gradient has the shape of its parameter");
         let factors = self.factors(lr.into(), t);
-        let (m, v) = match moments.take().0 {
+        let (m, v) = match moments.take() {
             Stored::Full { m, v } => (m, v),
             Stored::Packed { words, packing } => {
                 let factors = PackedFactors { factors, packing, step: t as u32 };
                 let (param, words) = packed_step(param, grad, words, &factors, verdict);
-                *moments = Moments(Stored::Packed { words, packing });
+                *moments = Moments::packed(words, packing);
                 return param;
             }
         };

@@ -8,7 +8,6 @@ use burn::tensor::{DType, Device, Int, Tensor};
 use serde::{Deserialize, Serialize};
 use splat_op::adam::packed::Packing;
 
-use crate::gaussians::joined;
 use crate::state::{State, StateError};
 
 /// Bits of each of Adam's moments. Fewer take less memory and make steps less exact (see [`splat_op::adam::packed`]).
@@ -80,7 +79,7 @@ impl FromStr for MomentBits {
 /// They are the paper's `m` and `v` divided by `1 − β₁` and `1 − β₂`, which saves two passes over memory per step; scalar
 /// factors compensate for it. Zero means "no history", and rows may be moved, copied or zeroed with the parameter's.
 #[derive(Clone, Debug)]
-pub struct Moments<const D: usize>(pub(crate) Stored<D>);
+pub struct Moments<const D: usize>(Option<Stored<D>>);
 
 /// How moments are stored.
 #[derive(Clone, Debug)]
@@ -114,7 +113,7 @@ impl<const D: usize> Moments<D> {
             return Self::full(m.zeros_like(), m);
         };
         let shape = words_shape(param.dims(), packing);
-        Self(Stored::Packed { words: Tensor::zeros(shape, (&param.device().inner(), DType::I32)), packing })
+        Self::packed(Tensor::zeros(shape, (&param.device().inner(), DType::I32)), packing)
     }
 
     /// Moments without history and with as many bits, for another parameter.
@@ -123,48 +122,39 @@ impl<const D: usize> Moments<D> {
     }
 
     pub(crate) fn full(m: Tensor<D>, v: Tensor<D>) -> Self {
-        Self(Stored::Full { m, v })
+        Self(Some(Stored::Full { m, v }))
+    }
+
+    pub(crate) fn packed(words: Tensor<2, Int>, packing: Packing) -> Self {
+        Self(Some(Stored::Packed { words, packing }))
+    }
+
+    pub(crate) fn stored(&self) -> &Stored<D> {
+        self.0.as_ref().expect("whoever takes moments puts others in their place")
+    }
+
+    /// Moves the sums out, so that no other reference exists. Moments of the next step take their place.
+    pub(crate) fn take(&mut self) -> Stored<D> {
+        self.0.take().expect("whoever takes moments puts others in their place")
     }
 
     /// Bits of each moment.
     pub fn bits(&self) -> MomentBits {
-        match self.0 {
+        match self.stored() {
             Stored::Full { .. } => MomentBits::ThirtyTwo,
             Stored::Packed { packing: Packing::Sixteen, .. } => MomentBits::Sixteen,
             Stored::Packed { packing: Packing::Eight, .. } => MomentBits::Eight,
         }
     }
 
-    /// Moves the sums out, so that no other reference exists.
-    pub(crate) fn take(&mut self) -> Self {
-        fn emptied<const R: usize, K: Basic>(tensor: &mut Tensor<R, K>) -> Tensor<R, K> {
-            let empty = Tensor::empty([0; R], (&tensor.device(), tensor.dtype()));
-            std::mem::replace(tensor, empty)
-        }
-        Self(match &mut self.0 {
-            Stored::Full { m, v } => Stored::Full { m: emptied(m), v: emptied(v) },
-            Stored::Packed { words, packing } => Stored::Packed { words: emptied(words), packing: *packing },
-        })
-    }
-
-    /// Changes the tensors in place: `full` both sums, or `packed` the words.
-    fn map(
-        &mut self,
-        full: impl Fn(Tensor<D>) -> Tensor<D>,
-        packed: impl FnOnce(Tensor<2, Int>, Packing) -> Tensor<2, Int>,
-    ) {
-        match &mut self.0 {
-            Stored::Full { m, v } => {
-                m.inplace(&full);
-                v.inplace(&full);
-            }
-            Stored::Packed { words, packing } => words.inplace(|words| packed(words, *packing)),
-        }
-    }
-
-    /// Keeps the rows `keep`, `[K]`, and appends `added` rows without history.
-    pub(crate) fn edit(&mut self, keep: &Tensor<1, Int>, added: usize) {
-        self.map(|sums| edited(sums, keep, added), |words, _| edited(words, keep, added));
+    /// The moments of the rows `source`, `[M]`, which are counted through all blocks. Those from row `kept` on have no history.
+    pub(crate) fn gathered(blocks: &[Stored<D>], source: &Tensor<1, Int>, kept: usize) -> Self {
+        let Stored::Packed { packing, .. } = blocks[0] else {
+            let (m, v): (Vec<_>, Vec<_>) = blocks.iter().filter_map(Stored::sums).unzip();
+            return Self::full(continued(&m, source, kept), continued(&v, source, kept));
+        };
+        let words: Vec<_> = blocks.iter().filter_map(Stored::words).collect();
+        Self::packed(continued(&words, source, kept), packing)
     }
 
     /// Some rows, on a device.
@@ -179,17 +169,15 @@ impl<const D: usize> Moments<D> {
             let part = if count == all.dims()[0] { all } else { all.narrow(0, first, count) };
             part.to_device(device)
         }
-        Self(match &self.0 {
-            Stored::Full { m, v } => Stored::Full { m: of(m, first, count, device), v: of(v, first, count, device) },
-            Stored::Packed { words, packing } => {
-                Stored::Packed { words: of(words, first, count, device), packing: *packing }
-            }
-        })
+        match self.stored() {
+            Stored::Full { m, v } => Self::full(of(m, first, count, device), of(v, first, count, device)),
+            Stored::Packed { words, packing } => Self::packed(of(words, first, count, device), *packing),
+        }
     }
 
     /// Saves the moments.
     pub fn save(&self, to: &mut State) {
-        match &self.0 {
+        match self.stored() {
             Stored::Full { m, v } => {
                 to.put("m", m.clone());
                 to.put("v", v.clone());
@@ -221,39 +209,35 @@ impl<const D: usize> Moments<D> {
             return Ok(Self::full(m?, v?));
         };
         let words = from.take_words(&format!("moments{bits}"), words_shape(shape, packing), device)?;
-        Ok(Self(Stored::Packed { words, packing }))
+        Ok(Self::packed(words, packing))
     }
 }
 
 impl Moments<3> {
     /// Extends each row to `coefficients` coefficients, the new ones without history.
     pub(crate) fn grow(&mut self, coefficients: usize, channels: usize) {
-        self.map(
-            |sums| grown(sums, coefficients),
+        *self = match self.take() {
+            Stored::Full { m, v } => Self::full(grown(m, coefficients), grown(v, coefficients)),
             // Codes beyond the end of a row are zero.
-            |words, packing| grown(words, packing.words_per_row(coefficients * channels)),
-        );
+            Stored::Packed { words, packing } => {
+                Self::packed(grown(words, packing.words_per_row(coefficients * channels)), packing)
+            }
+        };
+    }
+}
+
+impl<const D: usize> Stored<D> {
+    fn sums(&self) -> Option<(Tensor<D>, Tensor<D>)> {
+        match self {
+            Self::Full { m, v } => Some((m.clone(), v.clone())),
+            Self::Packed { .. } => None,
+        }
     }
 
-    /// The moments of several blocks of rows as one.
-    pub(crate) fn join(blocks: Vec<Self>) -> Self {
-        let (mut of_m, mut of_v, mut of_words) = (Vec::new(), Vec::new(), Vec::new());
-        let mut found = None;
-        for Self(block) in blocks {
-            match block {
-                Stored::Full { m, v } => {
-                    of_m.push(m);
-                    of_v.push(v);
-                }
-                Stored::Packed { words, packing } => {
-                    of_words.push(words);
-                    found = Some(packing);
-                }
-            }
-        }
-        match found {
-            Some(packing) => Self(Stored::Packed { words: joined(of_words), packing }),
-            None => Self::full(joined(of_m), joined(of_v)),
+    fn words(&self) -> Option<Tensor<2, Int>> {
+        match self {
+            Self::Full { .. } => None,
+            Self::Packed { words, .. } => Some(words.clone()),
         }
     }
 }
@@ -263,12 +247,41 @@ fn words_shape<const D: usize>(shape: [usize; D], packing: Packing) -> [usize; 2
     [shape[0], packing.words_per_row(shape[1..].iter().product())]
 }
 
-/// The rows `keep`, `[K]`, followed by `added` rows of zeros.
-fn edited<const R: usize, K: Basic>(old: Tensor<R, K>, keep: &Tensor<1, Int>, added: usize) -> Tensor<R, K> {
-    let mut shape = old.dims();
-    shape[0] = added;
+/// The first `kept` of the rows `source`, `[M]`, of several blocks, followed by rows of zeros.
+fn continued<const R: usize, K: Basic>(blocks: &[Tensor<R, K>], source: &Tensor<1, Int>, kept: usize) -> Tensor<R, K> {
+    let mut shape = blocks[0].dims();
+    shape[0] = source.dims()[0] - kept;
+    let old = gathered(blocks, &if shape[0] == 0 { source.clone() } else { source.clone().narrow(0, 0, kept) });
+    if shape[0] == 0 {
+        return old;
+    }
     let zeros = Tensor::zeros(shape, (&old.device(), old.dtype()));
-    Tensor::cat(vec![old.select(0, keep.clone()), zeros], 0)
+    Tensor::cat(vec![old, zeros], 0)
+}
+
+/// The rows `source`, `[M]`, of several blocks of rows, which are counted through all blocks.
+pub(crate) fn gathered<const R: usize, K: Basic>(blocks: &[Tensor<R, K>], source: &Tensor<1, Int>) -> Tensor<R, K> {
+    let mut shape = blocks[0].dims();
+    shape[0] = source.dims()[0];
+    let width: usize = shape[1..].iter().product();
+    // CPU devices copy whole rows of matrices at once.
+    let flat = blocks.iter().map(|block| block.clone().reshape([block.dims()[0], width]));
+    if blocks.len() == 1 {
+        return flat.map(|block| block.select(0, source.clone())).next().expect("there is a block").reshape(shape);
+    }
+    let mut first = 0;
+    let found = flat.map(|block| {
+        let count = block.dims()[0] as i64;
+        let own = source.clone() - first;
+        let beyond = own.clone().lower_elem(0).bool_or(own.clone().greater_equal_elem(count));
+        first += count;
+        (block.select(0, own.clamp(0, count - 1)), beyond)
+    });
+    let found = found.reduce(|(found, elsewhere), (more, beyond)| {
+        let mask = elsewhere.clone().reshape([shape[0], 1]).expand([shape[0], width]);
+        (found.mask_where(mask, more), elsewhere.bool_and(beyond))
+    });
+    found.expect("there are several blocks").0.reshape(shape)
 }
 
 /// The tensor with zeros up to a length of its second dimension.
@@ -287,7 +300,7 @@ impl<const D: usize> Moments<D> {
     /// The tensors as numbers, for comparisons: both sums, or the words and nothing.
     pub(crate) fn numbers(&self) -> [Vec<f32>; 2] {
         use crate::gaussians::values_of;
-        match &self.0 {
+        match self.stored() {
             Stored::Full { m, v } => [values_of(m.clone()), values_of(v.clone())],
             Stored::Packed { words, .. } => {
                 let words = words.clone().into_data().try_into_vec::<i32>().expect("words are i32");

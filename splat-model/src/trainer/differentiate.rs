@@ -118,15 +118,19 @@ impl Trainer {
     pub(super) fn prepare(&mut self, view: usize, drawn: Option<[f32; 3]>) -> Result<PreparedStep, TrainError> {
         let at = EffectContext { view, step: self.step, steps: self.config.steps, verdict: None };
         let splats = self.scene.splats();
-        let tracked = splats.means.device();
         let signals = self.density.listens_at(self.step);
-        // The values of a probe are not read.
-        let probe = |wanted: bool| wanted.then(|| Tensor::empty([splats.means.dims()[0], 2], &tracked).require_grad());
+        let (rows, last) = (splats.means.dims()[0], self.probe.take());
+        let values = last.filter(|values| values.dims()[0] == rows);
+        let values = values.unwrap_or_else(|| Tensor::empty([rows, 2], &self.device));
+        let probe = |wanted: bool| wanted.then(|| Tensor::from_inner(values.clone()).require_grad());
         let extras = Extras {
-            background: Some(Tensor::from_floats(drawn.unwrap_or(self.config.background), &self.device)),
+            background: Some(
+                drawn.map_or_else(|| self.background.clone(), |rgb| Tensor::from_floats(rgb, &self.device)),
+            ),
             mean2d_probe: probe(signals.gradient),
             mean2d_abs_probe: probe(signals.abs_gradient),
         };
+        self.probe = Some(values);
         let (camera, truth) = self.views.prepare(view, drawn)?;
         let excluded = self.views.excluded(view)?;
         let mut input = RenderInput { splats, camera, extras, options: self.options, edits: Vec::new() };

@@ -83,7 +83,7 @@ impl Trainer {
     /// Has effects follow the scene on a rank that renders no view of a step, as they do before every render.
     fn follow_scene(&mut self, view: usize) {
         let (splats, camera) = (self.scene.splats(), self.views.camera(view).clone());
-        let background = Some(Tensor::from_floats(self.config.background, &self.device));
+        let background = Some(self.background.clone());
         let extras = Extras { background, ..Extras::default() };
         let mut input = RenderInput { splats, camera, extras, options: self.options, edits: Vec::new() };
         let at = self.at(view);

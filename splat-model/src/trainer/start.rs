@@ -4,6 +4,7 @@ use rand::Rng;
 
 use super::{TrainError, Trainer};
 use crate::capture::{Photograph, PointCloud, PointsSeen};
+use crate::density::rounded_down;
 use crate::density::rows::Trained;
 use crate::gaussians::{GaussianRows, Gaussians};
 use crate::init;
@@ -23,6 +24,8 @@ pub(super) fn first_rows(
     let random = init::random_points(&cameras, init::missing(own, cameras.len(), pixels).min(most - own), rng);
     start.positions.extend(random.positions);
     start.colours.extend(random.colours);
+    start.truncate(rounded_down(start.positions.len()));
+    let own = own.min(start.positions.len());
     let of_seen = if own > 0 { own } else { start.positions.len() };
     let seen = PointsSeen::of(&cameras, &start.positions[..of_seen]);
     (init::from_points(&init::ordered(&start)), seen)
@@ -42,7 +45,11 @@ impl Trainer {
         let room = self.config.density.max_splats().saturating_sub(scene.len());
         let mut rows = match points.positions.is_empty() || room == 0 {
             true => GaussianRows::default(),
-            false => init::from_points(&init::ordered(&init::thinned(&init::distinct(points), room))),
+            false => {
+                let mut points = init::ordered(&init::thinned(&init::distinct(points), room));
+                points.truncate(rounded_down(scene.len() + points.positions.len()).saturating_sub(scene.len()));
+                init::from_points(&points)
+            }
         };
         self.density.start(&mut rows);
         rows.sh_degree = scene.sh_degree.min(self.config.sh_degree);

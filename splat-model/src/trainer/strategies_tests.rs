@@ -3,7 +3,7 @@
 use super::testing::{photos, points};
 use super::*;
 use crate::density::rows::RowEdit;
-use crate::density::{AdaptiveConfig, DensityConfig, Division, McmcConfig, Observed, Signals};
+use crate::density::{AdaptiveConfig, DensityConfig, Division, McmcConfig, Observed, Signals, rows_on};
 use crate::gaussians::{GaussianRows, values_of};
 use crate::optim::LearningRates;
 use crate::state::{State, StateError};
@@ -134,7 +134,8 @@ impl Strategy for Told {
         assert_eq!((at.steps, self.acted.len()), (5, at.step));
         assert!(at.extent > 0.0 && at.means_rate > 0.0);
         if self.acts_at(at.step) {
-            scene.edit(&RowEdit { keep: vec![3, 1], ..edit_of(scene) })?;
+            let device = Device::flex();
+            scene.edit(&RowEdit::new(rows_on(&device, &[3, 1]), rows_on(&device, &[])))?;
             return Ok(Some(RefineReport::default()));
         }
         Ok(None)
@@ -143,12 +144,6 @@ impl Strategy for Told {
     fn save(&self, to: &mut State) -> Result<(), StateError> {
         to.tell("observed", &self.observed)
     }
-}
-
-fn edit_of(scene: &Trained) -> RowEdit {
-    let mut edit = RowEdit::default();
-    edit.add.sh_degree = scene.gaussians.sh_degree();
-    edit
 }
 
 #[test]

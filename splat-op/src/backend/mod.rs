@@ -10,6 +10,7 @@
 pub(crate) mod activate;
 #[cfg(feature = "cube")]
 pub(crate) mod adam;
+pub(crate) mod argsort;
 mod autodiff;
 pub(crate) mod bilateral;
 pub(crate) mod colour_map;
@@ -35,6 +36,7 @@ pub(crate) mod tensors;
 pub use activate::{ActivateBackend, Activated};
 #[cfg(feature = "cube")]
 pub use adam::{AdamBackend, AdamInputs, AdamState, SceneGradientTensors, SceneInputs, SceneState, SceneStates};
+pub use argsort::ArgsortBackend;
 pub use bilateral::BilateralBackend;
 pub use colour_map::ColourMapBackend;
 pub use custom_grad::CustomGradBackend;

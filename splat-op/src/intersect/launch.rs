@@ -8,7 +8,7 @@ use super::forward::{COVER, TileListsLaunch, cover_kernel};
 use super::sort::{Sorted, launch_sort};
 use super::{Cut, tile_grid};
 use crate::camera::Intrinsics;
-use crate::counters::{count_idle_wait, count_repeated_lists, forced_capacity};
+use crate::counters::{count_idle_wait, count_read, count_repeated_lists, forced_capacity};
 use crate::gpu::{Buffer, Gpu, UNITS, cubes, elementwise};
 use crate::limits::Need;
 
@@ -84,6 +84,7 @@ pub(super) fn launch_intersect_within(
         None => count_idle_wait(),
     }
     let read = cubecl::future::block_on(sizes).unwrap_or_else(|error| panic!("{error}"));
+    count_read(read.iter().map(|part| part.len() as u64).sum());
     let visible = bytemuck::pod_read_unaligned::<u32>(&read[0][..4]) as usize;
     let sums: Vec<[u32; 2]> = bytemuck::pod_collect_to_vec(&read[1][..8 * counted.chunks]);
     let intersections: u64 = sums.iter().map(|&[low, high]| u64::from(low) + (u64::from(high) << 16)).sum();

@@ -31,6 +31,11 @@ pub fn gpu() -> Option<Gpu> {
     gpus().into_iter().next().map(|(_, gpu)| gpu)
 }
 
+/// The device of [`gpu`], for tests of tensor functions.
+pub fn device() -> Option<Device> {
+    gpu().and_then(|_| best()).map(|device| Device::new(DispatchDevice::Cube(device)))
+}
+
 fn find() -> Option<Gpu> {
     let wish = std::env::var("SPLAT_GPU").unwrap_or_default();
     match wish.as_str() {

@@ -7,7 +7,7 @@ use clap::Parser;
 use rand::Rng;
 use serde_json::Value;
 use splat_model::density::rows::{RowEdit, Trained};
-use splat_model::density::{RefineReport, Strategy, StrategyContext};
+use splat_model::density::{RefineReport, Strategy, StrategyContext, rows_on};
 use splat_model::gaussians::RowsError;
 use splat_train::options::{Cli, Command};
 use splat_train::train;
@@ -56,7 +56,8 @@ impl Strategy for Halve {
         let count = scene.gaussians.len();
         let keep: Vec<u32> = (0..count as u32).step_by(2).collect();
         let pruned = count - keep.len();
-        scene.edit(&RowEdit { keep, ..RowEdit::default() })?;
+        let device = scene.gaussians.means.val().device().inner();
+        scene.edit(&RowEdit::new(rows_on(&device, &keep), rows_on(&device, &[])))?;
         Ok(Some(RefineReport { pruned, ..RefineReport::default() }))
     }
 }

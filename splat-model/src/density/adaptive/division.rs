@@ -1,11 +1,11 @@
 //! The two Gaussians that take the place of one whose gradient is large.
 
-use glam::{DQuat, Quat, Vec3};
-use rand::Rng;
-use rand_distr::{Distribution, StandardNormal};
+use burn::tensor::{Int, Tensor, activation};
 use serde::{Deserialize, Serialize};
 
-use crate::gaussians::{self, GaussianRows};
+use crate::density::noise::normal;
+use crate::density::turn::{rotated, unit};
+use crate::gaussians::Gaussians;
 
 /// How one Gaussian becomes two.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -20,51 +20,82 @@ pub enum Division {
 }
 
 /// Factor by which the parts of a split Gaussian are smaller (Kerbl et al. 2023, section 5.2).
-const SPLIT_SHRINK: f32 = 1.6;
+const SPLIT_SHRINK: f64 = 1.6;
 
 /// Length of a half along the axis that is cut, distance of its centre from the old one, both in standard deviations of the
 /// whole, and its opacity relative to the whole's. The alpha of two such halves differs from the whole's by 10% (opacity 0.1)
 /// to 17% (opacity 0.99), as the root of the mean square along the axis relative to the whole's; two parts of a split differ
 /// by 72% to 82%.
-const HALF_LENGTH: f32 = 0.6;
-const HALF_OFFSET: f32 = 0.6;
+const HALF_LENGTH: f64 = 0.6;
+const HALF_OFFSET: f64 = 0.6;
 const HALF_OPACITY: f64 = 0.8;
 
-/// Appends two smaller copies of row `i` at positions drawn from the Gaussian's own distribution.
-pub(super) fn push_parts(to: &mut GaussianRows, from: &GaussianRows, i: usize, rng: &mut dyn Rng) {
-    let scale = Vec3::from(from.log_scales[i]).exp();
-    for _ in 0..2 {
-        let drawn: [f32; 3] = std::array::from_fn(|_| StandardNormal.sample(rng));
-        push_at(to, from, i, scale * Vec3::from(drawn));
-        let last = to.len() - 1;
-        to.log_scales[last] = from.log_scales[i].map(|log| log - SPLIT_SHRINK.ln());
+/// Centres, logarithms of the standard deviations, and logits of the opacities of new rows.
+pub(super) struct Divided {
+    pub means: Tensor<2>,
+    pub log_scales: Tensor<2>,
+    pub logit_opacities: Tensor<1>,
+}
+
+/// The rows `of`, `[K]`, of a scene without autodiff.
+struct Whole {
+    means: Tensor<2>,
+    log_scales: Tensor<2>,
+    logit_opacities: Tensor<1>,
+    rotations: Tensor<2>,
+}
+
+impl Whole {
+    fn of(scene: &Gaussians, rows: &Tensor<1, Int>) -> Self {
+        let part = |values: Tensor<2>| values.select(0, rows.clone());
+        Self {
+            means: part(scene.means.val()),
+            log_scales: part(scene.log_scales.val()),
+            logit_opacities: scene.logit_opacities.val().select(0, rows.clone()),
+            rotations: part(scene.rotations.val()),
+        }
+    }
+
+    /// The centres displaced along the Gaussians' axes by `offset`, `[K, 3]`.
+    fn displaced(&self, offset: Tensor<2>) -> Tensor<2> {
+        let (w, axis) = unit(self.rotations.clone());
+        self.means.clone() + rotated(offset, w, axis)
     }
 }
 
-/// Appends the two halves of row `i`.
-pub(super) fn push_halves(to: &mut GaussianRows, from: &GaussianRows, i: usize) {
-    let logs = from.log_scales[i];
-    let longest = (1..3).fold(0, |longest, axis| if logs[axis] > logs[longest] { axis } else { longest });
-    let opacity = HALF_OPACITY * gaussians::sigmoid(from.logit_opacities[i]);
-    for side in [-HALF_OFFSET, HALF_OFFSET] {
-        push_at(to, from, i, Vec3::AXES[longest] * side * logs[longest].exp());
-        let last = to.len() - 1;
-        to.log_scales[last][longest] = logs[longest] + HALF_LENGTH.ln();
-        to.logit_opacities[last] = (opacity / (1.0 - opacity)).ln() as f32;
+/// Smaller copies of `rows`, `[K]`, of a scene without autodiff, at positions drawn from each Gaussian's own distribution.
+pub(super) fn parts(scene: &Gaussians, rows: &Tensor<1, Int>, seed: u64) -> Divided {
+    let whole = Whole::of(scene, rows);
+    let drawn = normal(seed, rows.dims()[0], &rows.device());
+    let means = whole.displaced(drawn.cast(whole.means.dtype()) * whole.log_scales.clone().exp());
+    Divided { means, log_scales: whole.log_scales - SPLIT_SHRINK.ln(), logit_opacities: whole.logit_opacities }
+}
+
+/// The halves of `rows`, `[K]`, of a scene without autodiff: all on one side of the wholes, then all on the other.
+pub(super) fn halves(scene: &Gaussians, rows: &Tensor<1, Int>) -> Divided {
+    let whole = Whole::of(scene, rows);
+    let longest = longest_axis(whole.log_scales.clone());
+    let offset = whole.displaced(longest.clone() * whole.log_scales.clone().exp() * HALF_OFFSET) - whole.means.clone();
+    let means = Tensor::cat(vec![whole.means.clone() - offset.clone(), whole.means + offset], 0);
+    let log_scales = whole.log_scales + longest * HALF_LENGTH.ln();
+    let opacities = activation::sigmoid(whole.logit_opacities) * HALF_OPACITY;
+    let logit_opacities = opacities.clone().log() - opacities.neg().log1p();
+    let twice = |values: Tensor<2>| Tensor::cat(vec![values.clone(), values], 0);
+    Divided {
+        means,
+        log_scales: twice(log_scales),
+        logit_opacities: Tensor::cat(vec![logit_opacities.clone(), logit_opacities], 0),
     }
 }
 
-/// Appends a copy of row `i`, displaced by `offset` along the Gaussian's axes.
-fn push_at(to: &mut GaussianRows, from: &GaussianRows, i: usize, offset: Vec3) {
-    to.push(from, i);
-    let last = to.len() - 1;
-    to.means[last] = (Vec3::from(from.means[i]) + world_from_gaussian(from, i) * offset).to_array();
-}
-
-fn world_from_gaussian(rows: &GaussianRows, i: usize) -> Quat {
-    // In f64, because quaternions may have any length, whose square may overflow or underflow in f32.
-    let [w, x, y, z] = rows.rotations[i].map(f64::from);
-    DQuat::from_xyzw(x, y, z, w).normalize().as_quat()
+/// `[K, 3]`: 1 at the largest of three numbers, the first of equal ones, and 0 elsewhere.
+fn longest_axis(logs: Tensor<2>) -> Tensor<2> {
+    let axis = |axis: usize| logs.clone().narrow(1, axis, 1);
+    let (x, y, z) = (axis(0), axis(1), axis(2));
+    let first = x.clone().greater_equal(y.clone()).bool_and(x.greater_equal(z.clone()));
+    let second = y.greater_equal(z).bool_and(first.clone().bool_not());
+    let third = first.clone().bool_or(second.clone()).bool_not();
+    Tensor::cat([first, second, third].map(|axis| axis.float().cast(logs.dtype())).to_vec(), 1)
 }
 
 #[cfg(test)]

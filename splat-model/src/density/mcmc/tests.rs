@@ -6,7 +6,7 @@ use splat_op::{Camera, Extras, Intrinsics, RenderOptions, render_view};
 
 use super::*;
 use crate::gaussians::testing::random_rows;
-use crate::gaussians::values_of;
+use crate::gaussians::{self, sigmoid, values_of};
 use crate::optim::Moments;
 
 const STEPS: usize = 1200;
@@ -30,7 +30,7 @@ fn trained(rows: &GaussianRows) -> Trained {
 }
 
 fn logit(opacity: f64) -> f32 {
-    (opacity / (1.0 - opacity)).ln() as f32
+    gaussians::logit(opacity) as f32
 }
 
 /// Gaussians of these opacities, at positions whose order a refinement keeps.
@@ -54,14 +54,21 @@ fn row(rows: &GaussianRows, i: usize) -> GaussianRows {
     one
 }
 
-/// Row `i` as one of `count` Gaussians that share its opacity and size.
-fn shared(rows: &GaussianRows, i: usize, count: usize) -> GaussianRows {
-    let mut one = row(rows, i);
-    let opacity = 1.0 / (1.0 + (-f64::from(one.logit_opacities[0])).exp());
-    let (each, factor) = share(opacity, count);
-    one.logit_opacities[0] = logit(each);
-    one.log_scales[0] = one.log_scales[0].map(|log| log + factor.ln() as f32);
-    one
+/// Asserts that a row is row `i` of others as one of `count` Gaussians that share its opacity and size.
+#[track_caller]
+fn assert_shared(found: &GaussianRows, rows: &GaussianRows, i: usize, count: usize) {
+    let mut expected = row(rows, i);
+    let values = |value: f64| Tensor::<1>::from_floats([value as f32], &Device::flex());
+    let (each, factor) = share(values(sigmoid(expected.logit_opacities[0])), values(count as f64));
+    let factor: f32 = factor.into_scalar();
+    expected.logit_opacities[0] = logit(each.into_scalar::<f32>().into());
+    expected.log_scales[0] = expected.log_scales[0].map(|log| log + factor.ln());
+    let pairs = found.log_scales[0].iter().chain(&found.logit_opacities);
+    for (found, expected) in pairs.zip(expected.log_scales[0].iter().chain(&expected.logit_opacities)) {
+        assert!((found - expected).abs() < 1e-5, "{found} instead of {expected}");
+    }
+    let (log_scales, logit_opacities) = (found.log_scales.clone(), found.logit_opacities.clone());
+    assert_eq!(found, &GaussianRows { log_scales, logit_opacities, ..expected });
 }
 
 #[test]
@@ -73,7 +80,7 @@ fn the_dead_are_moved_to_the_living() {
     assert_eq!(report, Some(RefineReport { cloned: 4, pruned: 4, ..RefineReport::default() }));
     assert_eq!(after.len(), 5);
     for i in 0..5 {
-        assert_eq!(row(&after, i), shared(&rows, 1, 5));
+        assert_shared(&row(&after, i), &rows, 1, 5);
     }
 }
 
@@ -89,7 +96,7 @@ fn those_who_are_not_drawn_stay_as_they_are_with_their_history() {
     for (now, was) in [(0, 1), (1, 3), (2, 4)] {
         assert_eq!(row(&after, now), row(&rows, was));
     }
-    assert_eq!([row(&after, 3), row(&after, 4)], [shared(&rows, 0, 2), shared(&rows, 0, 2)]);
+    [3, 4].iter().for_each(|&i| assert_shared(&row(&after, i), &rows, 0, 2));
     let [history, _] = scene.moments.means.numbers();
     assert_eq!(history, [[1.0; 9].as_slice(), &[0.0; 6]].concat());
 }

@@ -1,17 +1,32 @@
 use super::*;
+use crate::gaussians::testing::devices;
 use crate::gaussians::values_of;
 
 #[test]
-fn deviates_are_normal_and_all_their_own() {
-    let rows = CHUNK + 1000;
-    let values = values_of(normal(3, rows, &Device::flex()));
-    let count = values.len() as f32;
-    let mean = values.iter().sum::<f32>() / count;
-    let variance = values.iter().map(|value| value * value).sum::<f32>() / count;
-    // Tolerance: five standard errors.
-    assert!(mean.abs() < 5.0 / count.sqrt() && (variance - 1.0).abs() < 5.0 * (2.0 / count).sqrt());
-    assert_ne!(values[..9], values[3 * CHUNK..3 * CHUNK + 9], "two streams are one");
-    assert_ne!(values, values_of(normal(4, rows, &Device::flex())));
+fn deviates_are_normal_and_independent() {
+    for (device, seed) in devices().into_iter().flat_map(|device| [3, 4, 5].map(|seed| (device.clone(), seed))) {
+        let rows = 50_001;
+        let values: Vec<f64> = values_of(normal(seed, rows, &device)).into_iter().map(f64::from).collect();
+        let count = values.len() as f64;
+        assert_eq!(values.len(), 3 * rows);
+        let mean = |of: &dyn Fn(usize) -> f64| (0..values.len()).map(of).sum::<f64>() / count;
+        // Tolerance: five standard errors of the moments of a normal distribution.
+        let error = 5.0 / count.sqrt();
+        for (power, expected, variance) in [(1, 0.0, 1.0), (2, 1.0, 2.0), (3, 0.0, 15.0), (4, 3.0, 96.0_f64)] {
+            let found = mean(&|i| values[i].powi(power));
+            assert!((found - expected).abs() < error * variance.sqrt(), "{seed}: moment {power} is {found}");
+        }
+        for apart in [1, 2, 3, 4, 64, 4_096, 3 * rows / 2] {
+            let found = mean(&|i| values[i] * values[(i + apart) % values.len()]);
+            assert!(found.abs() < error, "{seed}: correlation {found} of numbers {apart} apart");
+            let found = mean(&|i| (values[i].powi(2) - 1.0) * (values[(i + apart) % values.len()].powi(2) - 1.0));
+            assert!(found.abs() < 2.0 * error, "{seed}: correlation {found} of squares {apart} apart");
+        }
+        assert_ne!(
+            values[..9],
+            values_of(normal(seed + 1, rows, &device)).into_iter().map(f64::from).collect::<Vec<_>>()[..9]
+        );
+    }
 }
 
 #[test]

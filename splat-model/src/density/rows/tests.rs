@@ -1,8 +1,11 @@
 use burn::tensor::{Device, Distribution};
 
 use super::*;
+use crate::density::rows_on;
+use crate::gaussians::GaussianRows;
 use crate::gaussians::testing::{devices, random_rows};
 use crate::gaussians::values_of;
+use crate::optim::{Adam, LearningRates};
 
 const RATES: LearningRates = LearningRates {
     means: 0.0,
@@ -76,6 +79,17 @@ fn all(scene: &Trained) -> Vec<(&'static str, Numbers)> {
     ]
 }
 
+/// The edit that keeps rows and adds others, whatever they come from.
+fn edit_to(keep: &[u32], add: &GaussianRows, device: &Device) -> RowEdit {
+    let added = Gaussians::from_rows(add, device).unwrap();
+    let edit = RowEdit::new(rows_on(device, keep), rows_on(device, &vec![1; add.len()]));
+    edit.with("means", added.means.val())
+        .with("rotations", added.rotations.val())
+        .with("log_scales", added.log_scales.val())
+        .with("logit_opacities", added.logit_opacities.val())
+        .with("sh", added.sh.val())
+}
+
 /// Whether each parameter is tracked.
 fn all_tracked(scene: &Gaussians) -> bool {
     let two = [&scene.means, &scene.rotations, &scene.log_scales].iter().all(|param| param.val().is_require_grad());
@@ -90,7 +104,7 @@ fn an_edit_keeps_rows_with_their_moments() {
             let before = all(&scene);
             let keep = vec![7, 2, 8, 0, 5];
             let add = random_rows(3, degree, 2);
-            scene.edit(&RowEdit { keep: keep.clone(), add: add.clone() }).unwrap();
+            scene.edit(&edit_to(&keep, &add, &device)).unwrap();
 
             let added = all(&self::scene(&add, &device));
             for (((name, new), (_, old)), (_, added)) in all(&scene).iter().zip(&before).zip(&added) {
@@ -120,7 +134,7 @@ fn packed_moments_move_grow_and_resume() {
             step(&mut scene, gradients, i);
         }
         let before = all(&scene);
-        scene.edit(&RowEdit { keep: vec![7, 2, 8], add: random_rows(2, 1, 2) }).unwrap();
+        scene.edit(&edit_to(&[7, 2, 8], &random_rows(2, 1, 2), &device)).unwrap();
         for ((name, new), (_, old)) in all(&scene).iter().zip(&before) {
             for (new, old) in new[1..].iter().zip(&old[1..]) {
                 let width = old.len() / 9;
@@ -177,26 +191,54 @@ fn packed_moments_take_nearly_the_same_steps() {
 }
 
 #[test]
-fn all_rows_may_go_and_others_come() {
+fn all_rows_may_go_or_make_place_for_others() {
     for device in devices() {
         let mut scene = walked(&random_rows(4, 1, 1), &device);
-        scene.edit(&RowEdit::default()).unwrap();
+        let add = random_rows(2, 1, 2);
+        scene.edit(&edit_to(&[], &add, &device)).unwrap();
+        assert_eq!(scene.gaussians.to_rows(), add);
+        scene.edit(&RowEdit::new(rows_on(&device, &[]), rows_on(&device, &[]))).unwrap();
         assert!(scene.gaussians.is_empty());
         let gradients = random_gradients(&scene.gaussians);
         step(&mut scene, gradients, 4);
-        let add = random_rows(2, 1, 2);
-        scene.edit(&RowEdit { add: add.clone(), ..RowEdit::default() }).unwrap();
-        assert_eq!(scene.gaussians.to_rows(), add);
+    }
+}
+
+/// A new row has the values of the row that it comes from, in every parameter that the edit does not name, and no history.
+#[test]
+fn a_new_row_inherits_what_the_edit_does_not_name() {
+    for device in devices() {
+        let mut scene = walked(&random_rows(4, 1, 1), &device);
+        let before = scene.gaussians.to_rows();
+        let means = Tensor::<2>::from_floats([[9.0, 8.0, 7.0], [6.0, 5.0, 4.0]], &device);
+        scene.edit(&RowEdit::new(rows_on(&device, &[3]), rows_on(&device, &[2, 2])).with("means", means)).unwrap();
+        let mut expected = GaussianRows { sh_degree: 1, ..GaussianRows::default() };
+        [3, 2, 2].iter().for_each(|&i| expected.push(&before, i));
+        (expected.means[1], expected.means[2]) = ([9.0, 8.0, 7.0], [6.0, 5.0, 4.0]);
+        assert_eq!(scene.gaussians.to_rows(), expected);
+        for (name, [values, m, v]) in all(&scene) {
+            let width = values.len() / 3;
+            assert!(m[..width].iter().chain(&v[..width]).all(|sum| *sum != 0.0), "{name}");
+            assert!(m[width..].iter().chain(&v[width..]).all(|sum| *sum == 0.0), "{name}");
+        }
     }
 }
 
 #[test]
 fn a_refused_edit_changes_nothing() {
-    let mut scene = walked(&random_rows(4, 1, 1), &Device::flex());
+    let device = Device::flex();
+    let mut scene = walked(&random_rows(4, 1, 1), &device);
     let before = all(&scene);
-    let error = scene.edit(&RowEdit { keep: vec![0], add: random_rows(2, 0, 2) }).unwrap_err();
-    assert!(error.to_string().contains("`sh_rest`"), "{error}");
-    assert_eq!(all(&scene), before);
+    let one = || RowEdit::new(rows_on(&device, &[0]), rows_on(&device, &[1, 2]));
+    for (edit, expected) in [
+        (edit_to(&[0], &random_rows(2, 0, 2), &device), "`sh` holds 6 numbers, expected 24 for 2 Gaussians"),
+        (one().with("means", Tensor::<2>::zeros([1, 3], &device)), "`means` holds 3 numbers, expected 6"),
+        (one().with("normals", Tensor::<2>::zeros([2, 3], &device)), "`normals` holds 6 numbers, expected 0"),
+    ] {
+        let error = scene.edit(&edit).unwrap_err().to_string();
+        assert!(error.contains(expected), "{error}");
+        assert_eq!(all(&scene), before);
+    }
 }
 
 /// Sets the coefficients above `degree` to zero.

@@ -19,7 +19,7 @@ fn moments_hold_as_many_bytes_as_they_say() {
     let param = Tensor::<3>::zeros([7, 9, 3], &Device::flex());
     for bits in MomentBits::ALL {
         let moments = Moments::with_bits(&param, bits);
-        let bytes = match &moments.0 {
+        let bytes = match moments.stored() {
             Stored::Full { m, v } => 4 * (m.shape().num_elements() + v.shape().num_elements()),
             Stored::Packed { words, .. } => 4 * words.shape().num_elements(),
         };

@@ -2,6 +2,7 @@
 
 use burn::tensor::{DType, Device};
 use splat_model::density::rows::{Gradients, RowEdit, StepRates, Trained};
+use splat_model::density::rows_on;
 use splat_model::gaussians::{GaussianRows, Gaussians};
 use splat_model::loss::{Truth, d_ssim, photometric, ssim};
 use splat_model::metrics::{LARGEST_PSNR_DB, psnr};
@@ -263,7 +264,13 @@ fn surgery(place: &TestDevice) -> CaseOutcome {
     }
     // The rows in another order, without rows 0 and 2, and with two new rows.
     let mut outcome = CaseOutcome::default();
-    let edit = RowEdit { keep: vec![4, 1, 3], add: added.clone() };
+    let new = Gaussians::from_rows(&added, device).expect("rows of one length");
+    let edit = RowEdit::new(rows_on(device, &[4, 1, 3]), rows_on(device, &[0, 0]))
+        .with("means", new.means.val())
+        .with("rotations", new.rotations.val())
+        .with("log_scales", new.log_scales.val())
+        .with("logit_opacities", new.logit_opacities.val())
+        .with("sh", new.sh.val());
     if let Err(error) = edited.edit(&edit) {
         outcome.failures.push(error.to_string());
         return outcome;

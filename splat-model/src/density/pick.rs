@@ -1,0 +1,158 @@
+//! Rows chosen on the device: what strategies are made of. Nothing is read back but counts.
+
+use burn::tensor::{Bool, DType, Device, Int, Tensor, TensorData};
+use splat_op::argsort::{argsort, argsort_floats};
+use splat_op::read;
+
+/// Numbers of rows of a scene are multiples of this: kernels are compiled for the widest vectors that divide a length, so that scenes
+/// whose lengths have no divisor in common are compiled for again after every edit.
+const ROWS_AT_A_TIME: usize = 8;
+
+/// Scenes below this number of rows may have any, because a few rows matter in them and little is compiled anew.
+const FEW: usize = 1024;
+
+/// The largest number of rows up to `rows` that a scene may have.
+pub(crate) fn rounded_down(rows: usize) -> usize {
+    if rows < FEW { rows } else { rows / ROWS_AT_A_TIME * ROWS_AT_A_TIME }
+}
+
+/// How many rows to add to `surviving` ones of at most `most`, and how many of `doomed` rows to keep, so that the scene may have
+/// their number.
+pub(super) fn whole(surviving: usize, most: usize, doomed: usize) -> (usize, usize) {
+    let excess = surviving + most - rounded_down(surviving + most);
+    match (excess <= most, ROWS_AT_A_TIME - excess) {
+        (true, _) => (most - excess, 0),
+        (false, spared) if spared <= doomed => (most, spared),
+        // A scene that began with a number of its own.
+        (false, _) => (most, 0),
+    }
+}
+
+/// `[N]`: 1 where the mask is set, else 0.
+pub(super) fn ones(mask: Tensor<1, Bool>) -> Tensor<1, Int> {
+    mask.int().cast(DType::I32)
+}
+
+/// `[count]`: all rows.
+pub(super) fn all_rows(count: usize, device: &Device) -> Tensor<1, Int> {
+    Tensor::arange(0..count as i64, (device, DType::I32))
+}
+
+/// Rows as a tensor, for strategies that choose them on the host.
+pub fn rows_on(device: &Device, rows: &[u32]) -> Tensor<1, Int> {
+    let rows: Vec<i32> = rows.iter().map(|&row| row as i32).collect();
+    let count = rows.len();
+    Tensor::from_data(TensorData::new(rows, [count]), (device, DType::I32))
+}
+
+/// The numbers of rows of masks, read at once.
+pub fn counts<const K: usize>(masks: [Tensor<1, Bool>; K]) -> [usize; K] {
+    let sums = Tensor::stack::<2>(masks.map(ones).to_vec(), 0).sum_dim(1);
+    let counts: Vec<usize> = read(sums).iter::<i64>().map(|count| count as usize).collect();
+    counts.try_into().expect("one for each mask")
+}
+
+/// The rows of a mask, `[count]`, in the order of `order`, a permutation of all rows. `count` is their number.
+pub fn picked(order: &Tensor<1, Int>, mask: &Tensor<1, Bool>, count: usize) -> Tensor<1, Int> {
+    let others = ones(mask.clone().bool_not()).select(0, order.clone());
+    order.clone().select(0, argsort(others, 1).narrow(0, 0, count))
+}
+
+/// The mask of the `count` rows of the mask `among` with the largest of `values`, `[N]`, which are not negative, and the largest value
+/// of the others. Among equal values, later rows count as larger.
+pub fn largest(values: &Tensor<1>, among: &Tensor<1, Bool>, count: usize) -> (Tensor<1, Bool>, Option<f64>) {
+    let [rows] = values.dims();
+    // Zeros of the mask come after others.
+    let keys = (values.clone() + f64::from(f32::MIN_POSITIVE)).mask_fill(among.clone().bool_not(), 0.0);
+    let order = argsort_floats(keys);
+    let next = (count < rows).then(|| order.clone().narrow(0, rows - count - 1, 1));
+    let next = next.and_then(|row| read(values.clone().select(0, row)).iter::<f64>().next());
+    (inverse(order).greater_equal_elem((rows - count) as i64), next)
+}
+
+/// The place of each row in an order.
+pub(super) fn inverse(order: Tensor<1, Int>) -> Tensor<1, Int> {
+    let bits = order.dims()[0].max(2).ilog2() + 1;
+    argsort(order, bits)
+}
+
+/// `[N]`: sums of whole numbers, `[N]`, over each row and those before it. Burn's own is a loop over all of them for each on a GPU.
+pub(super) fn running_sums(values: Tensor<1, Int>) -> Tensor<1, Int> {
+    let [count] = values.dims();
+    let side = count.isqrt() + 1;
+    let padding = Tensor::zeros([side * side - count], (&values.device(), DType::I32));
+    let within = Tensor::cat(vec![values, padding], 0).reshape([side, side]).cumsum(1);
+    let totals = within.clone().narrow(1, side - 1, 1);
+    let before = totals.clone().cumsum(0) - totals;
+    (within + before).reshape([side * side]).narrow(0, 0, count)
+}
+
+/// Each row as often as `copies`, `[N]`, says, in order: `[total]`, where `total` is their sum.
+pub(super) fn repeated(copies: Tensor<1, Int>, total: usize) -> Tensor<1, Int> {
+    let [count] = copies.dims();
+    // A row ends before the places that other rows have. In the order of ends and places, a place comes after as many rows as end
+    // before it, which is the number of its row.
+    let ends = running_sums(copies) * 2;
+    let places = all_rows(total, &ends.device());
+    let keys = Tensor::cat(vec![ends, places.clone() * 2 + 1], 0);
+    inverse(argsort(keys, (2 * total + 1).ilog2() + 1)).narrow(0, count, total) - places
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gaussians::testing::devices;
+
+    fn ints(values: Tensor<1, Int>) -> Vec<i64> {
+        values.into_data().iter().collect()
+    }
+
+    fn on(device: &Device, values: &[u32]) -> Tensor<1, Int> {
+        rows_on(device, values)
+    }
+
+    #[test]
+    fn a_scene_has_whole_vectors_of_rows_or_few() {
+        assert_eq!([0, 7, 1023, 1024, 1031, 9_999].map(rounded_down), [0, 7, 1023, 1024, 1024, 9_992]);
+        // New rows go first; else rows stay that would go.
+        assert_eq!(whole(2_000, 20, 9), (16, 0));
+        assert_eq!(whole(2_003, 20, 9), (13, 0));
+        assert_eq!(whole(2_003, 2, 9), (2, 3));
+        assert_eq!(whole(2_003, 2, 2), (2, 0));
+        assert_eq!(whole(2_000, 0, 9), (0, 0));
+        assert_eq!(whole(100, 3, 9), (3, 0));
+    }
+
+    #[test]
+    fn masks_and_values_choose_rows() {
+        for device in devices() {
+            let values = Tensor::<1>::from_floats([0.5, 0.0, 3.0, 2.0, 3.0], &device);
+            let mask = values.clone().greater_elem(1.0);
+            assert_eq!(counts([mask.clone(), mask.clone().bool_not()]), [3, 2]);
+            assert_eq!(ints(picked(&on(&device, &[4, 1, 3, 0, 2]), &mask, 3)), [4, 3, 2]);
+            let all = || values.clone().greater_equal_elem(0.0);
+            let cases = [(0, vec![], Some(3.0)), (1, vec![4], Some(3.0)), (3, vec![2, 3, 4], Some(0.5))];
+            for (count, expected, next) in cases {
+                let (mask, found) = largest(&values, &all(), count);
+                assert_eq!(ints(picked(&all_rows(5, &device), &mask, count)), expected, "{count}");
+                assert_eq!(found, next, "{count}");
+            }
+            assert_eq!(largest(&values, &all(), 5).1, None);
+            // Of those below one, zero too.
+            let (mask, next) = largest(&values, &mask.bool_not(), 2);
+            assert_eq!((ints(picked(&all_rows(5, &device), &mask, 2)), next), (vec![0, 1], Some(3.0)));
+        }
+    }
+
+    #[test]
+    fn rows_are_repeated_in_order() {
+        for device in devices() {
+            assert_eq!(ints(running_sums(on(&device, &[3, 0, 2, 1, 4]))), [3, 3, 5, 6, 10]);
+            assert_eq!(ints(repeated(on(&device, &[0, 3, 0, 0, 1, 2, 0]), 6)), [1, 1, 1, 4, 5, 5]);
+            let copies: Vec<u32> = (0..3_000).map(|i| i * i % 4).collect();
+            let expected: Vec<i64> =
+                (0..3_000).flat_map(|row| vec![row as i64; copies[row as usize] as usize]).collect();
+            assert_eq!(ints(repeated(on(&device, &copies), expected.len())), expected);
+        }
+    }
+}

@@ -1,0 +1,31 @@
+//! Stable sorts of the rows of a scene by a key, on the device of the keys. Burn's sorts read the keys back to the host on GPUs. Not
+//! differentiable.
+//!
+//! `order[k]` is the row of the `k`-th smallest key; rows of equal keys keep their order. On a GPU this is the radix sort of
+//! `intersect/` (`intersect/sort.rs`), on a CPU a parallel sort whose result does not depend on the number of threads.
+//!
+//! Shapes: keys `[N]` → order `[N]`, i32.
+
+pub(crate) mod cpu;
+#[cfg(test)]
+mod tests;
+
+use burn::backend::Dispatch;
+use burn::tensor::{DType, Int, Tensor};
+
+use crate::backend::argsort::ArgsortBackend;
+
+/// Bits of a key that is any non-negative number.
+pub const ALL_BITS: u32 = 31;
+
+/// Returns the order of `keys`, `[N]`: whole numbers from 0 to `2^bits − 1`, without autodiff. Fewer bits cost less on a GPU.
+pub fn argsort(keys: Tensor<1, Int>, bits: u32) -> Tensor<1, Int> {
+    let keys = if keys.dtype() == DType::I32 { keys } else { keys.cast(DType::I32) };
+    Tensor::from_dispatch(<Dispatch as ArgsortBackend>::argsort(keys.into_dispatch(), bits.clamp(1, ALL_BITS)))
+}
+
+/// Returns the order of `keys`, `[N]`: numbers that are not negative, without autodiff. NaN comes last.
+pub fn argsort_floats(keys: Tensor<1>) -> Tensor<1, Int> {
+    let keys = if keys.dtype() == DType::F32 { keys } else { keys.cast(DType::F32) };
+    Tensor::from_dispatch(<Dispatch as ArgsortBackend>::argsort_floats(keys.into_dispatch()))
+}

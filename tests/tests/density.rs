@@ -1,0 +1,147 @@
+//! Density control on every device: each strategy chooses the same rows, and reads back counts only. A process of its own, because the
+//! counter of bytes is global.
+
+use std::sync::Mutex;
+use std::time::Instant;
+
+use burn::tensor::{Device, Tensor, TensorData};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use splat_model::density::rows::Trained;
+use splat_model::density::{AdaptiveConfig, DensityConfig, McmcConfig, Observed, StrategyContext};
+use splat_model::gaussians::{GaussianRows, Gaussians};
+use splat_op::test_hooks::read_bytes;
+use splat_tests::places;
+use splat_tests::slope::slope_trainer;
+
+const EXTENT: f64 = 2.0;
+const STEP: usize = 600;
+const STEPS: usize = 30_000;
+
+/// Bytes that a refinement may read back at any number of Gaussians: a few counts.
+const BYTES: u64 = 256;
+
+static ALONE: Mutex<()> = Mutex::new(());
+
+/// Gaussians of many sizes and opacities, some of them faint, some unusable.
+fn rows(count: usize) -> GaussianRows {
+    let mut rng = ChaCha8Rng::seed_from_u64(7);
+    let mut rows = GaussianRows { sh_degree: 1, ..GaussianRows::default() };
+    for i in 0..count {
+        let mut draw = |from: f32, to: f32| rng.random_range(from..to);
+        rows.means.push(std::array::from_fn(|_| draw(-3.0, 5.0)));
+        rows.rotations.push(std::array::from_fn(|_| draw(-1.0, 1.0)));
+        rows.log_scales.push(std::array::from_fn(|_| draw(-6.0, -2.0)));
+        rows.logit_opacities.push(if i % 97 == 3 { f32::NAN } else { draw(-7.0, 4.0) });
+        rows.sh_dc.push(std::array::from_fn(|_| draw(-1.5, 1.5)));
+        (0..9).for_each(|_| rows.sh_rest.push(draw(-0.2, 0.2)));
+    }
+    rows
+}
+
+fn strategies(count: usize) -> [(&'static str, DensityConfig); 5] {
+    let most = count + count / 20;
+    [
+        ("adaptive", AdaptiveConfig { max_splats: 2 * count, ..AdaptiveConfig::default() }.into()),
+        ("adaptive at its cap", AdaptiveConfig { max_splats: most, ..AdaptiveConfig::default() }.into()),
+        ("absgrad", AdaptiveConfig { max_splats: 2 * count, ..AdaptiveConfig::absgrad() }.into()),
+        ("gradual", AdaptiveConfig { max_splats: most, ..AdaptiveConfig::gradual() }.into()),
+        ("mcmc", McmcConfig { max_splats: most, noise: 0.0, ..McmcConfig::default() }.into()),
+    ]
+}
+
+/// The scene after one refinement, its report in words, the bytes read back and the seconds.
+fn refined(density: DensityConfig, from: &GaussianRows, device: &Device) -> (GaussianRows, String, u64, f64) {
+    let mut scene = Trained::new(Gaussians::from_rows(from, &device.clone().autodiff()).expect("rows of one length"));
+    let mut strategy = density.strategy(EXTENT, STEPS);
+    let mut rng = ChaCha8Rng::seed_from_u64(5);
+    let gradients: Vec<f32> = (0..2 * from.len()).map(|_| 1e-3 * rng.random::<f32>().powi(2)).collect();
+    let gradients = Tensor::<2>::from_data(TensorData::new(gradients, [from.len(), 2]), device);
+    let size = (2, 2);
+    let [gradient, abs_gradient] = match strategy.listens_at(STEP).abs_gradient {
+        true => [None, Some(gradients)],
+        false => [Some(gradients), None],
+    };
+    strategy.observe(Observed { gradient, abs_gradient, size });
+    let at = StrategyContext { step: STEP, steps: STEPS, extent: EXTENT, means_rate: 1e-4, verdict: None };
+    device.sync().expect("the device is there");
+    let (before, start) = (read_bytes(), Instant::now());
+    let report = strategy.act(&mut scene, &at, &mut rng).expect("rows of one length").expect("a refinement is due");
+    device.sync().expect("the device is there");
+    let (bytes, seconds) = (read_bytes() - before, start.elapsed().as_secs_f64());
+    (scene.gaussians.to_rows(), format!("{report:.4?}"), bytes, seconds)
+}
+
+/// The largest difference of two scenes' numbers.
+fn difference(a: &GaussianRows, b: &GaussianRows) -> f32 {
+    let numbers = |rows: &GaussianRows| -> Vec<f32> {
+        let triples = rows.means.iter().chain(&rows.log_scales).chain(&rows.sh_dc).flatten();
+        let others = rows.rotations.iter().flatten().chain(&rows.logit_opacities).chain(&rows.sh_rest);
+        triples.chain(others).copied().collect()
+    };
+    numbers(a).iter().zip(numbers(b)).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
+}
+
+#[test]
+fn every_strategy_chooses_the_same_rows_on_every_device() {
+    let _alone = ALONE.lock();
+    let from = rows(5_000);
+    for (name, density) in strategies(from.len()) {
+        let (expected, report, ..) = refined(density, &from, &Device::flex());
+        assert!(expected.len() != from.len() && expected.len() % 8 == 0, "{name}: {}", expected.len());
+        assert_eq!(expected.unusable(), 0, "{name}");
+        for place in places() {
+            let (found, its_report, ..) = refined(density, &from, &place.device);
+            assert_eq!((found.len(), its_report), (expected.len(), report.clone()), "{name} on {}", place.name);
+            // Rows in another order differ by the size of the scene.
+            let difference = difference(&found, &expected);
+            assert!(difference < 1e-3, "{name} on {}: a difference of {difference}", place.name);
+        }
+    }
+}
+
+#[test]
+fn a_refinement_reads_back_counts_only() {
+    let _alone = ALONE.lock();
+    for (name, place) in
+        places().into_iter().flat_map(|place| strategies(1).map(|(name, _)| (name, place.device.clone())))
+    {
+        for count in [3_000, 24_000] {
+            let density = strategies(count).into_iter().find(|(other, _)| *other == name).expect("of the same list").1;
+            let (.., bytes, seconds) = refined(density, &rows(count), &place);
+            println!("{name}, {count} Gaussians, {place:?}: {bytes} bytes, {seconds:.3} s");
+            assert!((1..=BYTES).contains(&bytes), "{name}: {bytes} bytes read back at {count} Gaussians on {place:?}");
+        }
+    }
+}
+
+/// Steps in between read the counts of `intersect` and the guard's verdict. (The counts are two numbers for each of at most 1,024 cubes.)
+#[test]
+fn a_step_reads_back_a_few_numbers() {
+    let _alone = ALONE.lock();
+    for place in places() {
+        let mut run = slope_trainer(&place.device);
+        run.step().expect("a sound run");
+        let before = read_bytes();
+        (0..100).for_each(|_| drop(run.step().expect("a sound run")));
+        place.device.sync().expect("the device is there");
+        let bytes = (read_bytes() - before) as f64 / 100.0;
+        println!("{}: {bytes} bytes a step", place.name);
+        assert!(bytes > 0.0 && bytes <= 64.0, "{}: {bytes} bytes read back a step", place.name);
+    }
+}
+
+/// Seconds of a refinement, to compare revisions: `SPLAT_ROWS=1000000 cargo test --release -p splat-tests --test density seconds -- --ignored --nocapture`.
+#[test]
+#[ignore = "a measurement"]
+fn seconds_of_a_refinement() {
+    let _alone = ALONE.lock();
+    let count = std::env::var("SPLAT_ROWS").map_or(300_000, |rows| rows.parse().expect("a number of rows"));
+    let from = rows(count);
+    for (name, density) in strategies(count) {
+        for place in places().into_iter().filter(|place| place.name != "ndarray") {
+            let best = (0..3).map(|_| refined(density, &from, &place.device).3).fold(f64::INFINITY, f64::min);
+            println!("{name} on {}: {best:.3} s for {count} Gaussians", place.name);
+        }
+    }
+}
