@@ -71,7 +71,7 @@ fn numbers_that_json_does_not_have() {
         let place = ["frames[1].transform_matrix[0]", " on line 1, column ", "finite", "Correct"];
         assert_says(&with_matrix(&matrix), &place);
     }
-    // Names of the file's are shown without their control characters.
+    // Names in the file are shown without their control characters.
     assert_says(&message_of("{\"\\u0000\": NaN}"), &["\\0 on line 1", "finite"]);
 }
 
