@@ -70,6 +70,7 @@ fn other_shapes_and_kinds_are_refused() {
     state.put("means", Tensor::<2>::zeros([2, 3], &device));
     state.tell("step", &"ten").unwrap();
     assert!(matches!(state.take_shaped::<2>("means", [3, 2], &device), Err(StateError::Shape { .. })));
+    state.put("means", Tensor::<2>::zeros([2, 3], &device));
     assert!(matches!(state.take::<1>("means", &device), Err(StateError::Shape { .. })));
     assert!(matches!(state.told::<usize>("step"), Err(StateError::Fact { .. })));
 }

@@ -75,7 +75,7 @@ pub(super) fn parse(file: &Path, bytes: &[u8]) -> Result<Fields, CaptureError> {
         };
         CaptureError::Entry {
             file: file.to_owned(),
-            place: format!("{path} on line {line}, column {column}"),
+            place: format!("{} on line {line}, column {column}", path.escape_debug()),
             field,
             found: quoted(found.trim_start_matches("invalid type: ")).into(),
             expected: expected.into(),

@@ -67,7 +67,7 @@ fn the_stated_deviation_is_that_of_the_noise() {
 #[test]
 fn noise_without_a_walk_is_refused() {
     let message = fitted(&walk(20, 3.0, 5.0, 0), 20).unwrap_err().to_string();
-    assert_says(&message, &["20 photographs", "expected ±10%", "two marked points"]);
+    assert_says(&message, &["20 photographs", "expected ±10%", "scale.json"]);
     let at_one_place = walk(20, 0.0, 0.0, 0).iter().map(|&(_, gps)| (DVec3::ZERO, gps)).collect::<Vec<_>>();
     assert!(fitted(&at_one_place, 20).is_err());
     let message = fitted(&walk(3, 80.0, 0.0, 0), 9).unwrap_err().to_string();

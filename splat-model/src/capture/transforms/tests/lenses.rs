@@ -83,7 +83,6 @@ fn impossible_lenses_are_refused_by_name() {
     for (fields, parts) in [
         ("", ["`fl_x` is missing", "camera_angle_x"]),
         (r#""fl_x": 0,"#, ["`fl_x` is 0", "positive"]),
-        (r#""fl_x": "8","#, ["`fl_x` is \"8\"", "a number"]),
         (r#""camera_angle_x": 3.2,"#, ["`camera_angle_x` is 3.2", "below pi"]),
         (r#""fl_x": 8, "w": 8.5,"#, ["`w` is 8.5", "1 to 32768"]),
         (r#""fl_x": 8, "h": 0,"#, ["`h` is 0", "1 to 32768"]),
@@ -93,8 +92,6 @@ fn impossible_lenses_are_refused_by_name() {
             r#""fl_x": 8, "camera_model": "EQUIRECTANGULAR","#,
             ["`camera_model` is \"EQUIRECTANGULAR\"", "OPENCV_FISHEYE"],
         ),
-        (r#""fl_x": 8, "camera_model": 5,"#, ["`camera_model` is 5", "name"]),
-        (r#""fl_x": 8, "is_fisheye": 1,"#, ["`is_fisheye` is 1", "true or false"]),
     ] {
         let message = camera(fields, "").unwrap_err();
         assert!(parts.iter().all(|part| message.contains(part)), "{message}");

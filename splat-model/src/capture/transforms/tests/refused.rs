@@ -58,6 +58,8 @@ fn values_of_another_type() {
     }
     let lens = |field: &str| message_of(&format!(r#"{{{field}, "frames": [{}]}}"#, frame("a.png")));
     assert_says(&lens(r#""fl_x": true"#), &["fl_x on line 1", "boolean `true`", "a number"]);
+    assert_says(&lens(r#""camera_model": 5"#), &["camera_model on line 1", "integer `5`", "a string"]);
+    assert_says(&lens(r#""is_fisheye": 1"#), &["is_fisheye on line 1", "integer `1`", "a boolean"]);
     assert_says(&lens(r#""train_filenames": [3]"#), &["train_filenames[0] on line 1", "integer `3`", "a string"]);
 }
 
@@ -66,8 +68,11 @@ fn numbers_that_json_does_not_have() {
     // Python writes these.
     for number in ["NaN", "-Infinity", "1e999"] {
         let matrix = format!("[[1, 0, 0, {number}], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]");
-        assert_says(&with_matrix(&matrix), &["frames[1].transform_matrix[0] on line 1, column ", "finite", "Correct"]);
+        let place = ["frames[1].transform_matrix[0]", " on line 1, column ", "finite", "Correct"];
+        assert_says(&with_matrix(&matrix), &place);
     }
+    // Names in the file are shown without their control characters.
+    assert_says(&message_of("{\"\\u0000\": NaN}"), &["\\0 on line 1", "finite"]);
 }
 
 #[test]
