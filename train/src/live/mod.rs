@@ -139,7 +139,7 @@ impl<'a> Live<'a> {
         }
         if self.numbers.is_due() {
             let begin = Instant::now();
-            let left_s = log.left_s(trainer);
+            let left_s = log.left_s();
             self.shared.show(&Status {
                 step: trainer.steps_done(),
                 steps: trainer.config().steps,
