@@ -103,7 +103,9 @@ fn every_strategy_chooses_the_same_rows_on_every_device() {
 #[test]
 fn a_refinement_reads_back_counts_only() {
     let _alone = ALONE.lock();
-    for (name, place) in places().into_iter().flat_map(|place| strategies(1).map(|(name, _)| (name, place.device.clone()))) {
+    for (name, place) in
+        places().into_iter().flat_map(|place| strategies(1).map(|(name, _)| (name, place.device.clone())))
+    {
         for count in [3_000, 24_000] {
             let density = strategies(count).into_iter().find(|(other, _)| *other == name).expect("of the same list").1;
             let (.., bytes, seconds) = refined(density, &rows(count), &place);

@@ -5,9 +5,9 @@ use std::rc::Rc;
 
 use burn::tensor::{Device, Tensor};
 use rand::Rng;
+use splat_demo::DemoOptions;
 use splat_hard_cases::scratch;
 use splat_model::capture::Photo;
-use splat_demo::DemoOptions;
 use splat_model::density::rows::Trained;
 use splat_model::density::{AdaptiveConfig, DensityConfig, Observed, RefineReport, Signals, Strategy, StrategyContext};
 use splat_model::gaussians::RowsError;

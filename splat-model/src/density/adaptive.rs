@@ -87,7 +87,8 @@ impl Adaptive {
                 let clones = (cloned > 0).then(|| rows(&chosen.bool_and(splits.clone().bool_not()), cloned));
                 let splits = rows(&splits, split);
                 let twice = Tensor::cat(vec![splits.clone(), splits.clone()], 0);
-                let parts = if halves { division::halves(&plain, &splits) } else { parts(&plain, &twice, rng.next_u64()) };
+                let parts =
+                    if halves { division::halves(&plain, &splits) } else { parts(&plain, &twice, rng.next_u64()) };
                 with_parts(&plain, keep, clones, twice, parts)
             }
         };

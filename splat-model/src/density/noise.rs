@@ -114,7 +114,10 @@ mod tests {
                 let found = mean(&|i| (values[i].powi(2) - 1.0) * (values[(i + apart) % values.len()].powi(2) - 1.0));
                 assert!(found.abs() < 2.0 * error, "{seed}: correlation {found} of squares {apart} apart");
             }
-            assert_ne!(values[..9], values_of(normal(seed + 1, rows, &device)).into_iter().map(f64::from).collect::<Vec<_>>()[..9]);
+            assert_ne!(
+                values[..9],
+                values_of(normal(seed + 1, rows, &device)).into_iter().map(f64::from).collect::<Vec<_>>()[..9]
+            );
         }
     }
 

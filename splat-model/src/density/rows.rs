@@ -14,8 +14,8 @@ pub(crate) use self::step::GaussianMoments;
 pub use self::step::StepRates;
 use self::step::{on, replace, take};
 use crate::gaussians::{Gaussians, RowsError, parameter};
-use crate::optim::moments::{Moments, followed, gathered};
 use crate::optim::MomentBits;
+use crate::optim::moments::{Moments, followed, gathered};
 
 /// A scene in training: parameters and moments, always with the same rows.
 #[derive(Clone, Debug)]

@@ -248,11 +248,7 @@ fn words_shape<const D: usize>(shape: [usize; D], packing: Packing) -> [usize; 2
 }
 
 /// The first `kept` of the rows `source`, `[M]`, of several blocks, followed by rows of zeros.
-fn continued<const R: usize, K: Basic>(
-    blocks: &[Tensor<R, K>],
-    source: &Tensor<1, Int>,
-    kept: usize,
-) -> Tensor<R, K> {
+fn continued<const R: usize, K: Basic>(blocks: &[Tensor<R, K>], source: &Tensor<1, Int>, kept: usize) -> Tensor<R, K> {
     let mut shape = blocks[0].dims();
     shape[0] = source.dims()[0] - kept;
     if shape[0] == 0 {

@@ -124,7 +124,9 @@ impl Trainer {
         let values = values.unwrap_or_else(|| Tensor::empty([rows, 2], &self.device));
         let probe = |wanted: bool| wanted.then(|| Tensor::from_inner(values.clone()).require_grad());
         let extras = Extras {
-            background: Some(drawn.map_or_else(|| self.background.clone(), |rgb| Tensor::from_floats(rgb, &self.device))),
+            background: Some(
+                drawn.map_or_else(|| self.background.clone(), |rgb| Tensor::from_floats(rgb, &self.device)),
+            ),
             mean2d_probe: probe(signals.gradient),
             mean2d_abs_probe: probe(signals.abs_gradient),
         };

@@ -30,13 +30,13 @@ use crate::lpips::LpipsArgs;
 use crate::options::PhotoArgs;
 use crate::progress;
 use crate::ranks::{self, RunSetup};
+use crate::reconstruct;
 use crate::report::log::LogLine;
 use crate::report::metrics::{Metrics, Seconds, peak_rss_mib, seconds_since};
 use crate::report::page::{self, ReportPage};
 use crate::report::{self, SCENE};
 use crate::snapshots::{Described, Snapshots};
 use crate::view::scene::{ShownScene, Viewpoint};
-use crate::reconstruct;
 
 /// The `options` of `metrics.json`.
 #[derive(Serialize)]

@@ -62,7 +62,12 @@ pub(super) fn untracked<const D: usize>(values: Tensor<D>) -> Tensor<D> {
     if values.is_autodiff() { values.inner() } else { values }
 }
 
-pub(super) fn put_parameter<const D: usize>(to: &mut State, name: &str, param: &Param<Tensor<D>>, moments: &Moments<D>) {
+pub(super) fn put_parameter<const D: usize>(
+    to: &mut State,
+    name: &str,
+    param: &Param<Tensor<D>>,
+    moments: &Moments<D>,
+) {
     to.in_part(name, |part| {
         part.put("values", untracked(param.val()));
         moments.save(part);

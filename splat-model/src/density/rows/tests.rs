@@ -3,9 +3,9 @@ use burn::tensor::{Device, Distribution};
 use super::*;
 use crate::density::rows_on;
 use crate::gaussians::GaussianRows;
-use crate::optim::{Adam, LearningRates};
 use crate::gaussians::testing::{devices, random_rows};
 use crate::gaussians::values_of;
+use crate::optim::{Adam, LearningRates};
 
 const RATES: LearningRates = LearningRates {
     means: 0.0,
