@@ -180,7 +180,8 @@ fn drawn(sums: Tensor<1, Int>, total: usize, draws: usize, rng: &mut dyn Rng) ->
     let per_weight = draws as f64 * (1.0 + 1e-6) / total as f64;
     let places = ((sums + start as i64).float() * per_weight).floor().int().cast(DType::I32).clamp_max(draws as i64);
     let first = Tensor::zeros([1], (&places.device(), DType::I32));
-    places.clone() - Tensor::cat(vec![first, places.narrow(0, 0, rows - 1)], 0)
+    let before = if rows == 1 { first } else { Tensor::cat(vec![first, places.clone().narrow(0, 0, rows - 1)], 0) };
+    places - before
 }
 
 impl Strategy for Mcmc {

@@ -34,7 +34,9 @@ fn interleaved(places: Tensor<2, Int>) -> Tensor<1, Int> {
     let [count, _] = places.dims();
     let spread = [(16, 0x0300_00ff), (8, 0x0300_f00f), (4, 0x030c_30c3), (2, 0x0924_9249)];
     let spread = spread.into_iter().fold(places, |bits, (by, mask): (i32, i32)| {
-        bits.clone().bitwise_or(bits.bitwise_left_shift_scalar(by)).bitwise_and_scalar(mask)
+        // Without the bits that the shift would lose, because a CPU device refuses them.
+        let shifted = bits.clone().bitwise_and_scalar(i32::MAX >> by).bitwise_left_shift_scalar(by);
+        bits.bitwise_or(shifted).bitwise_and_scalar(mask)
     });
     let axis = |axis: usize| spread.clone().narrow(1, axis, 1).reshape([count]);
     axis(0) + axis(1) * 2 + axis(2) * 4

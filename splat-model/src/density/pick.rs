@@ -54,6 +54,9 @@ pub fn counts<const K: usize>(masks: [Tensor<1, Bool>; K]) -> [usize; K] {
 
 /// The rows of a mask, `[count]`, in the order of `order`, a permutation of all rows. `count` is their number.
 pub fn picked(order: &Tensor<1, Int>, mask: &Tensor<1, Bool>, count: usize) -> Tensor<1, Int> {
+    if count == 0 {
+        return rows_on(&order.device(), &[]);
+    }
     let others = ones(mask.clone().bool_not()).select(0, order.clone());
     order.clone().select(0, argsort(others, 1).narrow(0, 0, count))
 }

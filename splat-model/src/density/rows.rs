@@ -15,7 +15,7 @@ pub use self::step::StepRates;
 use self::step::{on, replace, take};
 use crate::gaussians::{Gaussians, RowsError, parameter};
 use crate::optim::MomentBits;
-use crate::optim::moments::{Moments, gathered};
+use crate::optim::moments::{Moments, followed, gathered};
 
 /// A scene in training: parameters and moments, always with the same rows.
 #[derive(Clone, Debug)]
@@ -73,8 +73,7 @@ impl RowEdit {
             Some(new) => {
                 let mut shape = old[0].dims();
                 shape[0] = self.added();
-                let kept = gathered(&old, &self.source.clone().narrow(0, 0, self.kept));
-                Tensor::cat(vec![kept, new.clone().reshape(shape)], 0)
+                followed(&old, &self.source, self.kept, new.clone().reshape(shape))
             }
         };
         *param = parameter(on(&device, values));

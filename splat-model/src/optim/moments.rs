@@ -251,12 +251,21 @@ fn words_shape<const D: usize>(shape: [usize; D], packing: Packing) -> [usize; 2
 fn continued<const R: usize, K: Basic>(blocks: &[Tensor<R, K>], source: &Tensor<1, Int>, kept: usize) -> Tensor<R, K> {
     let mut shape = blocks[0].dims();
     shape[0] = source.dims()[0] - kept;
-    let old = gathered(blocks, &if shape[0] == 0 { source.clone() } else { source.clone().narrow(0, 0, kept) });
     if shape[0] == 0 {
-        return old;
+        return gathered(blocks, source);
     }
-    let zeros = Tensor::zeros(shape, (&old.device(), old.dtype()));
-    Tensor::cat(vec![old, zeros], 0)
+    let zeros = Tensor::zeros(shape, (&blocks[0].device(), blocks[0].dtype()));
+    followed(blocks, source, kept, zeros)
+}
+
+/// The first `kept` of the rows `source`, `[M]`, of several blocks, followed by `new` rows.
+pub(crate) fn followed<const R: usize, K: Basic>(
+    blocks: &[Tensor<R, K>],
+    source: &Tensor<1, Int>,
+    kept: usize,
+    new: Tensor<R, K>,
+) -> Tensor<R, K> {
+    if kept == 0 { new } else { Tensor::cat(vec![gathered(blocks, &source.clone().narrow(0, 0, kept)), new], 0) }
 }
 
 /// The rows `source`, `[M]`, of several blocks of rows, which are counted through all blocks.

@@ -10,7 +10,7 @@ use super::step::{on, replace};
 use super::{GaussianMoments, RowEdit, Trained};
 use crate::gaussians::{Gaussians, joined, parameter, sh_blocks};
 use crate::optim::MomentBits;
-use crate::optim::moments::{Moments, Stored, gathered, grown};
+use crate::optim::moments::{Moments, Stored, followed, gathered, grown};
 use crate::state::{State, StateError};
 
 impl Trained {
@@ -49,15 +49,18 @@ impl Trained {
         let old: Vec<_> = g.sh_params().map(|block| block.val().inner()).collect();
         let old_moments: Vec<Stored<3>> = m.sh_blocks().map(|block| block.stored().clone()).collect();
         let parts = sh_blocks(edit.source.dims()[0], coefficients, &device).into_iter().map(|rows| {
-            let source = edit.source.clone().narrow(0, rows.start, rows.len());
+            let all = edit.source.clone();
+            let source = if rows.is_empty() { all } else { all.narrow(0, rows.start, rows.len()) };
             let kept = edit.kept.clamp(rows.start, rows.end) - rows.start;
-            let mut values = gathered(&old, &source);
-            if let Some(new) = edit.change("sh").filter(|_| kept < rows.len()) {
-                let mut shape = values.dims();
-                shape[0] = rows.len() - kept;
-                let new = new.clone().narrow(0, rows.start + kept - edit.kept, shape[0]).reshape(shape);
-                values = Tensor::cat(vec![values.narrow(0, 0, kept), new], 0);
-            }
+            let values = match edit.change("sh").filter(|_| kept < rows.len()) {
+                None => gathered(&old, &source),
+                Some(new) => {
+                    let mut shape = old[0].dims();
+                    shape[0] = rows.len() - kept;
+                    let new = new.clone().narrow(0, rows.start + kept - edit.kept, shape[0]).reshape(shape);
+                    followed(&old, &source, kept, new)
+                }
+            };
             let mut moments = Moments::gathered(&old_moments, &source, kept);
             moments.grow(coefficients, 3);
             (parameter(on(&device, grown(values, coefficients))), moments)
