@@ -163,9 +163,12 @@ mod tests {
             let ahead = cam_from_world.transform_point3(centre);
             assert!(ahead.truncate().length() < 1e-9 && (ahead.z - 4.25f64.sqrt()).abs() < 1e-3, "{i}: {ahead}");
             assert!(pose.matrix3.y_axis.y > 0.9 && (pose.matrix3.determinant() - 1.0).abs() < 1e-9, "{i}");
-            let (a, b) = (pose.translation, path[(i + 1) % 8].inverse().translation);
-            let (expected, found) = (4.0 * (TAU / 16.0).sin(), (a - b).length());
-            assert!((found - expected).abs() < 0.05 * expected, "{i}: {found} instead of {expected}");
+            let step =
+                |i: usize| (path[i % 8].inverse().translation - path[(i + 1) % 8].inverse().translation).length();
+            assert!((step(i) - step(0)).abs() < 1e-9, "{i}: {} instead of {}", step(i), step(0));
+            // Three tilted cameras on one side lean the mean of their vertical axes, so the circle is not quite theirs.
+            let expected = 4.0 * (TAU / 16.0).sin();
+            assert!((step(i) - expected).abs() < 0.05 * expected, "{i}: {} instead of {expected}", step(i));
         }
     }
 }
