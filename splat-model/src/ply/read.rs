@@ -6,8 +6,8 @@ use std::path::Path;
 
 use ply_rs_bw::parser::{ParseError, Parser, Reader};
 use ply_rs_bw::ply::{
-    DefaultElement, ElementDef, Encoding, Header, Property, PropertyAccess, PropertyAccessResult, PropertyType,
-    ScalarType,
+    DefaultElement, ElementDef, Encoding, Header, Property, PropertyAccess, PropertyAccessResult, PropertyDef,
+    PropertyType, ScalarType,
 };
 
 use super::{PlyError, VERTEX};
@@ -167,9 +167,7 @@ impl<'a> PlyReader<'a> {
         let mut bytes = vec![0; usize::try_from(least_row_bytes(element, Encoding::BinaryLittleEndian)).unwrap_or(0)];
         let mut line = String::new();
         let mut values = vec![0.0; columns.len()];
-        let of_floats = |property: &ply_rs_bw::ply::PropertyDef| {
-            matches!(property.data_type, PropertyType::Scalar(ScalarType::Float))
-        };
+        let of_floats = |property: &PropertyDef| matches!(property.data_type, PropertyType::Scalar(ScalarType::Float));
         // The usual layout, without the parser.
         let plain = encoding == Encoding::BinaryLittleEndian && element.properties.values().all(of_floats);
         for i in 0..element.count {
@@ -217,7 +215,9 @@ impl<'a> PlyReader<'a> {
             let detail = format!("the line holds {found} values, expected {expected}");
             return Err(io::Error::new(ErrorKind::InvalidData, detail).into());
         }
-        parser.read_ascii_element(line, element)
+        // The parser knows neither infinities nor NaN, which other programs write.
+        let read = line.contains(['n', 'N']).then(|| non_finite_row(line, element)).flatten();
+        read.map_or_else(|| parser.read_ascii_element(line, element), Ok)
     }
 
     fn row_error(&self, element: &ElementDef, row: usize, error: &ParseError) -> PlyError {
@@ -237,6 +237,15 @@ impl<'a> PlyReader<'a> {
     fn data_error(&self, detail: String) -> PlyError {
         PlyError::Data { path: self.path.to_path_buf(), detail }
     }
+}
+
+/// The values of a line with infinities or NaN, each a number of its property's type.
+fn non_finite_row(line: &str, element: &ElementDef) -> Option<RowValues> {
+    let value = |(word, property): (&str, &PropertyDef)| match property.data_type {
+        PropertyType::Scalar(ScalarType::Float | ScalarType::Double) => word.parse().ok(),
+        _ => word.parse::<i64>().ok().map(|whole| whole as f64),
+    };
+    line.split_ascii_whitespace().zip(element.properties.values()).map(value).collect::<Option<_>>().map(RowValues)
 }
 
 /// The error for a row with a value that it cannot have.

@@ -77,7 +77,7 @@ fn what_no_point_can_have_is_refused() {
         )
     };
     for (text, parts) in [
-        (text("x", "1 inf 2"), ["row 0", "1 inf 2"]),
+        (text("x", "1 inf 2"), ["row 0", "`y` is inf"]),
         (text("x", "1 2 -1e16"), ["row 0", "`z` is -1"]),
         (text("x", "1.25 2.25"), ["row 0", "2 values"]),
         (text("u", "1 2 3"), ["`x`", "`u` `y` `z`"]),
