@@ -8,6 +8,7 @@ use serde_json::error::Category;
 
 use crate::capture::CaptureError;
 use crate::capture::read::{Place, quoted};
+use crate::ply::brief;
 
 /// The expected form of a `transform_matrix`.
 pub(super) const MATRIX: &str = "3 or 4 rows of 4 finite numbers, the fourth 0 0 0 1";
@@ -75,7 +76,7 @@ pub(super) fn parse(file: &Path, bytes: &[u8]) -> Result<Fields, CaptureError> {
         };
         CaptureError::Entry {
             file: file.to_owned(),
-            place: format!("{} on line {line}, column {column}", path.escape_debug()),
+            place: format!("{} on line {line}, column {column}", brief(&path.escape_debug().to_string())),
             field,
             found: quoted(found.trim_start_matches("invalid type: ")).into(),
             expected: expected.into(),

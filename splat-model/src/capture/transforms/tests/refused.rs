@@ -73,6 +73,8 @@ fn numbers_that_json_does_not_have() {
     }
     // Names in the file are shown without their control characters.
     assert_says(&message_of("{\"\\u0000\": NaN}"), &["\\0 on line 1", "finite"]);
+    let long = "n".repeat(4_000);
+    assert!(message_of(&format!("{{\"{long}\": NaN}}")).len() < 1_000);
 }
 
 #[test]
