@@ -137,7 +137,7 @@ impl Counted {
         Self { what, bar, started: now, shown: now, done: (0, total), left: None }
     }
 
-    /// Also says how much time is left, with a remark, once [`EXPECTED_FROM`] are done.
+    /// Also says how much time is left, with a remark, once `EXPECTED_FROM` are done.
     pub fn with_left(self, remark: &'static str) -> Self {
         Self { left: Some(remark), ..self }
     }

@@ -112,7 +112,7 @@ pub fn folder(capture: &Capture) -> Option<PathBuf> {
     Some(first.strip_prefix(&capture.folder).ok()?.components().next()?.as_os_str().into())
 }
 
-/// Reads the depth maps of the photographs `views`, in the capture's [folder](folder) of them: 16-bit grey PNG files of any size, named
+/// Reads the depth maps of the photographs `views`, in the capture's [folder] of them: 16-bit grey PNG files of any size, named
 /// like masks (see [`masks`](super::masks)). Levels are camera z at pixel centres, and zero where the depth is unknown. The
 /// file `depth.json` holds the scene units per level: `{"scale": 0.001}`. Large maps are sampled evenly. A photograph
 /// without a map has no samples. `None` without any map.
