@@ -13,7 +13,7 @@ executable() { sed -n 's/.*"name":"'"$1"'".*"executable":"\([^"]*\)".*/\1/p' | t
 build() {
   local folder="$1" messages
   messages="$(mktemp)"
-  # One build with both compilers of kernels: WGSL for `gpu`, SPIR-V for `vulkan`.
+  # With the feature `vulkan`, `gpu` takes SPIR-V as `vulkan` does where the driver can, and WGSL elsewhere.
   local options=(--locked --release -p splat-op -p splat-tests -p splat-benches --features splat-benches/vulkan,splat-tests/vulkan --no-run --message-format=json)
   cargo test "${options[@]}" --bench gpu --test reference >"$messages"
   executable gpu <"$messages" | xargs -I{} cp {} "$folder/gpu"

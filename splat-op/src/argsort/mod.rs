@@ -24,7 +24,7 @@ pub fn argsort(keys: Tensor<1, Int>, bits: u32) -> Tensor<1, Int> {
     Tensor::from_dispatch(<Dispatch as ArgsortBackend>::argsort(keys.into_dispatch(), bits.clamp(1, ALL_BITS)))
 }
 
-/// Returns the order of `keys`, `[N]`: numbers that are not negative, without autodiff. NaN comes last.
+/// Returns the order of `keys`, `[N]`: numbers that are not negative, nor −0, without autodiff. NaN comes last.
 pub fn argsort_floats(keys: Tensor<1>) -> Tensor<1, Int> {
     let keys = if keys.dtype() == DType::F32 { keys } else { keys.cast(DType::F32) };
     Tensor::from_dispatch(<Dispatch as ArgsortBackend>::argsort_floats(keys.into_dispatch()))

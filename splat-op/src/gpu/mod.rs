@@ -70,8 +70,8 @@ impl Gpu {
     }
 }
 
-/// Returns the number of units of every plane. CubeCL withholds plane operations from drivers in software; the variable
-/// `SPLAT_PLANES`, a number of units, gives them back for tests.
+/// Returns the number of units of every plane. CubeCL withholds plane operations from drivers in software; the environment variable
+/// `SPLAT_PLANES`, a number of units, has tests use them.
 fn plane_units(properties: &DeviceProperties) -> Option<u32> {
     let hardware = &properties.hardware;
     let forced = std::env::var("SPLAT_PLANES").ok().and_then(|units| units.parse().ok());

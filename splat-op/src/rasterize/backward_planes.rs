@@ -50,7 +50,7 @@ pub(super) const fn shared_bytes(shape: KernelShape, columns: usize, plane_units
 ///
 /// In a bucket, the units of a block pass the layers of the block's word from the last to the first, eight at a time: forwards for
 /// `α` and `T`, which stay in registers, then backwards for `∂L/∂α`. Layers before these eight are evaluated once more for their
-/// transmittance; few words have more than eight.
+/// transmittance.
 ///
 /// With `direct`, every plane adds its sums to the rows of the Gaussians. Without, the planes of a cube meet after each bucket and
 /// add up their sums in a fixed order first: where the order matters, or an addition is dear.
@@ -87,6 +87,7 @@ pub(super) fn rasterize_backward_planes_kernel<A: FloatCell>(
     let mut colours = Shared::<[Four]>::new_slice(comptime!(SEGMENT));
     let mut targets = Shared::<[u32]>::new_slice(comptime!(SEGMENT));
     let mut gradients = Shared::<[f32]>::new_slice(comptime!(TILE_PIXELS * channels));
+    // Of each plane, for the layers of a group: `h` and the weights `α T` of its pixels, and the places of the layers in the bucket.
     let mut heights = Shared::<[f32]>::new_slice(comptime!(table_len(plane_units as usize)));
     let mut shares = Shared::<[f32]>::new_slice(comptime!(table_len(plane_units as usize)));
     let mut group = Shared::<[u32]>::new_slice(comptime!(TILE_PIXELS / plane_units as usize * TOGETHER));
