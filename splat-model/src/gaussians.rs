@@ -6,7 +6,7 @@ use burn::module::{Module, Param};
 use burn::tensor::kind::Basic;
 use burn::tensor::{Device, Int, Tensor, TensorData, activation};
 use rayon::prelude::*;
-use splat_op::{Colour, RawSplats, Splats, activate, largest_tensor, read};
+use splat_op::{Colour, RawSplats, Splats, activate, largest_tensor, read_back};
 use thiserror::Error;
 
 /// The rows of a scene on the host, as in scene files. Row `i` of every field belongs to Gaussian `i`.
@@ -411,7 +411,7 @@ fn tensor<const D: usize>(values: Vec<f32>, shape: [usize; D], device: &Device) 
 
 /// All elements of a tensor, row-major.
 pub fn values_of<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
-    let data = read(tensor).convert::<f32>();
+    let data = read_back(tensor).convert::<f32>();
     data.try_into_vec().expect("converted to f32 in the line above")
 }
 

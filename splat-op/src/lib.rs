@@ -174,7 +174,7 @@ pub use camera::{Camera, CameraModel, Intrinsics, Projector};
 pub use colour::{colours, colours_up_to, evaluate_sh, visible_colours};
 pub use error::SplatError;
 pub use options::{Accumulation, MAX_UNCULLED_INTERSECTIONS, Projection, RenderOptions, Storage};
-pub use read::read;
+pub use read::read_back;
 pub use render::{render, render_view};
 pub use splats::{Colour, Extras, Splats};
 pub use stages::{Ellipses, Intersections, Projected, Rendered, intersect, project, rasterize};

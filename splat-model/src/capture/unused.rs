@@ -11,7 +11,7 @@ use super::scale::SCALE_FILE;
 use crate::effects::{depth, masks};
 
 /// Files at the top of a capture that are read by other means or mean nothing.
-const KNOWN: [&str; 4] = [SCALE_FILE, "marks.txt", "Thumbs.db", "desktop.ini"];
+const KNOWN: [&str; 3] = [SCALE_FILE, "Thumbs.db", "desktop.ini"];
 
 /// Entries of the list that are named.
 const MOST: usize = 12;

@@ -7,15 +7,15 @@ mod relocate;
 use burn::tensor::{DType, Device, Int, Tensor, activation::sigmoid};
 use rand::{Rng, RngExt};
 use serde::{Deserialize, Serialize};
-use splat_op::{Splats, read};
+use splat_op::{Splats, read_back};
 
 use self::relocate::share;
 use super::noise::Noise;
 use super::order::z_order;
 use super::pick::{counts, ones, picked, repeated, rounded_down, rows_on, running_sums};
+use super::rotate::{rotated, unit};
 use super::rows::{RowEdit, Trained};
 use super::strategy::{RefineReport, Strategy, StrategyContext};
-use super::turn::{rotated, unit};
 use crate::gaussians::{GaussianRows, Gaussians, RowsError, logit};
 use crate::loss::regularise;
 use crate::state::{State, StateError};
@@ -100,8 +100,10 @@ impl Mcmc {
         }
         let weights = weights(opacities.clone().mask_fill(lives.clone().bool_not(), 0.0));
         let total = weights.clone().narrow(0, rows - 1, 1);
-        let numbers: Vec<usize> =
-            read(Tensor::cat(vec![ones(lives.clone()).sum(), total], 0)).iter::<i64>().map(|n| n as usize).collect();
+        let numbers: Vec<usize> = read_back(Tensor::cat(vec![ones(lives.clone()).sum(), total], 0))
+            .iter::<i64>()
+            .map(|n| n as usize)
+            .collect();
         let (living, total) = (numbers[0], numbers[1]);
         // Without living Gaussians there is nothing to share.
         if total == 0 {

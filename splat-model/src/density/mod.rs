@@ -9,9 +9,9 @@ mod mcmc;
 mod noise;
 mod order;
 mod pick;
+mod rotate;
 pub mod rows;
 mod strategy;
-mod turn;
 
 pub use adaptive::{Adaptive, AdaptiveConfig, Division, GRADUAL_OPACITY_WEIGHT};
 pub use config::DensityConfig;

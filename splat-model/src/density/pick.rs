@@ -2,7 +2,7 @@
 
 use burn::tensor::{Bool, DType, Device, Int, Tensor, TensorData};
 use splat_op::argsort::{argsort, argsort_floats};
-use splat_op::read;
+use splat_op::read_back;
 
 /// Numbers of rows of a scene are multiples of this: kernels are compiled for the widest vectors that divide a length, so that scenes
 /// whose lengths have no divisor in common are compiled for again after every edit.
@@ -48,7 +48,7 @@ pub fn rows_on(device: &Device, rows: &[u32]) -> Tensor<1, Int> {
 /// The numbers of rows of masks, read at once.
 pub fn counts<const K: usize>(masks: [Tensor<1, Bool>; K]) -> [usize; K] {
     let sums = Tensor::stack::<2>(masks.map(ones).to_vec(), 0).sum_dim(1);
-    let counts: Vec<usize> = read(sums).iter::<i64>().map(|count| count as usize).collect();
+    let counts: Vec<usize> = read_back(sums).iter::<i64>().map(|count| count as usize).collect();
     counts.try_into().expect("one for each mask")
 }
 
@@ -69,7 +69,7 @@ pub fn largest(values: &Tensor<1>, among: &Tensor<1, Bool>, count: usize) -> (Te
     let keys = (values.clone() + f64::from(f32::MIN_POSITIVE)).mask_fill(among.clone().bool_not(), 0.0);
     let order = argsort_floats(keys);
     let next = (count < rows).then(|| order.clone().narrow(0, rows - count - 1, 1));
-    let next = next.and_then(|row| read(values.clone().select(0, row)).iter::<f64>().next());
+    let next = next.and_then(|row| read_back(values.clone().select(0, row)).iter::<f64>().next());
     (inverse(order).greater_equal_elem((rows - count) as i64), next)
 }
 

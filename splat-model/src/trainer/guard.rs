@@ -8,7 +8,7 @@
 use burn::tensor::{DType, Device, Int, Tensor};
 use splat_op::activate::non_finite;
 use splat_op::adam::{SceneGradients, VERDICT, watch};
-use splat_op::read;
+use splat_op::read_back;
 
 use crate::density::rows::Gradients;
 
@@ -78,7 +78,7 @@ impl Guard {
         }
         let (watched, flags): (Vec<usize>, Vec<Tensor<1, Int>>) = flags(loss, gradients).into_iter().unzip();
         // One reading for all: each costs more than the check of a small parameter.
-        let flags: Vec<i32> = read(Tensor::cat(flags, 0)).iter().collect();
+        let flags: Vec<i32> = read_back(Tensor::cat(flags, 0)).iter().collect();
         let bad =
             std::array::from_fn(|i| watched.iter().zip(&flags).any(|(&watched, &flag)| watched == i && flag != 0));
         if bad.contains(&true) { Err(Fault { step, view, what: in_words(bad) }) } else { Ok(None) }
@@ -94,7 +94,7 @@ impl Guard {
         }
         let unread = std::mem::take(&mut self.unread);
         let Some(verdict) = &self.verdict else { return Ok(()) };
-        let numbers: Vec<i32> = read(verdict.clone()).iter().collect();
+        let numbers: Vec<i32> = read_back(verdict.clone()).iter().collect();
         let [first, which] = [0, 1].map(|i| numbers[i] as usize);
         match unread.iter().find(|(step, _)| *step == first) {
             None => Ok(()),

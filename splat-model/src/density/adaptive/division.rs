@@ -4,7 +4,7 @@ use burn::tensor::{Int, Tensor, activation};
 use serde::{Deserialize, Serialize};
 
 use crate::density::noise::normal;
-use crate::density::turn::{rotated, unit};
+use crate::density::rotate::{rotated, unit};
 use crate::gaussians::Gaussians;
 
 /// How one Gaussian becomes two.
