@@ -9,6 +9,7 @@ use std::process::{Child, Command, Stdio};
 use anyhow::{Context, Result, anyhow, ensure};
 use glam::{DAffine3, DMat3, DVec3};
 use splat_op::Intrinsics;
+use tempfile::TempDir;
 
 /// A camera path.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -64,7 +65,8 @@ fn focus(poses: &[DAffine3]) -> Option<DVec3> {
 pub struct Video<'a> {
     ffmpeg: Child,
     path: &'a Path,
-    partial: std::path::PathBuf,
+    /// Holds the unfinished file, and is removed with it.
+    folder: TempDir,
 }
 
 impl<'a> Video<'a> {
@@ -79,11 +81,13 @@ impl<'a> Video<'a> {
             "{} has no extension, which gives the format: end it in .mp4",
             path.display()
         );
-        let partial = path.with_file_name(format!(".partial-{}", name.to_string_lossy()));
+        let beside = path.parent().filter(|folder| *folder != Path::new("")).unwrap_or(Path::new("."));
+        let folder = tempfile::Builder::new().prefix(".splat-video-").tempdir_in(beside);
+        let folder = folder.with_context(|| format!("cannot write to {}: fix its permissions", beside.display()))?;
         let mut command = Command::new("ffmpeg");
-        command.args(["-hide_banner", "-loglevel", "error", "-y", "-f", "rawvideo", "-pix_fmt", "rgb24"]);
+        command.args(["-hide_banner", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24"]);
         command.args(["-s", &format!("{width}x{height}"), "-r", &fps.to_string(), "-i", "-", "-pix_fmt", "yuv420p"]);
-        command.arg(&partial).stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::piped());
+        command.arg(folder.path().join(name)).stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::piped());
         let ffmpeg = command.spawn().map_err(|error| match error.kind() {
             ErrorKind::NotFound => anyhow!(
                 "`--video` needs ffmpeg, and there is no `ffmpeg` on the PATH: install it (`apt install ffmpeg`, `brew install ffmpeg`, or \
@@ -91,7 +95,7 @@ impl<'a> Video<'a> {
             ),
             _ => anyhow::Error::from(error).context("cannot run `ffmpeg`: check that it may be executed"),
         })?;
-        Ok(Self { ffmpeg, path, partial })
+        Ok(Self { ffmpeg, path, folder })
     }
 
     /// Adds a picture: RGB, 8 bits each.
@@ -112,7 +116,8 @@ impl<'a> Video<'a> {
     /// If ffmpeg fails, with what it says, or the file cannot be renamed.
     pub fn finish(mut self) -> Result<()> {
         self.end()?;
-        fs::rename(&self.partial, self.path).with_context(|| format!("cannot write {}", self.path.display()))
+        let written = self.folder.path().join(self.path.file_name().unwrap_or_default());
+        fs::rename(written, self.path).with_context(|| format!("cannot write {}", self.path.display()))
     }
 
     fn end(&mut self) -> Result<()> {
@@ -129,11 +134,10 @@ impl<'a> Video<'a> {
 }
 
 impl Drop for Video<'_> {
-    /// After a failure nothing is left. After the end none of this does anything.
+    /// After a failure nothing is left. After the end there is nothing to stop.
     fn drop(&mut self) {
         _ = self.ffmpeg.kill();
         _ = self.ffmpeg.wait();
-        _ = fs::remove_file(&self.partial);
     }
 }
 

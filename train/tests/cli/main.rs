@@ -291,7 +291,10 @@ fn a_path_becomes_a_video_by_ffmpeg() {
     with_ffmpeg(&mut command, folder.path(), "echo \"$@\" > \"$0.said\"; cat > \"$last\"");
     assert_eq!(succeed(&mut command).stdout.trim(), text(&video));
     let said = fs::read_to_string(folder.path().join("ffmpeg.said")).unwrap();
-    assert!(said.contains("-s 64x48 -r 24") && said.trim().ends_with(".partial-orbit.mp4"), "{said}");
+    assert!(
+        said.contains("-s 64x48 -r 24") && said.contains("/.splat-video-") && said.trim().ends_with("/orbit.mp4"),
+        "{said}"
+    );
     // The same pictures, in files.
     let pictures = folder.path().join("pictures");
     succeed(splat(&orbit).args(["--out", text(&pictures)]));
