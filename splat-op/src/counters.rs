@@ -37,7 +37,7 @@ pub fn idle_waits() -> u64 {
     IDLE_WAITS.load(Ordering::Relaxed)
 }
 
-/// Returns the bytes that [`crate::read`] and the operations of this crate have copied from devices to the host so far.
+/// Returns the bytes that [`crate::read_back`] and the operations of this crate have copied from devices to the host so far.
 pub fn read_bytes() -> u64 {
     READ.load(Ordering::Relaxed)
 }

@@ -74,11 +74,6 @@ fn cases() -> Vec<Case> {
         case("eval colmap --scene given/scene.ply --out OUT --device cpu", "colmap/views/0000.png", Some("colmap")),
         case("eval colmap --scene given/metrics.json --out OUT --device cpu", "given/metrics.json", Some("given")),
         case("pareto colmap --scene given/pareto.csv --out OUT --device cpu", "given/pareto.csv", Some("given")),
-        case(
-            "pareto colmap --scene given/scene.ply --background given/pareto.md --out OUT --device cpu",
-            "given/pareto.md",
-            Some("given"),
-        ),
         case("convert given/scene.ply OUT", "given/scene.ply", None),
         case("convert given/scene.ply OUT --format spz", "given/scene.ply", None),
         case("clean given/scene.ply OUT --box=-1,-1,-1,1,1,1", "given/scene.ply", None),
@@ -121,7 +116,6 @@ fn inputs() -> TempDir {
         fs::copy(TRAINED.join("scene.ply"), path("given").join(name)).unwrap();
     }
     fs::write(path("given/run.toml"), "steps = 2").unwrap();
-    fs::write(path("given/pareto.md"), "{\"colour\": [0, 0, 0]}").unwrap();
     let plan = "blocks plan cap --out blocks --blocks 2 --coarse-steps 0 -- --steps 4 --effects none";
     succeed(splat(&plan.split(' ').collect::<Vec<_>>()).current_dir(root.path()));
     for block in ["blocks/block-0/run", "blocks/block-1/run"] {
