@@ -4,25 +4,23 @@ use std::cell::RefCell;
 use std::error::Error;
 use std::rc::Rc;
 
-use burn::backend::Dispatch;
-use burn::tensor::{Device, Int, Tensor};
+use burn::tensor::{Device, Tensor};
 use splat_model::density::rows::{Gradients, Trained};
 use splat_model::density::{Observed, Strategy};
 use splat_model::gaussians::Gaussians;
 use splat_model::loss::{DEFAULT_LAMBDA, Truth, photometric};
 use splat_model::optim::Adam;
 use splat_model::trainer::Guard;
-use splat_op::backend::{
-    Geometry, IntersectionCell, Layers, PartsCell, ProjectSpec, RasterizeSpec, SplatBackend, TraceCell,
-};
 use splat_op::test_hooks::{self, PairCounts};
-use splat_op::{Camera, Colour, Extras, SplatError, Splats, render_view, with_gradient};
+use splat_op::{
+    Camera, Colour, Extras, Intersections, Intrinsics, SplatError, Splats, intersect, project, rasterize, render_view,
+    with_gradient,
+};
 
 use crate::job::{Job, OPTIONS};
 use crate::limit::PassKind;
 use crate::measure::{Pass, PassResult, Prepare, TimedPart, stateful};
 use crate::step::{SOUND, Step, density, rates};
-use crate::values;
 
 /// Returns all passes, in the order of a training step, then the step.
 pub fn passes(job: &Job, device: &Device) -> Result<Vec<Pass>, Box<dyn Error>> {
@@ -31,23 +29,24 @@ pub fn passes(job: &Job, device: &Device) -> Result<Vec<Pass>, Box<dyn Error>> {
     let gaussians = job.gaussians(device);
     let prepare: [(PassKind, Prepare); 15] = [
         (PassKind::Activate, forward(move || Ok(gaussians.splats()))),
-        (PassKind::Project, stages.forward(|of| Ok(of.project(&of.splats)))),
+        (PassKind::Project, stages.forward(|of| of.project(&of.splats))),
         (PassKind::Sh, stages.forward(|of| of.colours(&of.splats))),
-        (PassKind::Intersect, stages.forward(|of| Ok(intersection_lists(&of.packed, of.spec)))),
-        (PassKind::Rasterize, stages.forward(|of| Ok(of.rasterize(of.packed.clone(), of.colours.clone())))),
+        (PassKind::Intersect, stages.forward(|of| lists_of(&of.packed, of.camera.intrinsics))),
+        (PassKind::Rasterize, stages.forward(Stages::rasterize)),
         (PassKind::Loss, loss(stages.image()?, truth.clone())),
         (PassKind::LossBackward, loss_backward(stages.image()?, truth.clone())),
         (
             PassKind::RasterizeBackward,
-            stages.backward(stages.rasterize(stages.packed.clone(), stages.colours.clone()), |of| {
-                of.rasterize(leaf(&of.packed), leaf(&of.colours))
-            }),
+            stages.backward(stages.rasterize()?, |of| of.rasterize_tracked().expect("as forwards")),
         ),
         (
             PassKind::ShBackward,
             stages.backward(stages.colours.clone(), |of| of.colours(&leaves(&of.splats)).expect("as forwards")),
         ),
-        (PassKind::ProjectBackward, stages.backward(stages.packed.clone(), |of| of.project(&leaves(&of.splats)))),
+        (
+            PassKind::ProjectBackward,
+            stages.backward(stages.packed.clone(), |of| of.project(&leaves(&of.splats)).expect("as forwards")),
+        ),
         (PassKind::ActivateBackward, activate_backward(job, device)),
         (PassKind::Observe, observe(job, device)),
         (PassKind::Guard, guard(job, device)),
@@ -168,71 +167,36 @@ pub(crate) fn harmonics(splats: &Splats) -> Tensor<3> {
 }
 
 /// Runs [`splat_op::project`] and returns the packed columns: `backward` needs their gradient, and the
-/// named columns would add the time of slices. `probe` is `[N, 2]`, or `[0, 2]` for none.
-pub(crate) fn project_packed(splats: &Splats, camera: &Camera, probe: Tensor<2>) -> Tensor<2> {
-    let inputs = Geometry {
-        means: splats.means.clone().into(),
-        rotations: splats.rotations.clone().into(),
-        scales: splats.scales.clone().into(),
-        opacities: splats.opacities.clone().into(),
-        cam_from_world: camera.cam_from_world.clone().into(),
-        mean2d: probe.into(),
-    };
-    let spec = ProjectSpec { intrinsics: camera.intrinsics, options: OPTIONS };
-    Tensor::from_dispatch(<Dispatch as SplatBackend>::project(inputs, spec))
+/// named columns would add the time of slices.
+pub(crate) fn project_packed(
+    splats: &Splats,
+    camera: &Camera,
+    probe: Option<Tensor<2>>,
+) -> Result<Tensor<2>, SplatError> {
+    let extras = Extras { mean2d_probe: probe, ..Extras::default() };
+    Ok(test_hooks::packed(&project(splats, camera, &extras, &OPTIONS)?).clone())
 }
 
-fn no_probe(splats: &Splats) -> Tensor<2> {
-    Tensor::zeros([0, 2], &splats.means.device())
+/// Lists packed ellipses.
+pub(crate) fn lists_of(packed: &Tensor<2>, intrinsics: Intrinsics) -> Result<Intersections, SplatError> {
+    intersect(&test_hooks::of_packed(packed.clone(), intrinsics), &OPTIONS)
 }
 
-/// Runs [`splat_op::rasterize`] without a background on packed columns, for the reason given at [`project_packed`].
-pub(crate) fn rasterize_planes(
-    [projected, features]: [Tensor<2>; 2],
-    (counts, intersections): (&Tensor<2, Int>, &IntersectionCell),
-    spec: RasterizeSpec,
-) -> Tensor<3> {
-    traced_planes([projected, features], (counts, intersections), spec, None)
-}
-
-/// [`rasterize_planes`], which also fills `trace` if there is one.
-fn traced_planes(
-    [projected, features]: [Tensor<2>; 2],
-    (counts, intersections): (&Tensor<2, Int>, &IntersectionCell),
-    spec: RasterizeSpec,
-    trace: Option<TraceCell>,
-) -> Tensor<3> {
-    let device = projected.device();
-    let inputs = Layers {
-        background: Tensor::<1>::zeros([3], &device).into(),
-        projected: projected.into(),
-        features: features.into(),
-        mean2d_abs: Tensor::<2>::zeros([0, 2], &device).into(),
-    };
-    let counts = counts.clone().into_dispatch();
-    let parts = PartsCell::default();
-    let planes =
-        <Dispatch as SplatBackend>::rasterize(inputs, counts, spec, intersections.clone(), trace, parts.clone());
-    Tensor::from_dispatch(<Dispatch as SplatBackend>::part(planes, 0, 4, parts))
+/// Rasterizes packed ellipses without a background, `[H, W, 3]`.
+pub(crate) fn picture_of(
+    packed: &Tensor<2>,
+    intrinsics: Intrinsics,
+    features: &Tensor<2>,
+    lists: &Intersections,
+) -> Result<Tensor<3>, SplatError> {
+    let projected = test_hooks::of_packed(packed.clone(), intrinsics);
+    Ok(rasterize(&projected, features, lists, &Extras::default(), &OPTIONS)?.colour)
 }
 
 /// Counts the pairs of a pixel and a Gaussian that a GPU evaluates; `None` for a CPU.
 pub fn pair_counts(job: &Job, device: &Device) -> Result<Option<PairCounts>, SplatError> {
-    let (stages, trace) = (Stages::new(job, device)?, TraceCell::default());
-    let inputs = [stages.packed.clone(), stages.colours.clone()];
-    test_hooks::count_pairs(true);
-    let planes = traced_planes(inputs, (&stages.counts, &stages.intersections), stages.spec, Some(trace.clone()));
-    // Waits until the stages have run.
-    values(planes);
-    test_hooks::count_pairs(false);
-    Ok(test_hooks::pair_counts(device, &trace))
-}
-
-/// Returns the lists of packed ellipses, and the number of Gaussians of each tile.
-pub(crate) fn intersection_lists(packed: &Tensor<2>, spec: RasterizeSpec) -> (Tensor<2, Int>, IntersectionCell) {
-    let intersections = IntersectionCell::default();
-    let counts = <Dispatch as SplatBackend>::intersect(packed.clone().into_dispatch(), spec, intersections.clone());
-    (Tensor::from_dispatch(counts), intersections)
+    let Stages { packed, colours, lists, .. } = Stages::new(job, device)?;
+    test_hooks::pair_counts(&test_hooks::of_packed(packed, job.intrinsics), &colours, &lists, &OPTIONS)
 }
 
 /// Inputs of the stages on a device, without autodiff.
@@ -241,19 +205,16 @@ struct Stages {
     camera: Camera,
     packed: Tensor<2>,
     colours: Tensor<2>,
-    counts: Tensor<2, Int>,
-    intersections: IntersectionCell,
-    spec: RasterizeSpec,
+    lists: Intersections,
 }
 
 impl Stages {
     fn new(job: &Job, device: &Device) -> Result<Self, SplatError> {
         let (splats, camera) = (job.gaussians(device).splats(), job.camera(device));
-        let packed = project_packed(&splats, &camera, no_probe(&splats));
+        let packed = project_packed(&splats, &camera, None)?;
         let colours = splat_op::colours(&splats, &camera)?;
-        let spec = RasterizeSpec { intrinsics: job.intrinsics, options: OPTIONS };
-        let (counts, intersections) = intersection_lists(&packed, spec);
-        Ok(Self { splats, camera, packed, colours, counts, intersections, spec })
+        let lists = lists_of(&packed, job.intrinsics)?;
+        Ok(Self { splats, camera, packed, colours, lists })
     }
 
     /// Prepares the timing of a function of the stages.
@@ -272,16 +233,22 @@ impl Stages {
         backward(grad, move || run(&stages))
     }
 
-    fn project(&self, splats: &Splats) -> Tensor<2> {
-        project_packed(splats, &self.camera, no_probe(splats))
+    fn project(&self, splats: &Splats) -> Result<Tensor<2>, SplatError> {
+        project_packed(splats, &self.camera, None)
     }
 
     fn colours(&self, splats: &Splats) -> Result<Tensor<2>, SplatError> {
         splat_op::colours(splats, &self.camera)
     }
 
-    fn rasterize(&self, projected: Tensor<2>, features: Tensor<2>) -> Tensor<3> {
-        rasterize_planes([projected, features], (&self.counts, &self.intersections), self.spec)
+    fn rasterize(&self) -> Result<Tensor<3>, SplatError> {
+        picture_of(&self.packed, self.camera.intrinsics, &self.colours, &self.lists)
+    }
+
+    /// Rasterizes as a step does, so that ellipses and colours have gradients.
+    fn rasterize_tracked(&self) -> Result<Tensor<3>, SplatError> {
+        let (packed, intrinsics) = (leaf(&self.packed), self.camera.intrinsics);
+        picture_of(&packed, intrinsics, &leaf(&self.colours), &lists_of(&packed, intrinsics)?)
     }
 
     /// Renders `[H, W, 3]`, as `render_view` passes it to a loss.

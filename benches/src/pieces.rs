@@ -9,12 +9,10 @@ use splat_model::gaussians::Gaussians;
 use splat_model::loss::{DEFAULT_LAMBDA, Truth, photometric};
 use splat_model::optim::Adam;
 use splat_model::trainer::Guard;
-use splat_op::rasterize::RasterizeSpec;
 use splat_op::{Camera, SplatError, evaluate_sh, with_gradient};
 
-use crate::job::OPTIONS;
 use crate::limit::PassKind;
-use crate::passes::{harmonics, intersection_lists, leaf, leaves, project_packed, rasterize_planes};
+use crate::passes::{harmonics, leaf, leaves, lists_of, picture_of, project_packed};
 use crate::step::{SOUND, density, rates};
 
 /// Performs the step of [`crate::step::Step`] with one graph per pass, so that the backward pass can also be timed pass by pass.
@@ -75,34 +73,31 @@ impl Pieces {
         let device = cut.means.device();
         let probe = Tensor::<2>::zeros([self.scene.gaussians.len(), 2], &device).require_grad();
         watch.skip();
-        let packed = project_packed(&cut, &self.camera, probe.clone());
+        let packed = project_packed(&cut, &self.camera, Some(probe.clone()))?;
         watch.lap(PassKind::Project);
         // A separate leaf of the centres, so that the gradients of the two stages stay separate.
         let seen = leaf(&splats.means);
         let colours = evaluate_sh(&harmonics(&cut), &seen, &self.camera)?;
         watch.lap(PassKind::Sh);
-        let spec = RasterizeSpec { intrinsics: self.camera.intrinsics, options: OPTIONS };
-        let (counts, intersections) = intersection_lists(&packed.clone().inner(), spec);
+        let lists = lists_of(&packed, self.camera.intrinsics)?;
         watch.lap(PassKind::Intersect);
         let [ellipses, features] = [leaf(&packed), leaf(&colours)];
-        let planes = rasterize_planes([ellipses.clone(), features.clone()], (&counts, &intersections), spec);
+        let rendered = picture_of(&ellipses, self.camera.intrinsics, &features, &lists)?;
         watch.lap(PassKind::Rasterize);
-        let [_, height, width] = planes.dims();
-        let image = leaf(&planes.clone().slice([0..3, 0..height, 0..width]).permute([1, 2, 0]));
+        let [height, width, _] = rendered.dims();
+        let image = leaf(&rendered);
         watch.skip();
         let loss = photometric(image.clone(), &self.truth, DEFAULT_LAMBDA);
         watch.lap(PassKind::Loss);
 
         let grad = image.grad_remove(&mut loss.backward()).expect("the loss depends on the picture");
         watch.lap(PassKind::LossBackward);
-        let alpha = Tensor::<3>::zeros([1, height, width], &grad.device());
-        let grad = Tensor::cat(vec![grad.permute([2, 0, 1]), alpha], 0);
         let zero = || Tensor::<1>::zeros([1], &grad.device());
         watch.skip();
-        let mut grads = with_gradient(planes, zero(), grad.clone()).backward();
+        let mut grads = with_gradient(rendered, zero(), grad.clone()).backward();
         let ellipses = ellipses.grad_remove(&mut grads).expect("the picture depends on the ellipses");
         let features = features.grad_remove(&mut grads).expect("the picture depends on the colours");
-        drop((grads, intersections));
+        drop((grads, lists));
         watch.lap(PassKind::RasterizeBackward);
         let mut grads = with_gradient(colours, zero(), features).backward();
         let sh = harmonics(&cut).grad_remove(&mut grads).expect("the colours depend on the harmonics");

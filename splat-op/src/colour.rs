@@ -1,15 +1,15 @@
 //! Colours of Gaussians as a camera sees them.
 
-use burn::backend::Dispatch;
 use burn::tensor::Tensor;
 
-use crate::backend::stages::SplatBackend;
+use crate::backend::apply;
 use crate::camera::{Camera, Intrinsics};
 use crate::check::Reference;
 use crate::error::SplatError;
 use crate::options::RenderOptions;
 use crate::project::{COLUMNS, ProjectSpec};
-use crate::sh::{Shading, sh_degree};
+use crate::sh::operation::EvaluateSh;
+use crate::sh::sh_degree;
 use crate::splats::{Colour, Splats, sh_need, up_to_degree};
 use crate::stages::Projected;
 
@@ -78,15 +78,11 @@ fn sh_visible(
     if let Some((visible, _)) = &visible {
         reference.check("projected", visible, [Some(count), Some(COLUMNS)], "[N, 7]")?;
     }
-    let inputs = Shading {
-        sh: sh.clone().into(),
-        means: means.clone().into(),
-        cam_from_world: camera.cam_from_world.clone().into(),
-    };
     let intrinsics = visible.as_ref().map_or(camera.intrinsics, |(_, intrinsics)| *intrinsics);
-    let visible = visible.map(|(visible, _)| visible.into_dispatch());
+    let visible = visible.map(|(visible, _)| visible);
     let spec = ProjectSpec { intrinsics, options: *options };
-    Ok(Tensor::from_dispatch(<Dispatch as SplatBackend>::evaluate_sh(inputs, visible.into(), spec)))
+    let inputs = [sh.into(), means.into(), (&camera.cam_from_world).into(), visible.into()];
+    Ok(apply(EvaluateSh(spec), inputs).float(0))
 }
 
 /// Returns the colour or features `[N, C]` of each Gaussian as a camera sees it.

@@ -12,6 +12,7 @@ macro_rules! record {
             $($(#[$field_meta])* pub $field: T,)*
         }
 
+        #[allow(dead_code, reason = "no record uses all of them")]
         impl<T> $name<T> {
             /// Applies `f` to each field.
             pub fn map<U>(self, mut f: impl FnMut(T) -> U) -> $name<U> {

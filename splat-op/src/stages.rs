@@ -1,20 +1,22 @@
 //! The stages of a render as public functions. Tensor code may run between them.
 
-use burn::backend::Dispatch;
 use burn::tensor::{Int, Tensor};
 
 use crate::abilities::check_fits;
-use crate::backend::stages::SplatBackend;
-use crate::backend::tensors::GeometryTensors;
+use crate::backend::apply;
 use crate::camera::{Camera, Intrinsics};
 use crate::check::{Reference, check_positive};
 use crate::error::SplatError;
+use crate::intersect::operation::Intersect;
 use crate::intersect::{IntersectionCell, tile_grid};
 use crate::limits::Need;
 use crate::options::RenderOptions;
+use crate::project::operation::Project;
 use crate::project::{COLUMNS, Geometry, ProjectSpec};
-use crate::rasterize::{Layers, PartsCell, RasterizeSpec};
-use crate::rasterize_rays::RayLayers;
+use crate::rasterize::operation::Rasterize;
+use crate::rasterize::{RasterizeSpec, TraceCell};
+use crate::rasterize_rays::operation::RasterizeRays;
+use crate::ray_space::operation::{Bounds, RaySpace};
 use crate::splats::{Colour, Extras, Splats, sh_need};
 
 /// The screen-space ellipses of a view, one tensor per field.
@@ -52,6 +54,8 @@ pub struct Intersections {
     /// `[tiles along y, tiles along x]`: number of Gaussians listed in each tile of 16 × 16 px.
     pub counts: Tensor<2, Int>,
     cell: IntersectionCell,
+    /// Number of Gaussians, and what else the lists depend on.
+    of: (usize, RasterizeSpec),
 }
 
 /// Rendered pictures: `Rendered<3>` holds the picture of one camera, `[H, W, …]`; `Rendered<4>` holds those of several cameras,
@@ -106,6 +110,24 @@ impl Projected {
     }
 }
 
+impl Intersections {
+    /// Refuses lists of other Gaussians, of another picture or of other options: kernels do not check the indices in them.
+    fn check(&self, count: usize, spec: &RasterizeSpec) -> Result<(), SplatError> {
+        let (listed, of) = &self.of;
+        let differs = match () {
+            () if *listed != count => format!("lists of {listed} Gaussians for {count}"),
+            () if of.intrinsics != spec.intrinsics => {
+                let size = |of: &Intrinsics| format!("{:?}", of);
+                format!("lists of the camera {} for {}", size(&of.intrinsics), size(&spec.intrinsics))
+            }
+            () if of.options != spec.options => format!("lists made with {:?} for {:?}", of.options, spec.options),
+            () => return Ok(()),
+        };
+        let expected = "the result of `intersect` on these ellipses, with these options";
+        Err(SplatError::Value { field: "intersections", found: differs, expected })
+    }
+}
+
 impl Ellipses {
     /// Packs the fields for [`intersect`] and [`rasterize`], for a camera with `intrinsics`.
     ///
@@ -156,23 +178,18 @@ pub fn project(
     let probe = probe_or_empty(&reference, "mean2d_probe", extras.mean2d_probe.as_ref(), splats.means.dims()[0])?;
     reference.check_fits(&[packed_need(splats.means.dims()[0])])?;
     let spec = ProjectSpec { intrinsics: camera.intrinsics, options: options.of_project(&camera.intrinsics) };
-    let inputs = geometry(splats, camera, probe);
-    let along_rays = options.along_rays();
-    let ray_space =
-        along_rays.then(|| Tensor::from_dispatch(<Dispatch as SplatBackend>::ray_space(inputs.clone(), spec)));
-    let packed = <Dispatch as SplatBackend>::project(inputs, spec);
-    Ok(Projected { packed: Tensor::from_dispatch(packed), ray_space, intrinsics: camera.intrinsics })
-}
-
-fn geometry(splats: &Splats, camera: &Camera, mean2d_probe: Tensor<2>) -> GeometryTensors<Dispatch> {
-    Geometry {
-        means: splats.means.clone().into(),
-        rotations: splats.rotations.clone().into(),
-        scales: splats.scales.clone().into(),
-        opacities: splats.opacities.clone().into(),
-        cam_from_world: camera.cam_from_world.clone().into(),
-        mean2d: mean2d_probe.into(),
+    let inputs = Geometry {
+        means: (&splats.means).into(),
+        rotations: (&splats.rotations).into(),
+        scales: (&splats.scales).into(),
+        opacities: (&splats.opacities).into(),
+        cam_from_world: (&camera.cam_from_world).into(),
+        mean2d: probe.into(),
     }
+    .into_array();
+    let ray_space = options.along_rays().then(|| apply(RaySpace(spec), inputs.clone()).float(0));
+    let packed = apply(Project(spec), inputs).float(0);
+    Ok(Projected { packed, ray_space, intrinsics: camera.intrinsics })
 }
 
 /// Lists the Gaussians that can show in each tile of 16 × 16 px, front to back. Not differentiable.
@@ -186,14 +203,14 @@ pub fn intersect(projected: &Projected, options: &RenderOptions) -> Result<Inter
     options.check_uncut(projected.len(), tiles_x * tiles_y)?;
     check_rays(projected, options)?;
     check_fits(&projected.packed.device(), &[packed_need(projected.len())])?;
-    let intersections = IntersectionCell::default();
+    let cell = IntersectionCell::default();
     let spec = RasterizeSpec { intrinsics: projected.intrinsics, options: *options };
-    let mut packed = projected.packed.clone().detach().into_dispatch();
+    let mut packed = projected.packed.clone().detach();
     if let Some(ray_space) = &projected.ray_space {
-        packed = <Dispatch as SplatBackend>::bounds(packed, ray_space.clone().detach().into_dispatch(), spec);
+        packed = apply(Bounds(spec), [packed.into(), ray_space.clone().detach().into()]).float(0);
     }
-    let counts = <Dispatch as SplatBackend>::intersect(packed, spec, intersections.clone());
-    Ok(Intersections { counts: Tensor::from_dispatch(counts), cell: intersections })
+    let counts = apply(Intersect { spec, cell: cell.clone() }, [packed.into()]).int(0);
+    Ok(Intersections { counts, cell, of: (projected.len(), spec) })
 }
 
 /// Rasterizes features `[N, C]`: blends the Gaussians of each tile front to back over `extras.background`.
@@ -212,6 +229,29 @@ pub fn rasterize(
     extras: &Extras,
     options: &RenderOptions,
 ) -> Result<Rendered<3>, SplatError> {
+    rasterized(projected, features, intersections, extras, options, None)
+}
+
+/// [`rasterize`] without extras, which keeps a trace.
+#[cfg(feature = "cube")]
+pub(crate) fn traced(
+    projected: &Projected,
+    features: &Tensor<2>,
+    intersections: &Intersections,
+    options: &RenderOptions,
+    trace: &TraceCell,
+) -> Result<Rendered<3>, SplatError> {
+    rasterized(projected, features, intersections, &Extras::default(), options, Some(trace.clone()))
+}
+
+fn rasterized(
+    projected: &Projected,
+    features: &Tensor<2>,
+    intersections: &Intersections,
+    extras: &Extras,
+    options: &RenderOptions,
+    trace: Option<TraceCell>,
+) -> Result<Rendered<3>, SplatError> {
     options.check()?;
     check_rays(projected, options)?;
     let reference = Reference::new(&projected.packed)?;
@@ -228,35 +268,21 @@ pub fn rasterize(
     let probe = probe_or_empty(&reference, "mean2d_abs_probe", extras.mean2d_abs_probe.as_ref(), count)?;
     reference.check_device("intersections", &intersections.counts.device())?;
     let spec = RasterizeSpec { intrinsics: projected.intrinsics, options: *options };
-    let (packed, features, background) = (projected.packed.clone().into(), features.clone().into(), background.into());
-    let mean2d_abs = probe.into();
-    let (counts, intersections, parts) =
-        (intersections.counts.clone().into_dispatch(), intersections.cell.clone(), PartsCell::default());
-    let planes = match &projected.ray_space {
+    intersections.check(count, &spec)?;
+    let (counts, lists) = (&intersections.counts, intersections.cell.clone());
+    let (packed, features, background) = ((&projected.packed).into(), features.into(), background.into());
+    let mut planes = match &projected.ray_space {
         None => {
-            let inputs = Layers { projected: packed, features, background, mean2d_abs };
-            <Dispatch as SplatBackend>::rasterize(inputs, counts, spec, intersections, None, parts.clone())
+            let inputs = [packed, features, background, probe.into(), counts.into()];
+            apply(Rasterize { spec, lists, trace }, inputs)
         }
         Some(ray_space) => {
-            let ray_space = ray_space.clone().into();
-            let inputs = RayLayers { projected: packed, ray_space, features, background, mean2d_abs };
-            <Dispatch as SplatBackend>::rasterize_rays(inputs, counts, spec, intersections, None, parts.clone())
+            let inputs = [packed, ray_space.into(), features, background, probe.into(), counts.into()];
+            apply(RasterizeRays { spec, lists, trace }, inputs)
         }
     };
-    Ok(picture(&Tensor::from_dispatch(planes), channels, options.depth, &parts))
-}
-
-/// Splits planes `[C + 1 (+ 1), H, W]` into named pictures.
-fn picture(planes: &Tensor<3>, channels: usize, depth: bool, parts: &PartsCell) -> Rendered<3> {
-    let part = |from: usize, to: usize| {
-        let part = <Dispatch as SplatBackend>::part(planes.clone().into_dispatch(), from, to, parts.clone());
-        Tensor::<3>::from_dispatch(part).permute([1, 2, 0])
-    };
-    Rendered {
-        colour: part(0, channels),
-        alpha: part(channels, channels + 1),
-        depth: depth.then(|| part(channels + 1, channels + 2)),
-    }
+    let mut picture = |i: usize| planes.float::<3>(i).permute([1, 2, 0]);
+    Ok(Rendered { colour: picture(0), alpha: picture(1), depth: options.depth.then(|| picture(2)) })
 }
 
 fn check_geometry(splats: &Splats, camera: &Camera, options: &RenderOptions) -> Result<Reference, SplatError> {

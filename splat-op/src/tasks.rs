@@ -6,12 +6,31 @@ use rayon::prelude::*;
 
 /// Calls `task` with each part of the work and its number, in parallel.
 pub(crate) fn for_each<T: Send>(parts: impl IntoIterator<Item = T>, task: impl Fn(usize, T) + Sync) {
-    map(parts, task);
+    let parts = shared(parts);
+    run(parts.len(), &|number| {
+        let part = lock(&parts[number]).take();
+        if let Some(part) = part {
+            task(number, part);
+        }
+    });
 }
 
 /// Returns the results of `task` for each part of the work and its number, in the order of the parts.
 pub(crate) fn map<T: Send, R: Send>(parts: impl IntoIterator<Item = T>, task: impl Fn(usize, T) -> R + Sync) -> Vec<R> {
-    map_with(parts, || (), |(), number, part| task(number, part))
+    let mut results = Vec::new();
+    let parts = shared(parts);
+    results.resize_with(parts.len(), || Mutex::new(None));
+    run(parts.len(), &|number| {
+        let part = lock(&parts[number]).take();
+        if let Some(part) = part {
+            *lock(&results[number]) = Some(task(number, part));
+        }
+    });
+    let mut all = Vec::with_capacity(results.len());
+    for result in results {
+        all.extend(result.into_inner().unwrap_or_else(PoisonError::into_inner));
+    }
+    all
 }
 
 /// [`map`] with buffers, which one task after the other reuses.
@@ -20,28 +39,24 @@ pub(crate) fn map_with<T: Send, B: Send, R: Send>(
     buffers: impl Fn() -> B + Sync,
     task: impl Fn(&mut B, usize, T) -> R + Sync,
 ) -> Vec<R> {
-    let slots: Vec<Mutex<Slot<T, R>>> = parts.into_iter().map(|part| Mutex::new(Slot::Part(part))).collect();
     let free = Mutex::new(Vec::new());
-    run(slots.len(), &|number| {
-        let Slot::Part(part) = std::mem::replace(&mut *lock(&slots[number]), Slot::Taken) else { return };
-        let mut own = lock(&free).pop().unwrap_or_else(&buffers);
+    map(parts, |number, part| {
+        let own = lock(&free).pop();
+        let mut own = own.unwrap_or_else(&buffers);
         let result = task(&mut own, number, part);
         lock(&free).push(own);
-        *lock(&slots[number]) = Slot::Result(result);
-    });
-    let results =
-        slots.into_iter().filter_map(|slot| match slot.into_inner().unwrap_or_else(PoisonError::into_inner) {
-            Slot::Result(result) => Some(result),
-            Slot::Part(_) | Slot::Taken => None,
-        });
-    results.collect()
+        result
+    })
 }
 
-/// A part of the work, and then its result.
-enum Slot<T, R> {
-    Part(T),
-    Taken,
-    Result(R),
+// Loops instead of iterators: these functions are compiled for every loop, and adapters would be most of their code.
+fn shared<T>(parts: impl IntoIterator<Item = T>) -> Vec<Mutex<Option<T>>> {
+    let parts = parts.into_iter();
+    let mut all = Vec::with_capacity(parts.size_hint().0);
+    for part in parts {
+        all.push(Mutex::new(Some(part)));
+    }
+    all
 }
 
 /// A task that panics ends the whole loop, so that nobody sees what it left.

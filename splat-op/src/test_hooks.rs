@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use burn::backend::{Backend, Dispatch};
-use burn::tensor::Device;
+use burn::tensor::{Device, Tensor};
 
 pub use crate::abilities::{buffer_limit, lower_limit};
 #[cfg(feature = "cube")]
@@ -14,11 +14,36 @@ pub use crate::counters::{
 #[cfg(feature = "cube")]
 pub use crate::gpu::poison;
 
-/// Returns the numbers of pairs of a view on a GPU, from the trace of a render under [`count_pairs`]. Waits for the device.
+/// Rasterizes as [`rasterize`](fn@crate::rasterize) without extras, and returns the numbers of pairs that a GPU evaluates; `None` for a CPU.
+/// Waits for the device.
+///
+/// # Errors
+/// As `rasterize`.
 #[cfg(feature = "cube")]
-pub fn pair_counts(device: &Device, trace: &crate::backend::TraceCell) -> Option<PairCounts> {
-    let trace = trace.0.get()?.downcast_ref::<crate::rasterize::trace::DeviceTrace>()?;
-    trace.pair_counts(&crate::abilities::gpu(device)?)
+pub fn pair_counts(
+    projected: &crate::Projected,
+    features: &Tensor<2>,
+    intersections: &crate::Intersections,
+    options: &crate::RenderOptions,
+) -> Result<Option<PairCounts>, crate::SplatError> {
+    let trace = crate::rasterize::TraceCell::default();
+    count_pairs(true);
+    let rendered = crate::stages::traced(projected, features, intersections, options, &trace);
+    let _ = rendered?.colour.into_data();
+    count_pairs(false);
+    let gpu = crate::abilities::gpu(&features.device());
+    let counts = trace.kept::<crate::rasterize::trace::DeviceTrace>().zip(gpu);
+    Ok(counts.and_then(|(trace, gpu)| trace.pair_counts(&gpu)))
+}
+
+/// Returns packed ellipses, `[N, 7]`.
+pub fn packed(projected: &crate::Projected) -> &Tensor<2> {
+    projected.packed()
+}
+
+/// Takes packed ellipses, `[N, 7]`, of a camera with these intrinsics.
+pub fn of_packed(packed: Tensor<2>, intrinsics: crate::Intrinsics) -> crate::Projected {
+    crate::Projected::of(packed, intrinsics)
 }
 
 /// Runs `work`. There are no kernels to count.

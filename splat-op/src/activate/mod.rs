@@ -29,19 +29,18 @@ pub(crate) mod forward;
 mod kernel_tests;
 #[cfg(feature = "cube")]
 pub(crate) mod launch;
+mod operation;
 pub(crate) mod rule;
 #[cfg(test)]
 mod tests;
 
-use burn::backend::Dispatch;
 use burn::tensor::{Int, Tensor};
 
 pub use rule::{LARGEST, LARGEST_LOG_SCALE};
 
-use crate::backend::activate::ActivateBackend;
+use crate::backend::apply;
 use crate::check::Reference;
 use crate::error::SplatError;
-pub(crate) use rule::Raw;
 
 /// Gaussians with unconstrained parameters, one row each, all of one float type and on one device.
 #[derive(Clone, Debug)]
@@ -67,7 +66,7 @@ pub struct RawSplats {
 pub fn scales(log_scales: &Tensor<2>) -> Result<Tensor<2>, SplatError> {
     let reference = Reference::new(log_scales)?;
     reference.check("log_scales", log_scales, [None, Some(3)], "[N, 3]")?;
-    Ok(Tensor::from_dispatch(<Dispatch as ActivateBackend>::scales(log_scales.clone().into_dispatch())))
+    Ok(apply(operation::Scales, [log_scales.into()]).float(0))
 }
 
 /// Computes opacities `[N]`, 0 to 1, from their logits `[N]`.
@@ -94,22 +93,17 @@ pub fn activated(raw: &RawSplats, mark: Option<&Tensor<1, Int>>) -> Result<(Tens
     reference.check("log_scales", &raw.log_scales, [Some(count), Some(3)], "[N, 3]")?;
     reference.check("logit_opacities", &raw.logit_opacities, [Some(count)], "[N]")?;
     reference.check("sh", &raw.sh, [Some(count), None, Some(3)], "[N, K, 3]")?;
-    let inputs = Raw {
-        means: raw.means.clone().into(),
-        rotations: raw.rotations.clone().into(),
-        log_scales: raw.log_scales.clone().into(),
-        logit_opacities: raw.logit_opacities.clone().into(),
-        sh: raw.sh.clone().into(),
-    };
-    let found = <Dispatch as ActivateBackend>::activated(inputs, mark.into());
-    Ok((Tensor::from_dispatch(found.scales), Tensor::from_dispatch(found.opacities)))
+    let RawSplats { means, rotations, log_scales, logit_opacities, sh } = raw;
+    let inputs = [means.into(), rotations.into(), log_scales.into(), logit_opacities.into(), sh.into(), mark.into()];
+    let mut found = apply(operation::Activated, inputs);
+    Ok((found.float(0), found.float(1)))
 }
 
 /// Searches for values that are not finite: returns `[1]`, 1 if any of `values` is not finite, else 0. Not differentiable.
 ///
 /// Reading the result waits for the device; tensor code on it does not.
 pub fn non_finite<const D: usize>(values: &Tensor<D>) -> Tensor<1, Int> {
-    Tensor::from_dispatch(<Dispatch as ActivateBackend>::non_finite(values.clone().inner().into_dispatch()))
+    apply(operation::NonFinite, [values.clone().inner().into()]).int(0)
 }
 
 /// Returns whether a Gaussian is usable by the rule of [this module](self), from its parameters on the host. `sh` holds all its

@@ -28,22 +28,20 @@ mod forward;
 mod kernel_tests;
 #[cfg(feature = "cube")]
 pub(crate) mod launch;
+#[cfg(feature = "cube")]
+mod operation;
 pub mod packed;
 pub(crate) mod rule;
 
 #[cfg(feature = "cube")]
 use burn::backend::Dispatch;
-#[cfg(feature = "cube")]
-use burn::backend::tensor::FloatTensor;
 use burn::tensor::{Int, Tensor};
 pub use rule::{Band, Factors, Rates, VERDICT};
 
 use crate::activate::RawSplats;
 pub use crate::activate::rule::Raw;
 #[cfg(feature = "cube")]
-use crate::backend::adam::{AdamBackend, AdamInputs, AdamState};
-#[cfg(feature = "cube")]
-use crate::backend::tensors::OptionalTensor;
+use crate::backend::{Slot, apply};
 
 /// A parameter and its moments.
 #[derive(Clone, Debug)]
@@ -71,15 +69,9 @@ pub fn step<const D: usize>(
 ) -> Result<Stepped<D>, Stepped<D>> {
     #[cfg(feature = "cube")]
     if taken(&from.param) {
-        let inputs = AdamInputs {
-            param: from.param.into_dispatch(),
-            grad: grad.clone().into_dispatch(),
-            m: from.m.into_dispatch(),
-            v: from.v.into_dispatch(),
-        };
-        let AdamState { param, m, v } = <Dispatch as AdamBackend>::adam(inputs, verdict.into(), factors);
-        let [param, m, v] = [param, m, v].map(Tensor::from_dispatch);
-        return Ok(Stepped { param, m, v });
+        let inputs = [from.param.into(), grad.into(), from.m.into(), from.v.into(), verdict.into()];
+        let mut found = apply(operation::Adam(factors), inputs);
+        return Ok(Stepped { param: found.float(0), m: found.float(1), v: found.float(2) });
     }
     Err(from)
 }
@@ -127,17 +119,21 @@ pub fn step_scene(
     #[cfg(feature = "cube")]
     {
         let SceneStep { params, grads, m, v } = from;
-        let all = primitives(params).zip(primitives(grads)).zip(primitives(m).zip(primitives(v)));
-        let inputs = all.map(|((param, grad), (m, v))| AdamInputs { param, grad, m, v });
-        let found = <Dispatch as AdamBackend>::adam_scene(inputs, verdict.into(), mark.into_dispatch(), factors);
-        let (mut params, mut m, mut v) = (Vec::new(), Vec::new(), Vec::new());
-        found.states.map(|state| {
-            params.push(state.param);
-            m.push(state.m);
-            v.push(state.v);
-        });
-        let [params, m, v] = [params, m, v].map(splats);
-        SteppedScene { params, m, v, mark: Tensor::from_dispatch(found.mark) }
+        let [params, grads, m, v] = [params, grads, m, v].map(slots);
+        let of_params = params.zip(grads).zip(m.zip(v)).into_array().map(|((param, grad), (m, v))| [param, grad, m, v]);
+        let [a, b, c, d, e] = of_params;
+        let mut all = a.into_iter().chain(b).chain(c).chain(d).chain(e).chain([mark.into(), verdict.into()]);
+        let inputs: [_; 22] = std::array::from_fn(|_| all.next().expect("four for each of five, and two"));
+        let mut found = apply(operation::AdamScene(factors), inputs);
+        let mut splats = |of: usize| RawSplats {
+            means: found.float(of),
+            rotations: found.float(3 + of),
+            log_scales: found.float(6 + of),
+            logit_opacities: found.float(9 + of),
+            sh: found.float(12 + of),
+        };
+        let [params, m, v] = [0, 1, 2].map(&mut splats);
+        SteppedScene { params, m, v, mark: found.int(15) }
     }
     #[cfg(not(feature = "cube"))]
     unreachable!("`steps_scenes` is false")
@@ -182,45 +178,30 @@ pub fn watch(
 ) -> Result<Tensor<1, Int>, Tensor<1, Int>> {
     #[cfg(feature = "cube")]
     if taken(loss) {
-        fn optional<const D: usize>(gradient: Option<&Tensor<D>>) -> OptionalTensor<Dispatch> {
-            gradient.map(|gradient| gradient.clone().into_dispatch()).into()
-        }
         let SceneGradients { means, rotations, log_scales, logit_opacities, sh } = gradients;
-        let gradients = Raw {
-            means: optional(means),
-            rotations: optional(rotations),
-            log_scales: optional(log_scales),
-            logit_opacities: optional(logit_opacities),
-            sh: optional(sh),
-        };
-        let (loss, verdict) = (loss.clone().into_dispatch(), verdict.into_dispatch());
-        return Ok(Tensor::from_dispatch(<Dispatch as AdamBackend>::watch(loss, gradients, verdict, at_step)));
+        let inputs = [
+            loss.into(),
+            verdict.into(),
+            means.into(),
+            rotations.into(),
+            log_scales.into(),
+            logit_opacities.into(),
+            sh.into(),
+        ];
+        return Ok(apply(operation::Watch { at_step }, inputs).int(0));
     }
     Err(verdict)
 }
 
 #[cfg(feature = "cube")]
-fn primitives(tensors: RawSplats) -> Raw<FloatTensor<Dispatch>> {
+fn slots(tensors: RawSplats) -> Raw<Slot<Dispatch>> {
     let RawSplats { means, rotations, log_scales, logit_opacities, sh } = tensors;
     Raw {
-        means: means.into_dispatch(),
-        rotations: rotations.into_dispatch(),
-        log_scales: log_scales.into_dispatch(),
-        logit_opacities: logit_opacities.into_dispatch(),
-        sh: sh.into_dispatch(),
-    }
-}
-
-#[cfg(feature = "cube")]
-fn splats(tensors: Vec<FloatTensor<Dispatch>>) -> RawSplats {
-    let tensors: [_; 5] = tensors.try_into().expect("one for each parameter");
-    let Raw { means, rotations, log_scales, logit_opacities, sh } = Raw::from_array(tensors);
-    RawSplats {
-        means: Tensor::from_dispatch(means),
-        rotations: Tensor::from_dispatch(rotations),
-        log_scales: Tensor::from_dispatch(log_scales),
-        logit_opacities: Tensor::from_dispatch(logit_opacities),
-        sh: Tensor::from_dispatch(sh),
+        means: means.into(),
+        rotations: rotations.into(),
+        log_scales: log_scales.into(),
+        logit_opacities: logit_opacities.into(),
+        sh: sh.into(),
     }
 }
 

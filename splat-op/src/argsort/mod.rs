@@ -7,13 +7,13 @@
 //! Shapes: keys `[N]` → order `[N]`, i32.
 
 pub(crate) mod cpu;
+mod operation;
 #[cfg(test)]
 mod tests;
 
-use burn::backend::Dispatch;
 use burn::tensor::{DType, Int, Tensor};
 
-use crate::backend::argsort::ArgsortBackend;
+use crate::backend::apply;
 
 /// Bits of a key that is any non-negative number.
 pub const ALL_BITS: u32 = 31;
@@ -21,11 +21,11 @@ pub const ALL_BITS: u32 = 31;
 /// Returns the order of `keys`, `[N]`: whole numbers from 0 to `2^bits − 1`, without autodiff. Fewer bits cost less on a GPU.
 pub fn argsort(keys: Tensor<1, Int>, bits: u32) -> Tensor<1, Int> {
     let keys = if keys.dtype() == DType::I32 { keys } else { keys.cast(DType::I32) };
-    Tensor::from_dispatch(<Dispatch as ArgsortBackend>::argsort(keys.into_dispatch(), bits.clamp(1, ALL_BITS)))
+    apply(operation::Argsort { bits: bits.clamp(1, ALL_BITS) }, [keys.into()]).int(0)
 }
 
 /// Returns the order of `keys`, `[N]`: numbers that are not negative, nor −0, without autodiff. NaN comes last.
 pub fn argsort_floats(keys: Tensor<1>) -> Tensor<1, Int> {
     let keys = if keys.dtype() == DType::F32 { keys } else { keys.cast(DType::F32) };
-    Tensor::from_dispatch(<Dispatch as ArgsortBackend>::argsort_floats(keys.into_dispatch()))
+    apply(operation::ArgsortFloats, [keys.into()]).int(0)
 }

@@ -1,324 +1,190 @@
-//! Backward nodes of the stages. Each stage is one node; a backward pass computes only the gradients of tracked inputs.
+//! The backward node of every operation. A backward pass computes only the gradients of tracked inputs.
 
+use std::array;
 use std::fmt::{self, Debug, Formatter};
-use std::sync::PoisonError;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use burn::backend::autodiff::checkpoint::base::Checkpointer;
 use burn::backend::autodiff::checkpoint::strategy::{CheckpointStrategy, NoCheckpointing};
 use burn::backend::autodiff::grads::Gradients;
 use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
-use burn::backend::tensor::{FloatTensor, IntTensor};
-use burn::backend::{Autodiff, Backend, TensorMetadata};
-use burn::tensor::Slice;
+use burn::backend::tensor::FloatTensor;
+use burn::backend::{Autodiff, Backend};
 
-use super::stages::SplatBackend;
-use super::tensors::{
-    GeometryGrads, GeometryTensors, InputTensor, LayerGrads, LayerTensors, OptionalTensor, PlaneGrads, RayLayerGrads,
-    RayLayerTensors, ShadingGrads, ShadingTensors,
-};
-use crate::intersect::IntersectionCell;
-use crate::project::{Geometry, ProjectSpec};
-use crate::rasterize::{Layers, PartsCell, PlaneParts, RasterizeSpec, TraceCell};
-use crate::rasterize_rays::RayLayers;
-use crate::sh::Shading;
+use super::list::{List, Slot, Tensors};
+use super::operation::{Backwards, Call, MAX_DIFFERENTIABLE, OperationBackend};
 
 /// A tensor of any [`Autodiff`] over `B`.
 type AutodiffTensor<B> = FloatTensor<Autodiff<B>>;
 
-/// The backward pass of an operation with `N` inputs. As a trait object: Burn's graph is then compiled once for each backend and number
-/// of inputs instead of once for each operation.
-trait Pass<B: Backend, const N: usize>: Send {
-    /// Returns the gradients of the inputs that `mask` selects. `grad` takes that of the output.
-    fn run(self: Box<Self>, grad: &mut dyn FnMut() -> FloatTensor<B>, mask: [bool; N]) -> [OptionalTensor<B>; N];
+/// Gradients of an operation's outputs. A gradient that is missing is zero.
+type Grads<B> = Arc<Mutex<Vec<Option<FloatTensor<B>>>>>;
 
-    fn copy(&self) -> Box<dyn Pass<B, N>>;
+fn add<B: Backend>(grads: &Grads<B>, output: usize, grad: FloatTensor<B>) {
+    let mut grads = grads.lock().unwrap_or_else(PoisonError::into_inner);
+    let sum = grads[output].take();
+    grads[output] = Some(match sum {
+        Some(sum) => B::float_add(sum, grad),
+        None => grad,
+    });
 }
 
-/// A pass by the gradient of the output.
+/// State of an operation's node.
 #[derive(Clone)]
-struct ByGrad<F>(F);
-
-impl<B: Backend, F, const N: usize> Pass<B, N> for ByGrad<F>
-where
-    F: FnOnce(FloatTensor<B>, [bool; N]) -> [OptionalTensor<B>; N] + Clone + Send + 'static,
-{
-    fn run(self: Box<Self>, grad: &mut dyn FnMut() -> FloatTensor<B>, mask: [bool; N]) -> [OptionalTensor<B>; N] {
-        self.0(grad(), mask)
-    }
-
-    fn copy(&self) -> Box<dyn Pass<B, N>> {
-        Box::new(self.clone())
-    }
+struct State<B: Backend> {
+    call: Call,
+    inputs: Vec<Slot<B>>,
+    /// Empty if the operation keeps none.
+    outputs: Vec<Slot<B>>,
+    grads: Grads<B>,
+    /// Whether the node is that of the one output. Several outputs have nodes of their own, which pass their gradients to this one
+    /// outside the graph: one pass computes with all of them.
+    single: bool,
 }
 
-/// A pass whose gradients arrive outside the graph.
-#[derive(Clone)]
-struct ByParts<F>(F);
-
-impl<B: Backend, F, const N: usize> Pass<B, N> for ByParts<F>
-where
-    F: FnOnce([bool; N]) -> [OptionalTensor<B>; N] + Clone + Send + 'static,
-{
-    fn run(self: Box<Self>, _: &mut dyn FnMut() -> FloatTensor<B>, mask: [bool; N]) -> [OptionalTensor<B>; N] {
-        self.0(mask)
-    }
-
-    fn copy(&self) -> Box<dyn Pass<B, N>> {
-        Box::new(self.clone())
-    }
-}
-
-/// State of a [`Node`].
-struct BackwardPass<B: Backend, const N: usize>(Box<dyn Pass<B, N>>);
-
-impl<B: Backend, const N: usize> Clone for BackwardPass<B, N> {
-    fn clone(&self) -> Self {
-        Self(self.0.copy())
-    }
-}
-
-impl<B: Backend, const N: usize> Debug for BackwardPass<B, N> {
+impl<B: Backend> Debug for State<B> {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
-        f.write_str("BackwardPass")
+        write!(f, "{:?}", self.call)
     }
 }
 
-/// The backward node of every operation.
+/// The node of an operation.
 #[derive(Debug)]
 struct Node;
 
-impl<B: Backend, const N: usize> Backward<B, N> for Node {
-    type State = BackwardPass<B, N>;
+impl<B: OperationBackend> Backward<B, MAX_DIFFERENTIABLE> for Node {
+    type State = State<B>;
 
-    fn backward(self, ops: Ops<Self::State, N>, grads: &mut Gradients, _: &mut Checkpointer) {
-        let mask = ops.parents.each_ref().map(Option::is_some);
-        let found = ops.state.0.run(&mut || grads.consume::<B>(&ops.node), mask);
-        for (parent, found) in ops.parents.into_iter().zip(found) {
-            if let (Some(parent), OptionalTensor::Present(grad)) = (parent, found) {
+    fn backward(self, ops: Ops<State<B>, MAX_DIFFERENTIABLE>, grads: &mut Gradients, _: &mut Checkpointer) {
+        let State { call, inputs, outputs, grads: of_outputs, single } = ops.state;
+        if single {
+            add::<B>(&of_outputs, 0, grads.consume::<B>(&ops.node));
+        }
+        let of_outputs = std::mem::take(&mut *of_outputs.lock().unwrap_or_else(PoisonError::into_inner));
+        let differentiable = call.operation.differentiable();
+        let reached =
+            |input| (0..of_outputs.len()).any(|i| of_outputs[i].is_some() && call.operation.depends(i, input));
+        let mut needs = vec![false; inputs.len()];
+        for (&input, parent) in differentiable.iter().zip(&ops.parents) {
+            needs[input] = parent.is_some() && reached(input);
+        }
+        if !needs.contains(&true) {
+            return;
+        }
+        let backward = Some(Backwards { outputs: of_outputs.len(), needs });
+        let of_outputs = of_outputs.into_iter().map(|grad| grad.map_or(Slot::Absent, Slot::Float));
+        let given = inputs.into_iter().chain(outputs).chain(of_outputs).collect();
+        let mut found = B::operate(List(given), Call { backward, ..call }).0;
+        for (&input, parent) in differentiable.iter().zip(ops.parents) {
+            let grad = std::mem::replace(&mut found[input], Slot::Absent);
+            if let (Some(parent), Slot::Float(grad)) = (parent, grad) {
                 grads.register::<B>(parent.id, grad);
             }
         }
     }
 }
 
-/// An operation before its output is known. Its inputs are not computed again, whatever the strategy of checkpoints.
-type Prepared<B, const N: usize> = OpsKind<Node, B, BackwardPass<B, N>, NoCheckpointing, N>;
+/// The node of one of several outputs.
+#[derive(Debug)]
+struct Part;
 
-fn prepared<B: Backend, const N: usize>(inputs: [&AutodiffTensor<B>; N]) -> Prepared<B, N> {
-    Node.prepare::<NoCheckpointing>(inputs.map(|input| input.node())).compute_bound().stateful()
-}
+/// Which output, and where its gradient goes.
+#[derive(Clone)]
+struct PartState<B: Backend>(usize, Grads<B>);
 
-/// Returns the output of an operation, with `pass` as its backward pass if any input is tracked: a function from the gradient of the
-/// output and a mask of the inputs that need one to their gradients.
-pub(super) fn tracked<B: Backend, F, const N: usize>(
-    inputs: [&AutodiffTensor<B>; N],
-    output: FloatTensor<B>,
-    pass: F,
-) -> AutodiffTensor<B>
-where
-    F: FnOnce(FloatTensor<B>, [bool; N]) -> [OptionalTensor<B>; N] + Clone + Send + 'static,
-{
-    finished(prepared(inputs), output, Box::new(ByGrad(pass)))
-}
-
-fn finished<B: Backend, const N: usize>(
-    prepared: Prepared<B, N>,
-    output: FloatTensor<B>,
-    pass: Box<dyn Pass<B, N>>,
-) -> AutodiffTensor<B> {
-    match prepared {
-        OpsKind::Tracked(prep) => prep.finish(BackwardPass(pass), output),
-        OpsKind::UnTracked(prep) => prep.finish(output),
+impl<B: Backend> Debug for PartState<B> {
+    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        write!(f, "PartState({})", self.0)
     }
 }
 
-/// Returns the gradients of the planes of a render of `features` features from those of the ranges that were taken of them.
-fn plane_grads<B: SplatBackend>(parts: &PartsCell, features: usize) -> PlaneGrads<B> {
-    let own = PlaneParts { colour: 0..features, alpha: features..features + 1, depth: features + 1..features + 2 };
-    let mut found = PlaneParts::<Option<FloatTensor<B>>>::default();
-    for (range, grad) in parts.0.lock().unwrap_or_else(PoisonError::into_inner).drain(..) {
-        let grad = *grad.downcast::<FloatTensor<B>>().expect("parts are of the planes' backend");
-        let [_, height, width] = grad.shape().dims();
-        for (sum, own) in found.each_mut().zip(own.clone()).into_array() {
-            // A range has the whole of a part or nothing of it.
-            if range.start > own.start || range.end < own.end {
-                continue;
-            }
-            let planes = own.start - range.start..own.end - range.start;
-            let share = match range == own {
-                true => grad.clone(),
-                false => B::float_slice(grad.clone(), &[planes, 0..height, 0..width].map(Slice::from)),
-            };
-            *sum = Some(match sum.take() {
-                Some(sum) => B::float_add(sum, share),
-                None => share,
-            });
+impl<B: Backend> Backward<B, 1> for Part {
+    type State = PartState<B>;
+
+    fn backward(self, ops: Ops<PartState<B>, 1>, grads: &mut Gradients, _: &mut Checkpointer) {
+        let PartState(output, of_outputs) = ops.state;
+        add::<B>(&of_outputs, output, grads.consume::<B>(&ops.node));
+    }
+}
+
+fn constant<B: Backend>(slot: Slot<B>) -> Slot<Autodiff<B>> {
+    match slot {
+        Slot::Absent => Slot::Absent,
+        Slot::Float(tensor) => Slot::Float(AutodiffTensor::<B>::new(tensor)),
+        Slot::Int(tensor) => Slot::Int(tensor),
+    }
+}
+
+fn without_autodiff<B: Backend>(slot: &Slot<Autodiff<B>>) -> Slot<B> {
+    match slot {
+        Slot::Absent => Slot::Absent,
+        Slot::Float(tensor) => Slot::Float(tensor.primitive().clone()),
+        Slot::Int(tensor) => Slot::Int(tensor.clone()),
+    }
+}
+
+/// Returns the tensors for another strategy of checkpoints; they are the same.
+fn recast<B: Backend, From: CheckpointStrategy, To: CheckpointStrategy>(
+    tensors: Tensors<Autodiff<B, From>>,
+) -> Tensors<Autodiff<B, To>> {
+    let same = |slot| match slot {
+        Slot::Absent => Slot::Absent,
+        Slot::Float(tensor) => Slot::Float(tensor),
+        Slot::Int(tensor) => Slot::Int(tensor),
+    };
+    List(tensors.0.into_iter().map(same).collect())
+}
+
+impl<B: OperationBackend, C: CheckpointStrategy> OperationBackend for Autodiff<B, C> {
+    fn operate(inputs: Tensors<Self>, call: Call) -> Tensors<Self> {
+        recast(tracked::<B>(recast(inputs), call))
+    }
+}
+
+/// Runs a pass, with a node if an input is tracked. Operations are not computed again, whatever the strategy of checkpoints.
+fn tracked<B: OperationBackend>(inputs: Tensors<Autodiff<B>>, call: Call) -> Tensors<Autodiff<B>> {
+    let differentiable = call.operation.differentiable();
+    // Backward passes are not themselves differentiable.
+    let parents: Vec<AutodiffTensor<B>> = match call.backward {
+        None => differentiable.iter().filter_map(|&input| inputs.0[input].clone().float()).collect(),
+        Some(_) => Vec::new(),
+    };
+    let inner: Vec<Slot<B>> = inputs.0.iter().map(without_autodiff).collect();
+    drop(inputs);
+    let Some(first) = parents.first().map(|tensor| tensor.primitive().clone()) else {
+        return List(B::operate(List(inner), call).0.into_iter().map(constant).collect());
+    };
+    assert_eq!(parents.len(), differentiable.len(), "differentiable inputs are present");
+    // Burn's nodes have a fixed number of parents; those that are missing are constants.
+    let nodes = array::from_fn(|i| match parents.get(i) {
+        Some(parent) => parent.node(),
+        None => AutodiffTensor::<B>::new(first.clone()).node(),
+    });
+    drop((parents, first));
+    let prep = match Node.prepare::<NoCheckpointing>(nodes).compute_bound().stateful() {
+        OpsKind::Tracked(prep) => prep,
+        OpsKind::UnTracked(_) => {
+            return List(B::operate(List(inner), call).0.into_iter().map(constant).collect());
         }
+    };
+    let call = Call { operation: call.operation.tracked(), backward: None };
+    let outputs = B::operate(List(inner.clone()), call.clone()).0;
+    let floats: Vec<usize> = (0..outputs.len()).filter(|&i| matches!(outputs[i], Slot::Float(_))).collect();
+    let kept = if call.operation.keeps_outputs() { outputs.clone() } else { Vec::new() };
+    let grads: Grads<B> = Arc::new(Mutex::new(vec![None; outputs.len()]));
+    let single = floats == [0] && outputs.len() == 1;
+    let state = State { call, inputs: inner, outputs: kept, grads: grads.clone(), single };
+    let first = outputs.iter().find_map(|slot| slot.clone().float()).expect("a differentiable output");
+    let node = prep.finish(state, first);
+    if single {
+        return List(vec![Slot::Float(node)]);
     }
-    found.map(OptionalTensor::from)
-}
-
-impl<B: SplatBackend, C: CheckpointStrategy> SplatBackend for Autodiff<B, C> {
-    fn project(inputs: GeometryTensors<Self>, spec: ProjectSpec) -> FloatTensor<Self> {
-        let inner = inputs.each_ref().map(InputTensor::inner);
-        let output = B::project(inner.clone(), spec);
-        tracked(inputs.each_ref().map(|input| &input.0).into_array(), output, move |grad, mask| {
-            B::project_backward(inner, grad, spec, Geometry::from_array(mask)).into_array()
-        })
-    }
-
-    fn evaluate_sh(
-        inputs: ShadingTensors<Self>,
-        visible: OptionalTensor<Self>,
-        spec: ProjectSpec,
-    ) -> FloatTensor<Self> {
-        // The set of visible Gaussians is piecewise constant, so `visible` has no gradient.
-        let (inner, visible) = (inputs.each_ref().map(InputTensor::inner), visible.inner());
-        let output = B::evaluate_sh(inner.clone(), visible.clone(), spec);
-        tracked(inputs.each_ref().map(|input| &input.0).into_array(), output, move |grad, mask| {
-            B::sh_backward(inner, visible, grad, spec, Shading::from_array(mask)).into_array()
-        })
-    }
-
-    fn intersect(
-        projected: FloatTensor<Self>,
-        spec: RasterizeSpec,
-        intersections: IntersectionCell,
-    ) -> IntTensor<Self> {
-        B::intersect(projected.into_primitive(), spec, intersections)
-    }
-
-    fn rasterize(
-        inputs: LayerTensors<Self>,
-        intersection_counts: IntTensor<Self>,
-        spec: RasterizeSpec,
-        intersections: IntersectionCell,
-        _: Option<TraceCell>,
-        parts: PartsCell,
-    ) -> FloatTensor<Self> {
-        let inner = inputs.each_ref().map(InputTensor::inner);
-        let prepared = prepared(inputs.each_ref().map(|input| &input.0).into_array());
-        // The trace is kept only where a backward pass is possible.
-        let trace = matches!(prepared, OpsKind::Tracked(_)).then(TraceCell::default);
-        let (cell, kept) = (intersections.clone(), trace.clone());
-        let output = B::rasterize(inner.clone(), intersection_counts, spec, cell, kept, parts.clone());
-        let planes = output.clone();
-        let pass = move |mask| {
-            // The planes are used only through their parts, whose nodes run before this one.
-            let grads = plane_grads::<B>(&parts, inner.background.0.shape().num_elements());
-            let (mask, trace) = (Layers::from_array(mask), trace.unwrap_or_default());
-            B::rasterize_backward(inner, planes, grads, spec, mask, intersections, trace).into_array()
-        };
-        finished(prepared, output, Box::new(ByParts(pass)))
-    }
-
-    fn part(planes: FloatTensor<Self>, from: usize, to: usize, parts: PartsCell) -> FloatTensor<Self> {
-        let output = B::part(planes.primitive().clone(), from, to, parts.clone());
-        // The gradient goes to the node of the planes outside the graph.
-        tracked([&planes], output, move |grad, _| {
-            parts.0.lock().unwrap_or_else(PoisonError::into_inner).push((from..to, Box::new(grad)));
-            [OptionalTensor::Absent]
-        })
-    }
-
-    fn ray_space(inputs: GeometryTensors<Self>, spec: ProjectSpec) -> FloatTensor<Self> {
-        let inner = inputs.each_ref().map(InputTensor::inner);
-        let output = B::ray_space(inner.clone(), spec);
-        let Geometry { means, rotations, scales, cam_from_world, mean2d, .. } = inputs.each_ref().map(|input| &input.0);
-        let tracked_inputs = [means, rotations, scales, cam_from_world, mean2d];
-        tracked(tracked_inputs, output, move |grad, [means, rotations, scales, cam_from_world, mean2d]| {
-            let mask = Geometry { means, rotations, scales, cam_from_world, mean2d, ..Geometry::default() };
-            let found = B::ray_space_backward(inner, grad, spec, mask);
-            [found.means, found.rotations, found.scales, found.cam_from_world, found.mean2d]
-        })
-    }
-
-    fn bounds(projected: FloatTensor<Self>, ray_space: FloatTensor<Self>, spec: RasterizeSpec) -> FloatTensor<Self> {
-        FloatTensor::<Self>::new(B::bounds(projected.into_primitive(), ray_space.into_primitive(), spec))
-    }
-
-    fn rasterize_rays(
-        inputs: RayLayerTensors<Self>,
-        counts: IntTensor<Self>,
-        spec: RasterizeSpec,
-        intersections: IntersectionCell,
-        _: Option<TraceCell>,
-        parts: PartsCell,
-    ) -> FloatTensor<Self> {
-        let inner = inputs.each_ref().map(InputTensor::inner);
-        let prepared = prepared(inputs.each_ref().map(|input| &input.0).into_array());
-        // As in `rasterize`.
-        let trace = matches!(prepared, OpsKind::Tracked(_)).then(TraceCell::default);
-        let (cell, kept) = (intersections.clone(), trace.clone());
-        let output = B::rasterize_rays(inner.clone(), counts, spec, cell, kept, parts.clone());
-        let planes = output.clone();
-        let pass = move |mask| {
-            let grads = plane_grads::<B>(&parts, inner.background.0.shape().num_elements());
-            let (mask, trace) = (RayLayers::from_array(mask), trace.unwrap_or_default());
-            B::rasterize_rays_backward(inner, planes, grads, spec, mask, intersections, trace).into_array()
-        };
-        finished(prepared, output, Box::new(ByParts(pass)))
-    }
-
-    // Backward passes are not themselves differentiable: on this backend they take constants.
-
-    fn project_backward(
-        inputs: GeometryTensors<Self>,
-        grad: FloatTensor<Self>,
-        spec: ProjectSpec,
-        mask: Geometry<bool>,
-    ) -> GeometryGrads<Self> {
-        let inputs = inputs.each_ref().map(InputTensor::inner);
-        B::project_backward(inputs, grad.into_primitive(), spec, mask).map(OptionalTensor::constant)
-    }
-
-    fn sh_backward(
-        inputs: ShadingTensors<Self>,
-        visible: OptionalTensor<Self>,
-        grad: FloatTensor<Self>,
-        spec: ProjectSpec,
-        mask: Shading<bool>,
-    ) -> ShadingGrads<Self> {
-        let inputs = inputs.each_ref().map(InputTensor::inner);
-        B::sh_backward(inputs, visible.inner(), grad.into_primitive(), spec, mask).map(OptionalTensor::constant)
-    }
-
-    fn rasterize_backward(
-        inputs: LayerTensors<Self>,
-        planes: FloatTensor<Self>,
-        grads: PlaneGrads<Self>,
-        spec: RasterizeSpec,
-        mask: Layers<bool>,
-        intersections: IntersectionCell,
-        trace: TraceCell,
-    ) -> LayerGrads<Self> {
-        let inputs = inputs.each_ref().map(InputTensor::inner);
-        let (planes, grads) = (planes.into_primitive(), grads.map(OptionalTensor::inner));
-        B::rasterize_backward(inputs, planes, grads, spec, mask, intersections, trace).map(OptionalTensor::constant)
-    }
-
-    fn ray_space_backward(
-        inputs: GeometryTensors<Self>,
-        grad: FloatTensor<Self>,
-        spec: ProjectSpec,
-        mask: Geometry<bool>,
-    ) -> GeometryGrads<Self> {
-        let inputs = inputs.each_ref().map(InputTensor::inner);
-        B::ray_space_backward(inputs, grad.into_primitive(), spec, mask).map(OptionalTensor::constant)
-    }
-
-    fn rasterize_rays_backward(
-        inputs: RayLayerTensors<Self>,
-        planes: FloatTensor<Self>,
-        grads: PlaneGrads<Self>,
-        spec: RasterizeSpec,
-        mask: RayLayers<bool>,
-        intersections: IntersectionCell,
-        trace: TraceCell,
-    ) -> RayLayerGrads<Self> {
-        let inputs = inputs.each_ref().map(InputTensor::inner);
-        let (planes, grads) = (planes.into_primitive(), grads.map(OptionalTensor::inner));
-        B::rasterize_rays_backward(inputs, planes, grads, spec, mask, intersections, trace)
-            .map(OptionalTensor::constant)
-    }
+    let part = |(i, output): (usize, Slot<B>)| match output {
+        Slot::Float(tensor) => match Part.prepare::<NoCheckpointing>([node.node()]).compute_bound().stateful() {
+            OpsKind::Tracked(prep) => Slot::Float(prep.finish(PartState(i, grads.clone()), tensor)),
+            OpsKind::UnTracked(prep) => Slot::Float(prep.finish(tensor)),
+        },
+        other => constant(other),
+    };
+    List(outputs.into_iter().enumerate().map(part).collect())
 }

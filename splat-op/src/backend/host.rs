@@ -1,69 +1,52 @@
-//! Access to tensors of Burn's two CPU backends as slices, without a copy where they are contiguous.
+//! Operations on Burn's two CPU backends: tensors as slices, without a copy where they are contiguous.
 
 #![allow(deprecated, reason = "burn-ndarray is deprecated in favour of burn-flex; this project supports both")]
 
+use std::array;
 use std::ops::Deref;
 
+use burn::backend::ops::FloatTensorOps;
 use burn::backend::tensor::{FloatTensor, IntTensor};
 use burn::backend::{Backend, Flex, NdArray, TensorMetadata};
-use burn::tensor::{DType, Element, TensorData, f16};
+use burn::tensor::{DType, Element, Shape, TensorData, f16};
 use burn_flex::FlexTensor;
 use burn_ndarray::NdArrayTensor;
 use bytemuck::Pod;
 
+use super::list::{List, Slot, Tensors};
+use super::operation::{Call, OperationBackend, Spec};
+use crate::counters::count_twin_call;
 use crate::sh::cpu::ShCoefficients;
 use crate::simd::real::Real;
 
-/// Runs a CPU twin: evaluates `$body` with `$float` as the float type of `$tensor`.
-macro_rules! by_type {
-    ($tensor:expr, $float:ident => $body:expr) => {{
-        $crate::counters::count_twin_call();
-        match $tensor.dtype() {
-            ::burn::tensor::DType::F64 => {
-                type $float = f64;
-                $body
-            }
-            _ => {
-                type $float = f32;
-                $body
-            }
-        }
-    }};
-}
-
-/// A backend whose tensors lie in host memory.
-pub(crate) trait HostBackend: Backend {
-    /// Reads the elements of a tensor, row-major. The tensor must hold `F`.
-    fn host<F: Real>(tensor: FloatTensor<Self>) -> Host<F>;
-
-    /// Reads the elements of a half-precision tensor, row-major.
-    fn host_halves(tensor: FloatTensor<Self>) -> Host<f16>;
-
-    /// Reads the elements of a tensor of i32 or i64, row-major. A number beyond i32 is −1.
-    fn host_ints(tensor: IntTensor<Self>) -> Host<i32>;
-
-    /// Returns the same elements in contiguous memory.
-    fn contiguous(tensor: FloatTensor<Self>) -> FloatTensor<Self>;
-
-    /// Reads coefficients of half precision or of type `F`.
-    fn host_coefficients<F: Real>(tensor: FloatTensor<Self>) -> HostCoefficients<F> {
-        match tensor.dtype() {
-            DType::F16 => HostCoefficients::Half(Self::host_halves(tensor)),
-            _ => HostCoefficients::Full(Self::host(tensor)),
-        }
-    }
-
-    /// Makes a tensor from elements, row-major, on the device of `like`.
-    fn from_host<F: Real>(elements: Vec<F>, shape: &[usize], like: &FloatTensor<Self>) -> FloatTensor<Self> {
-        Self::float_from_data(TensorData::new(elements, shape.to_vec()), &like.device())
-    }
-}
-
-/// Elements of a tensor.
-pub(crate) enum Host<F> {
+/// A tensor in host memory.
+#[derive(Clone)]
+enum HostTensor {
     Flex(FlexTensor),
     NdArray(NdArrayTensor),
+}
+
+/// Elements of a tensor, row-major.
+pub enum Host<F> {
+    /// Those of a tensor.
+    #[doc(hidden)]
+    Flex(FlexTensor),
+    /// Those of a tensor.
+    #[doc(hidden)]
+    NdArray(NdArrayTensor),
+    /// A copy.
     Copied(Vec<F>),
+}
+
+impl<F: Element + Pod> Deref for Host<F> {
+    type Target = [F];
+    fn deref(&self) -> &[F] {
+        match self {
+            Self::Flex(tensor) => tensor.as_slice().expect("made contiguous when it was read, and of this type"),
+            Self::NdArray(tensor) => elements(tensor).expect("found contiguous when it was read, and of this type"),
+            Self::Copied(elements) => elements,
+        }
+    }
 }
 
 /// Coefficients of spherical harmonics, in the precision of their tensor.
@@ -81,82 +64,6 @@ impl<F: Real> HostCoefficients<F> {
     }
 }
 
-impl<F: Element + Pod> Deref for Host<F> {
-    type Target = [F];
-    fn deref(&self) -> &[F] {
-        match self {
-            Self::Flex(tensor) => tensor.as_slice().expect("made contiguous when it was read, and of this type"),
-            Self::NdArray(tensor) => elements(tensor).expect("found contiguous when it was read, and of this type"),
-            Self::Copied(elements) => elements,
-        }
-    }
-}
-
-/// Returns the elements of a tensor of any type.
-fn flex<T>(tensor: FlexTensor) -> Host<T> {
-    // The slice of a tensor without elements may start beyond its end.
-    if tensor.shape().num_elements() == 0 {
-        return Host::Copied(Vec::new());
-    }
-    Host::Flex(if tensor.is_contiguous() { tensor } else { tensor.to_contiguous() })
-}
-
-fn narrowed<'a>(values: impl Iterator<Item = &'a i64>) -> Host<i32> {
-    Host::Copied(values.map(|&value| i32::try_from(value).unwrap_or(-1)).collect())
-}
-
-impl HostBackend for Flex {
-    fn host<F: Real>(tensor: FloatTensor<Self>) -> Host<F> {
-        check_type::<F>(tensor.dtype());
-        flex(tensor)
-    }
-
-    fn host_halves(tensor: FloatTensor<Self>) -> Host<f16> {
-        flex(tensor)
-    }
-
-    fn contiguous(tensor: FloatTensor<Self>) -> FloatTensor<Self> {
-        tensor.to_contiguous()
-    }
-
-    fn host_ints(tensor: IntTensor<Self>) -> Host<i32> {
-        match tensor.dtype() {
-            DType::I64 => narrowed(flex::<i64>(tensor).iter()),
-            _ => flex(tensor),
-        }
-    }
-}
-
-impl HostBackend for NdArray {
-    fn host<F: Real>(tensor: FloatTensor<Self>) -> Host<F> {
-        check_type::<F>(tensor.dtype());
-        if elements::<F>(&tensor).is_some() {
-            return Host::NdArray(tensor);
-        }
-        Host::Copied(match tensor {
-            NdArrayTensor::F32(storage) => storage.view().iter().map(|&value| F::of(value.into())).collect(),
-            NdArrayTensor::F64(storage) => storage.view().iter().map(|&value| F::of(value)).collect(),
-            other => unreachable!("the type was just checked: {:?}", other.dtype()),
-        })
-    }
-
-    fn host_halves(tensor: FloatTensor<Self>) -> Host<f16> {
-        unreachable!("this backend has no tensors of half precision, and this one is of {:?}", tensor.dtype())
-    }
-
-    fn contiguous(tensor: FloatTensor<Self>) -> FloatTensor<Self> {
-        by_type!(tensor, F => Self::from_host(Self::host::<F>(tensor.clone()).to_vec(), &tensor.shape(), &tensor))
-    }
-
-    fn host_ints(tensor: IntTensor<Self>) -> Host<i32> {
-        match tensor {
-            NdArrayTensor::I32(storage) => Host::Copied(storage.view().iter().copied().collect()),
-            NdArrayTensor::I64(storage) => narrowed(storage.view().iter()),
-            other => unreachable!("the type is checked where tensors enter: {:?}", other.dtype()),
-        }
-    }
-}
-
 /// Returns the elements of a tensor that holds `F` contiguously, row-major.
 fn elements<F: Pod>(tensor: &NdArrayTensor) -> Option<&[F]> {
     match tensor {
@@ -166,8 +73,273 @@ fn elements<F: Pod>(tensor: &NdArrayTensor) -> Option<&[F]> {
     }
 }
 
-fn check_type<F: Real>(dtype: DType) {
-    assert_eq!(dtype, F::DTYPE, "all tensors of a stage share one float type; the public functions check it");
+/// Returns the elements of a tensor of any type.
+fn flex<T>(tensor: &FlexTensor) -> Host<T> {
+    // The slice of a tensor without elements may start beyond its end.
+    if tensor.shape().num_elements() == 0 {
+        return Host::Copied(Vec::new());
+    }
+    Host::Flex(if tensor.is_contiguous() { tensor.clone() } else { tensor.to_contiguous() })
 }
 
-pub(crate) use by_type;
+fn narrowed<'a>(values: impl Iterator<Item = &'a i64>) -> Host<i32> {
+    Host::Copied(values.map(|&value| i32::try_from(value).unwrap_or(-1)).collect())
+}
+
+impl HostTensor {
+    fn dtype(&self) -> DType {
+        match self {
+            Self::Flex(tensor) => tensor.dtype(),
+            Self::NdArray(tensor) => tensor.dtype(),
+        }
+    }
+
+    fn shape(&self) -> Shape {
+        match self {
+            Self::Flex(tensor) => tensor.shape(),
+            Self::NdArray(tensor) => tensor.shape(),
+        }
+    }
+
+    fn floats<F: Real>(&self) -> Host<F> {
+        assert_eq!(self.dtype(), F::DTYPE, "all tensors of an operation share one float type");
+        match self {
+            Self::Flex(tensor) => flex(tensor),
+            Self::NdArray(tensor) if elements::<F>(tensor).is_some() => Host::NdArray(tensor.clone()),
+            Self::NdArray(NdArrayTensor::F32(storage)) => {
+                Host::Copied(storage.view().iter().map(|&value| F::of(value.into())).collect())
+            }
+            Self::NdArray(NdArrayTensor::F64(storage)) => {
+                Host::Copied(storage.view().iter().map(|&value| F::of(value)).collect())
+            }
+            Self::NdArray(other) => unreachable!("the type was just checked: {:?}", other.dtype()),
+        }
+    }
+
+    fn halves(&self) -> Host<f16> {
+        match self {
+            Self::Flex(tensor) => flex(tensor),
+            Self::NdArray(_) => unreachable!("this backend has no tensors of half precision"),
+        }
+    }
+
+    fn ints(&self) -> Host<i32> {
+        match self {
+            Self::Flex(tensor) if tensor.dtype() == DType::I64 => narrowed(flex::<i64>(tensor).iter()),
+            Self::Flex(tensor) => flex(tensor),
+            Self::NdArray(NdArrayTensor::I32(storage)) => Host::Copied(storage.view().iter().copied().collect()),
+            Self::NdArray(NdArrayTensor::I64(storage)) => narrowed(storage.view().iter()),
+            Self::NdArray(other) => unreachable!("the type is checked where tensors enter: {:?}", other.dtype()),
+        }
+    }
+}
+
+/// What a pass of an operation is given on a CPU. The methods panic where there is no such tensor, or where it has another type.
+pub struct HostArgs {
+    inputs: Vec<Option<HostTensor>>,
+    outputs: Vec<Option<HostTensor>>,
+    grads: Vec<Option<HostTensor>>,
+    needs: Vec<bool>,
+}
+
+fn present(tensors: &[Option<HostTensor>], i: usize) -> &HostTensor {
+    tensors[i].as_ref().expect("the caller gave this tensor")
+}
+
+impl HostArgs {
+    /// Whether there is input `i`.
+    pub fn has(&self, i: usize) -> bool {
+        self.inputs[i].is_some()
+    }
+
+    /// Returns the shape of input `i`.
+    pub fn shape(&self, i: usize) -> Shape {
+        present(&self.inputs, i).shape()
+    }
+
+    /// Returns the floats of input `i`.
+    pub fn floats<F: Real>(&self, i: usize) -> Host<F> {
+        present(&self.inputs, i).floats()
+    }
+
+    /// Returns the floats of the first `N` inputs.
+    pub fn all<F: Real, const N: usize>(&self) -> [Host<F>; N] {
+        array::from_fn(|i| self.floats(i))
+    }
+
+    /// Returns the integers of input `i`, i32 or i64. A number beyond i32 is −1.
+    pub fn ints(&self, i: usize) -> Host<i32> {
+        present(&self.inputs, i).ints()
+    }
+
+    /// Returns input `i` in its precision.
+    pub(crate) fn coefficients<F: Real>(&self, i: usize) -> HostCoefficients<F> {
+        let tensor = present(&self.inputs, i);
+        match tensor.dtype() {
+            DType::F16 => HostCoefficients::Half(tensor.halves()),
+            _ => HostCoefficients::Full(tensor.floats()),
+        }
+    }
+
+    /// In a backward pass, returns output `i` of the operation, if it keeps its outputs.
+    pub fn output<F: Real>(&self, i: usize) -> Host<F> {
+        present(&self.outputs, i).floats()
+    }
+
+    /// In a backward pass, returns the gradient of output `i`, if it has one.
+    pub fn grad<F: Real>(&self, i: usize) -> Option<Host<F>> {
+        self.grads[i].as_ref().map(HostTensor::floats)
+    }
+
+    /// In a backward pass, returns the gradient of the only output.
+    pub fn only_grad<F: Real>(&self) -> Host<F> {
+        present(&self.grads, 0).floats()
+    }
+
+    /// In a backward pass, returns for each input whether its gradient is asked for.
+    pub fn needs<const N: usize>(&self) -> [bool; N] {
+        array::from_fn(|i| self.needs[i])
+    }
+}
+
+/// An output of a pass on a CPU.
+#[derive(Debug)]
+pub enum Found<F> {
+    /// Floats, row-major.
+    Floats(Vec<F>),
+    /// Integers, row-major.
+    Ints(Vec<i32>),
+    /// The elements of an input, contiguous in memory.
+    Input(usize),
+    /// In a backward pass, the gradient of an output.
+    Grad(usize),
+    /// Nothing.
+    Nothing,
+}
+
+/// Returns outputs of floats.
+pub(crate) fn found<F>(outputs: impl IntoIterator<Item = Vec<F>>) -> Vec<Found<F>> {
+    outputs.into_iter().map(Found::Floats).collect()
+}
+
+/// Returns the elements as slices.
+pub(crate) fn slices<F: Element + Pod, const N: usize>(read: &[Host<F>; N]) -> [&[F]; N] {
+    read.each_ref().map(|host| &host[..])
+}
+
+/// A backend whose tensors lie in host memory.
+trait HostBackend: Backend {
+    fn of_floats(tensor: FloatTensor<Self>) -> HostTensor;
+    fn of_ints(tensor: IntTensor<Self>) -> HostTensor;
+
+    /// Returns the same elements in contiguous memory.
+    fn contiguous(tensor: FloatTensor<Self>) -> FloatTensor<Self>;
+}
+
+impl HostBackend for Flex {
+    fn of_floats(tensor: FloatTensor<Self>) -> HostTensor {
+        HostTensor::Flex(tensor)
+    }
+
+    fn of_ints(tensor: IntTensor<Self>) -> HostTensor {
+        HostTensor::Flex(tensor)
+    }
+
+    fn contiguous(tensor: FloatTensor<Self>) -> FloatTensor<Self> {
+        if tensor.is_contiguous() { tensor } else { tensor.to_contiguous() }
+    }
+}
+
+impl HostBackend for NdArray {
+    fn of_floats(tensor: FloatTensor<Self>) -> HostTensor {
+        HostTensor::NdArray(tensor)
+    }
+
+    fn of_ints(tensor: IntTensor<Self>) -> HostTensor {
+        HostTensor::NdArray(tensor)
+    }
+
+    fn contiguous(tensor: FloatTensor<Self>) -> FloatTensor<Self> {
+        let host = HostTensor::NdArray(tensor.clone());
+        let data = match tensor.dtype() {
+            DType::F64 => TensorData::new(host.floats::<f64>().to_vec(), tensor.shape()),
+            _ => TensorData::new(host.floats::<f32>().to_vec(), tensor.shape()),
+        };
+        Self::float_from_data(data, &tensor.device())
+    }
+}
+
+/// An output without its type.
+enum Made {
+    Data(TensorData),
+    Input(usize),
+    Grad(usize),
+    Nothing,
+}
+
+fn made<F: Real>(found: Vec<Found<F>>, specs: &[Option<Spec>]) -> Vec<Made> {
+    assert_eq!(found.len(), specs.len(), "an operation has the outputs that it specified");
+    let of = |(found, spec): (Found<F>, &Option<Spec>)| match (found, spec) {
+        (_, None) | (Found::Nothing, _) => Made::Nothing,
+        (Found::Floats(values), Some(spec)) => Made::Data(TensorData::new(values, spec.shape.clone())),
+        (Found::Ints(values), Some(spec)) => Made::Data(TensorData::new(values, spec.shape.clone())),
+        (Found::Input(i), Some(_)) => Made::Input(i),
+        (Found::Grad(i), Some(_)) => Made::Grad(i),
+    };
+    found.into_iter().zip(specs).map(of).collect()
+}
+
+/// Runs a pass in the float type of its tensors.
+fn run(call: &Call, args: &HostArgs, specs: &[Option<Spec>]) -> Vec<Made> {
+    count_twin_call();
+    let backward = call.backward.is_some();
+    let mut tensors = args.inputs.iter().chain(&args.grads).flatten();
+    match tensors.any(|tensor| tensor.dtype() == DType::F64) {
+        true => made(call.operation.run64(args, backward), specs),
+        false => made(call.operation.run32(args, backward), specs),
+    }
+}
+
+fn operate<B: HostBackend>(inputs: Tensors<B>, call: &Call) -> Tensors<B> {
+    let device = inputs.0.iter().find_map(|slot| match slot {
+        Slot::Absent => None,
+        Slot::Float(tensor) => Some(tensor.device()),
+        Slot::Int(tensor) => Some(tensor.device()),
+    });
+    let device = device.expect("an operation has an input");
+    let host = |slot: &Slot<B>| match slot {
+        Slot::Absent => None,
+        Slot::Float(tensor) => Some(B::of_floats(tensor.clone())),
+        Slot::Int(tensor) => Some(B::of_ints(tensor.clone())),
+    };
+    let given: Vec<Option<HostTensor>> = inputs.0.iter().map(host).collect();
+    let spec = |tensor: &HostTensor| Spec { shape: tensor.shape(), dtype: tensor.dtype() };
+    let specs = call.outputs(&given.iter().map(|tensor| tensor.as_ref().map(spec)).collect::<Vec<_>>());
+    let [of_inputs, outputs, grads] = call.split(given);
+    let first_grad = of_inputs.len() + outputs.len();
+    let args = HostArgs { inputs: of_inputs, outputs, grads, needs: call.needs() };
+    let same = |i: usize| match inputs.0[i].clone().float() {
+        Some(tensor) => Slot::Float(B::contiguous(tensor)),
+        None => Slot::Absent,
+    };
+    let output = |made: Made| match made {
+        Made::Data(data) if data.dtype().is_float() => Slot::Float(B::float_from_data(data, &device)),
+        Made::Data(data) => Slot::Int(B::int_from_data(data, &device)),
+        Made::Input(i) => same(i),
+        Made::Grad(i) => same(first_grad + i),
+        Made::Nothing => Slot::Absent,
+    };
+    List(run(call, &args, &specs).into_iter().map(output).collect())
+}
+
+impl OperationBackend for Flex {
+    fn operate(inputs: Tensors<Self>, call: Call) -> Tensors<Self> {
+        operate(inputs, &call)
+    }
+}
+
+impl OperationBackend for NdArray {
+    fn operate(inputs: Tensors<Self>, call: Call) -> Tensors<Self> {
+        operate(inputs, &call)
+    }
+}

@@ -19,15 +19,15 @@ mod kernel_tests;
 mod kernels;
 #[cfg(feature = "cube")]
 pub(crate) mod launch;
+mod operation;
 pub(crate) mod roughness;
 #[cfg(test)]
 mod tests;
 
-use burn::backend::Dispatch;
 use burn::tensor::Tensor;
 
 pub use self::roughness::roughness;
-use crate::backend::bilateral::BilateralBackend;
+use crate::backend::apply;
 use crate::check::Reference;
 use crate::error::SplatError;
 use crate::record::record;
@@ -82,7 +82,8 @@ pub fn slice(image: &Tensor<3>, grid: &Tensor<4>) -> Result<Tensor<3>, SplatErro
     }
     // Pictures come from `rasterize` as planes, so that this moves nothing.
     let planes = image.clone().permute([2, 0, 1]);
-    let inputs = Sliced { image: planes.into(), grid: grid.clone().into() };
-    let mapped = Tensor::<3>::from_dispatch(<Dispatch as BilateralBackend>::bilateral_slice(inputs));
+    let size = SliceSize::new(&planes.dims(), &grid.dims());
+    let inputs = Sliced { image: planes.into(), grid: grid.into() };
+    let mapped: Tensor<3> = apply(operation::Slice(size), inputs.into_array()).float(0);
     Ok(mapped.permute([1, 2, 0]))
 }

@@ -3,14 +3,13 @@
 //! With `Δ` the differences between neighbours along an axis, `N` in number, the roughness is the sum of `Σ Δ² / N` over the three axes.
 //! Its derivative adds `2 Δ / N` to the upper neighbour of each pair and takes it from the lower.
 
-use burn::backend::Dispatch;
 use burn::tensor::Tensor;
 
-use super::MAP;
+use super::{MAP, operation};
 use crate::abilities::is_gpu;
-use crate::backend::custom_grad::with_gradient;
-use crate::backend::penalty::PenaltyBackend;
+use crate::backend::apply;
 use crate::check::Reference;
+use crate::custom_grad::with_gradient;
 use crate::error::SplatError;
 use crate::simd::real::Real;
 
@@ -80,9 +79,8 @@ pub fn roughness(grid: &Tensor<4>) -> Result<Tensor<1>, SplatError> {
     }
     let tracked = grid.is_autodiff();
     let values = if tracked { grid.clone().inner() } else { grid.clone() };
-    let found = <Dispatch as PenaltyBackend>::roughness(values.into_dispatch());
-    let value = Tensor::from_dispatch(found.value);
-    Ok(if tracked { with_gradient(grid.clone(), value, Tensor::from_dispatch(found.gradient)) } else { value })
+    let mut found = apply(operation::Roughness(GridSize::new(&grid.dims())), [values.into()]);
+    Ok(if tracked { with_gradient(grid.clone(), found.float(0), found.float(1)) } else { found.float(0) })
 }
 
 /// The roughness in tensor code, for GPUs.

@@ -10,13 +10,13 @@ mod kernel_tests;
 mod kernels;
 #[cfg(feature = "cube")]
 pub(crate) mod launch;
+mod operation;
 #[cfg(test)]
 mod tests;
 
-use burn::backend::Dispatch;
 use burn::tensor::Tensor;
 
-use crate::backend::colour_map::ColourMapBackend;
+use crate::backend;
 use crate::bilateral::MAP;
 use crate::check::Reference;
 use crate::error::SplatError;
@@ -43,7 +43,7 @@ pub fn apply(image: &Tensor<3>, map: &Tensor<2>) -> Result<Tensor<3>, SplatError
     reference.check("map", map, [Some(3), Some(4)], "[3, 4]")?;
     // Pictures come from `rasterize` as planes, so that this moves nothing.
     let planes = image.clone().permute([2, 0, 1]);
-    let inputs = Mapped { image: planes.into(), map: map.clone().into() };
-    let mapped = Tensor::<3>::from_dispatch(<Dispatch as ColourMapBackend>::colour_map(inputs));
+    let inputs = Mapped { image: planes.into(), map: map.into() };
+    let mapped: Tensor<3> = backend::apply(operation::ColourMap, inputs.into_array()).float(0);
     Ok(mapped.permute([1, 2, 0]))
 }

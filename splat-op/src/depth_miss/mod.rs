@@ -10,16 +10,16 @@
 //! over the samples of a pixel, with `sign(0) = 0`. Which pixels count is piecewise constant.
 
 pub(crate) mod cpu;
+mod operation;
 #[cfg(test)]
 mod tests;
 
-use burn::backend::Dispatch;
 use burn::tensor::{DType, Int, Tensor};
 
 use crate::abilities::is_gpu;
-use crate::backend::custom_grad::constant;
-use crate::backend::depth_miss::DepthMissBackend;
+use crate::backend::apply;
 use crate::check::Reference;
+use crate::custom_grad::constant;
 use crate::error::SplatError;
 use crate::record::record;
 
@@ -69,8 +69,7 @@ pub fn depth_miss(
     }
     // Pictures come from `rasterize` as planes, so that this moves nothing.
     let planes = |picture: &Tensor<3>| picture.clone().permute([2, 0, 1]).into();
-    let inputs = Depths { depth: planes(depth), alpha: planes(alpha), known: known.clone().into() };
-    Ok(Tensor::from_dispatch(<Dispatch as DepthMissBackend>::depth_miss(inputs, pixels.clone().into_dispatch())))
+    Ok(apply(operation::DepthMiss, [planes(depth), planes(alpha), known.into(), pixels.into()]).float(0))
 }
 
 /// The miss in tensor code, for GPUs.

@@ -19,13 +19,13 @@ mod kernel_tests;
 mod kernels;
 #[cfg(feature = "cube")]
 pub(crate) mod launch;
+mod operation;
 #[cfg(test)]
 mod tests;
 
-use burn::backend::Dispatch;
 use burn::tensor::Tensor;
 
-use crate::backend::environment::EnvironmentBackend;
+use crate::backend::apply;
 use crate::check::Reference;
 use crate::error::SplatError;
 use crate::record::record;
@@ -74,9 +74,9 @@ pub fn over(
     let inputs = Sky {
         image: planes(image),
         alpha: planes(alpha),
-        directions: directions.clone().into(),
-        coefficients: coefficients.clone().into(),
+        directions: directions.into(),
+        coefficients: coefficients.into(),
     };
-    let composed = Tensor::<3>::from_dispatch(<Dispatch as EnvironmentBackend>::environment(inputs));
+    let composed: Tensor<3> = apply(operation::Environment, inputs.into_array()).float(0);
     Ok(composed.permute([1, 2, 0]))
 }

@@ -21,6 +21,7 @@ pub(crate) mod forward;
 mod kernel_tests;
 #[cfg(feature = "cube")]
 pub(crate) mod launch;
+pub(crate) mod operation;
 #[cfg(feature = "cube")]
 pub(crate) mod sort;
 #[cfg(test)]

@@ -31,17 +31,17 @@ mod forward;
 mod kernel_tests;
 #[cfg(feature = "cube")]
 pub(crate) mod launch;
+mod operation;
 pub(crate) mod taps;
 #[cfg(test)]
 mod tests;
 
-use burn::backend::Dispatch;
 use burn::tensor::{DType, Tensor};
 use taps::Compared;
 pub use taps::{C1, C2, SIGMA_PX, TAPS};
 
 use crate::abilities::is_gpu;
-use crate::backend::loss::{PhotographMoments, PhotometricBackend};
+use crate::backend::{Slot, apply};
 
 /// Computes the loss of `image` against a photograph, `[.., H, W]` f32, or f64 on CPUs, without autodiff. Returns
 /// the loss and, if `with_gradient` is set, its gradient.
@@ -59,19 +59,18 @@ pub fn photometric<const D: usize>(
         assert_eq!(tensor.dims(), image.dims(), "a picture and its photograph must have the same shape");
         assert_eq!(tensor.dtype(), image.dtype(), "a picture and its photograph must have the same float type");
     }
-    let [truth, mean, variance] = photograph.map(|planes| planes.clone().into());
-    let inputs = Compared { image: image.clone().into(), truth, mean, variance };
-    let found = <Dispatch as PhotometricBackend>::photometric(inputs, lambda, with_gradient);
-    (Tensor::from_dispatch(found.loss), found.gradient.into_option().map(Tensor::from_dispatch))
+    let [truth, mean, variance] = photograph.map(Slot::from);
+    let inputs = Compared { image: image.into(), truth, mean, variance };
+    let mut found = apply(operation::Photometric { lambda, with_gradient }, inputs.into_array());
+    (found.float(0), with_gradient.then(|| found.float(1)))
 }
 
 /// Returns the mean `μy` and the variance `σy² + C2` of a photograph's planes, `[.., H, W]` f32, or f64 on CPUs, without autodiff: what
 /// [`photometric`] takes besides the planes.
 pub fn moments<const D: usize>(photograph: &Tensor<D>) -> [Tensor<D>; 2] {
     check(photograph);
-    let PhotographMoments { mean, variance } =
-        <Dispatch as PhotometricBackend>::moments(photograph.clone().into_dispatch());
-    [mean, variance].map(Tensor::from_dispatch)
+    let mut found = apply(operation::Moments, [photograph.into()]);
+    [0, 1].map(|i| found.float(i))
 }
 
 fn check<const D: usize>(tensor: &Tensor<D>) {
@@ -86,5 +85,5 @@ fn check<const D: usize>(tensor: &Tensor<D>) {
 /// Returns the planes contiguous in memory. Planes that every step reads need not be rearranged at every step.
 pub fn contiguous<const D: usize>(planes: &Tensor<D>) -> Tensor<D> {
     check(planes);
-    Tensor::from_dispatch(<Dispatch as PhotometricBackend>::contiguous(planes.clone().into_dispatch()))
+    apply(operation::Contiguous, [planes.into()]).float(0)
 }

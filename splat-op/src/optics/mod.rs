@@ -62,14 +62,14 @@ mod forward;
 mod kernel_tests;
 #[cfg(feature = "cube")]
 pub(crate) mod launch;
+mod operation;
 mod simd;
 #[cfg(test)]
 mod tests;
 
-use burn::backend::Dispatch;
 use burn::tensor::Tensor;
 
-use crate::backend::optics::OpticsBackend;
+use crate::backend::apply;
 use crate::camera::{CameraModel, Intrinsics};
 use crate::check::Reference;
 use crate::error::SplatError;
@@ -157,8 +157,7 @@ fn exposed(projected: &Projected, twist: &Tensor<1>, exposure: Exposure, margin:
     }
     let reference = Reference::new(projected.packed())?;
     reference.check("twist", twist, [Some(PARAMETERS)], "[6]")?;
-    let inputs = Exposed { projected: projected.packed().clone().into(), twist: twist.clone().into() };
+    let inputs = Exposed { projected: projected.packed().into(), twist: twist.into() };
     let spec = OpticsSpec { intrinsics, exposure, margin };
-    let packed = Tensor::from_dispatch(<Dispatch as OpticsBackend>::expose(inputs, spec));
-    Ok(Projected::of(packed, intrinsics))
+    Ok(Projected::of(apply(operation::Expose(spec), inputs.into_array()).float(0), intrinsics))
 }

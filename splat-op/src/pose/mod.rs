@@ -25,17 +25,16 @@ mod kernel_tests;
 mod kernels;
 #[cfg(feature = "cube")]
 pub(crate) mod launch;
+mod operation;
 #[cfg(test)]
 mod tests;
 
-use burn::backend::Dispatch;
 use burn::tensor::Tensor;
 
 use crate::abilities::is_gpu;
-use crate::backend::custom_grad::{constant, with_gradient};
-use crate::backend::penalty::PenaltyBackend;
-use crate::backend::pose::PoseBackend;
+use crate::backend::apply;
 use crate::check::Reference;
+use crate::custom_grad::{constant, with_gradient};
 use crate::error::SplatError;
 use crate::record::record;
 
@@ -76,8 +75,8 @@ pub fn corrected(correction: &Tensor<2>, cam_from_world: &Tensor<2>, unit: f64) 
     let reference = Reference::new(correction)?;
     reference.check("correction", correction, [Some(2), Some(3)], "[2, 3]")?;
     reference.check("cam_from_world", cam_from_world, [Some(3), Some(4)], "[3, 4]")?;
-    let inputs = Corrected { correction: correction.clone().into(), cam_from_world: cam_from_world.clone().into() };
-    Ok(Tensor::from_dispatch(<Dispatch as PoseBackend>::corrected_pose(inputs, unit)))
+    let inputs = Corrected { correction: correction.into(), cam_from_world: cam_from_world.into() };
+    Ok(apply(operation::Correct { unit }, inputs.into_array()).float(0))
 }
 
 /// Returns the miss of `pose`, `[3, 4]` f32, or f64 on CPUs, as `[1]`: the mean robust difference between the directions to `points`,
@@ -97,10 +96,9 @@ pub fn miss(pose: &Tensor<2>, points: &Tensor<2>, directions: &Tensor<2>, scale:
     if is_gpu(&pose.device()) {
         return Ok(miss_in_tensors(pose, points, directions, scale));
     }
-    let inputs = Sighted { pose: values.into(), points: points.clone().into(), directions: directions.clone().into() };
-    let found = <Dispatch as PenaltyBackend>::pose_miss(inputs, scale);
-    let value = Tensor::from_dispatch(found.value);
-    Ok(if tracked { with_gradient(pose.clone(), value, Tensor::from_dispatch(found.gradient)) } else { value })
+    let inputs = Sighted { pose: values.into(), points: points.into(), directions: directions.into() };
+    let mut found = apply(operation::PoseMiss { scale }, inputs.into_array());
+    Ok(if tracked { with_gradient(pose.clone(), found.float(0), found.float(1)) } else { found.float(0) })
 }
 
 /// The miss in tensor code, for GPUs.

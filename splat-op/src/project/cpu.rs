@@ -131,12 +131,24 @@ pub(crate) fn stage_rows<F: Real, T: GaussianStage<C>, const C: usize, const BEN
     inputs: Geometry<&[F]>,
     spec: &ProjectSpec,
 ) -> Vec<F> {
+    chunks_of_rows(&inputs, spec, C, |inputs, lens, first, rows| {
+        dispatch!(F, simd => rows_of_chunk::<_, F, T, C, BENDS>(simd, inputs, lens, first, rows));
+    })
+}
+
+/// Writes the rows of the Gaussians from a number on.
+type RowsOfChunk<F> = fn(&Geometry<&[F]>, &ProjectCameraSimd<F>, usize, &mut [F]);
+
+// This and `chunks_of_gradients` are compiled once for all stages and lenses.
+fn chunks_of_rows<F: Real>(
+    inputs: &Geometry<&[F]>,
+    spec: &ProjectSpec,
+    columns: usize,
+    rows_of_chunk: RowsOfChunk<F>,
+) -> Vec<F> {
     let lens = ProjectCameraSimd::new(inputs.cam_from_world, spec);
-    let mut all = vec![F::ZERO; inputs.opacities.len() * C];
-    tasks::for_each(all.chunks_mut(CHUNK * C), |chunk, rows| {
-        let first = chunk * CHUNK;
-        dispatch!(F, simd => rows_of_chunk::<_, F, T, C, BENDS>(simd, &inputs, &lens, first, rows));
-    });
+    let mut all = vec![F::ZERO; inputs.opacities.len() * columns];
+    tasks::for_each(all.chunks_mut(CHUNK * columns), |chunk, rows| rows_of_chunk(inputs, &lens, chunk * CHUNK, rows));
     all
 }
 
@@ -169,6 +181,26 @@ pub(crate) fn stage_gradients<F: Real, T: GaussianStage<C>, const C: usize, cons
     spec: &ProjectSpec,
     needs: Geometry<bool>,
 ) -> Geometry<Vec<F>> {
+    chunks_of_gradients(
+        &inputs,
+        (grad, C),
+        spec,
+        needs,
+        |inputs, lens, part, pose, out| dispatch!(F, simd => gradients_of_chunk::<_, F, T, C, BENDS>(simd, inputs, lens, part, pose, out)),
+    )
+}
+
+/// Writes the gradients of the Gaussians from a number on, and returns their share of the pose's.
+type GradientsOfChunk<F> =
+    fn(&Geometry<&[F]>, &ProjectCameraSimd<F>, (usize, &[F]), bool, &mut Geometry<&mut [F]>) -> [F; 12];
+
+fn chunks_of_gradients<F: Real>(
+    inputs: &Geometry<&[F]>,
+    (grad, columns): (&[F], usize),
+    spec: &ProjectSpec,
+    needs: Geometry<bool>,
+    gradients_of_chunk: GradientsOfChunk<F>,
+) -> Geometry<Vec<F>> {
     let lens = ProjectCameraSimd::new(inputs.cam_from_world, spec);
     let count = inputs.opacities.len();
     let mut grads = needs.zip(WIDTHS).map(|(needed, width)| vec![F::ZERO; if needed { count * width } else { 0 }]);
@@ -176,11 +208,8 @@ pub(crate) fn stage_gradients<F: Real, T: GaussianStage<C>, const C: usize, cons
     let chunks = (0..count.div_ceil(CHUNK)).map(|_| rows.each_mut().map(|rows| rows.next().unwrap_or_default()));
     let pose = tasks::map(chunks, |chunk, mut out| {
         let first = chunk * CHUNK;
-        let grad = &grad[first * C..count.min(first + CHUNK) * C];
-        let (part, pose) = ((first, grad), needs.cam_from_world);
-        dispatch!(F, simd => {
-            gradients_of_chunk::<_, F, T, C, BENDS>(simd, &inputs, &lens, part, pose, &mut out)
-        })
+        let grad = &grad[first * columns..count.min(first + CHUNK) * columns];
+        gradients_of_chunk(inputs, &lens, (first, grad), needs.cam_from_world, &mut out)
     });
     if needs.cam_from_world {
         let mut total = [F::ZERO; 12];

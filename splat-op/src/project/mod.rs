@@ -34,6 +34,7 @@ pub(crate) mod lens_backward;
 #[cfg(feature = "cube")]
 pub(crate) mod lens_forward;
 pub(crate) mod lens_simd;
+pub(crate) mod operation;
 pub(crate) mod simd;
 #[cfg(test)]
 mod tests;

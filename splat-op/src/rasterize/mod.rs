@@ -31,6 +31,7 @@ mod kernel_tests;
 pub(crate) mod launch;
 #[cfg(feature = "cube")]
 pub(crate) mod layer;
+pub(crate) mod operation;
 mod prepared;
 #[cfg(feature = "cube")]
 pub(crate) mod rows;
@@ -44,8 +45,7 @@ mod tile_backward;
 pub(crate) mod trace;
 
 use std::any::Any;
-use std::ops::Range;
-use std::sync::{Arc, Mutex, OnceLock};
+use std::sync::{Arc, OnceLock};
 
 use crate::camera::Intrinsics;
 use crate::options::RenderOptions;
@@ -109,11 +109,3 @@ impl<'a, F> PlaneParts<&'a [F]> {
 /// recomputes them.
 #[derive(Clone, Debug, Default)]
 pub struct TraceCell(pub(crate) Arc<OnceLock<Box<dyn Any + Send + Sync>>>);
-
-/// Gradient of a range of planes.
-pub(crate) type PartGrad = (Range<usize>, Box<dyn Any + Send>);
-
-/// Gradients of ranges of a render's planes, passed from the backward nodes of the ranges to the backward node of the
-/// stage. (Through the autodiff graph each gradient would have the size of all planes, padded with zeros.)
-#[derive(Clone, Debug, Default)]
-pub struct PartsCell(pub(crate) Arc<Mutex<Vec<PartGrad>>>);

@@ -73,6 +73,7 @@ pub(crate) mod launch;
 mod layer;
 #[cfg(test)]
 mod lens_tests;
+pub(crate) mod operation;
 #[cfg(feature = "cube")]
 mod pair_sums;
 mod reach;

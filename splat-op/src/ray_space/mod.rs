@@ -130,6 +130,7 @@ mod lens_bounds;
 mod lens_bounds_kernel;
 #[cfg(test)]
 mod lens_tests;
+pub(crate) mod operation;
 mod simd;
 #[cfg(test)]
 mod tests;

@@ -35,6 +35,7 @@ pub(crate) mod forward;
 mod kernel_tests;
 #[cfg(feature = "cube")]
 pub(crate) mod launch;
+pub(crate) mod operation;
 #[cfg(test)]
 mod tests;
 #[cfg(all(test, feature = "cube"))]

@@ -15,7 +15,7 @@ pub(crate) const LANES: usize = 8;
 pub(crate) const EXP2_CONSTANTS: usize = 8;
 
 /// f32 or f64.
-pub(crate) trait Real:
+pub trait Real:
     SimdFloatElement
     + PartialOrd
     + Sum
@@ -38,8 +38,11 @@ pub(crate) trait Real:
     type Block<S: Simd>: SimdFloat<S, Element = Self>;
     /// An unsigned integer that sorts like this float, for non-negative values.
     type SortKey: Ord + Copy + Send + Sync;
+    /// The type of tensors of this float.
     const DTYPE: DType;
+    /// 0.
     const ZERO: Self;
+    /// 1.
     const ONE: Self;
     /// The largest finite value.
     const MAX: Self;
@@ -49,11 +52,17 @@ pub(crate) trait Real:
     const EPSILON: Self;
     /// Rounds a constant or option to the nearest value.
     fn of(value: f64) -> Self;
+    /// Widens the value.
     fn f64(self) -> f64;
+    /// `√x`.
     fn sqrt(self) -> Self;
+    /// The natural logarithm.
     fn ln(self) -> Self;
+    /// `|x|`.
     fn abs(self) -> Self;
+    /// Whether the value is neither infinite nor NaN.
     fn finite(self) -> bool;
+    /// Returns the key of a non-negative value.
     fn sort_key(self) -> Self::SortKey;
     /// Sorts by key, stably.
     fn sort_by_key(rows: &mut [(Self::SortKey, u32)]);
@@ -71,9 +80,11 @@ pub(crate) trait Real:
     /// Returns `eˣ` within 1 ulp: zero or infinite beyond the range of the float type, arbitrary for NaN.
     fn exp_lanes<S: Simd>(x: Self::Lanes<S>) -> Self::Lanes<S>;
 
+    /// The larger value; `self` beside NaN.
     fn max_of(self, other: Self) -> Self {
         if other > self { other } else { self }
     }
+    /// The smaller value; `self` beside NaN.
     fn min_of(self, other: Self) -> Self {
         if other < self { other } else { self }
     }

@@ -18,13 +18,13 @@ mod kernel_tests;
 mod kernels;
 #[cfg(feature = "cube")]
 pub(crate) mod launch;
+mod operation;
 #[cfg(test)]
 mod tests;
 
-use burn::backend::Dispatch;
 use burn::tensor::Tensor;
 
-use crate::backend::smooth::SmoothBackend;
+use crate::backend::apply;
 use crate::check::Reference;
 use crate::error::SplatError;
 use crate::record::record;
@@ -56,9 +56,7 @@ pub fn smoothed(
     reference.check("scales", scales, [None, Some(3)], "[N, 3]")?;
     reference.check("opacities", opacities, [Some(count)], "[N]")?;
     reference.check("widths", widths, [Some(count), Some(1)], "[N, 1]")?;
-    let inputs =
-        Smooth { scales: scales.clone().into(), opacities: opacities.clone().into(), widths: widths.clone().into() };
-    let opacities = Tensor::from_dispatch(<Dispatch as SmoothBackend>::smoothed_opacities(inputs));
-    let (scales, widths) = (scales.clone().into_dispatch(), widths.clone().into_dispatch());
-    Ok((Tensor::from_dispatch(<Dispatch as SmoothBackend>::smoothed_scales(scales, widths)), opacities))
+    let inputs = Smooth { scales: scales.into(), opacities: opacities.into(), widths: widths.into() };
+    let opacities = apply(operation::SmoothedOpacities, inputs.into_array()).float(0);
+    Ok((apply(operation::SmoothedScales, [scales.into(), widths.into()]).float(0), opacities))
 }

@@ -13,6 +13,8 @@ mod forward;
 mod kernel_tests;
 #[cfg(feature = "cube")]
 pub(crate) mod launch;
+#[cfg(feature = "cube")]
+mod operation;
 
 use burn::tensor::Tensor;
 
@@ -35,21 +37,16 @@ pub struct Tally {
 pub fn add(tally: Option<Tally>, grad: &Tensor<2>, per_axis: [f32; 2]) -> Result<Tally, Option<Tally>> {
     #[cfg(feature = "cube")]
     {
-        use burn::backend::{Dispatch, DispatchDevice};
+        use burn::backend::DispatchDevice;
         use burn::tensor::DType;
 
-        use crate::backend::tally::{TallyBackend, TallyTensors};
+        use crate::backend::apply;
 
         let on_gpu = matches!(grad.device().as_dispatch(), DispatchDevice::Cube(_)) && grad.dtype() == DType::F32;
         if on_gpu {
-            let before = match tally {
-                Some(Tally { sums, counts }) => {
-                    TallyTensors::Begun { sums: sums.into_dispatch(), counts: counts.into_dispatch() }
-                }
-                None => TallyTensors::Empty,
-            };
-            let found = <Dispatch as TallyBackend>::tally(before, grad.clone().into_dispatch(), per_axis);
-            return Ok(Tally { sums: Tensor::from_dispatch(found.sums), counts: Tensor::from_dispatch(found.counts) });
+            let (sums, counts) = tally.map(|tally| (tally.sums, tally.counts)).unzip();
+            let mut found = apply(operation::AddToTally { per_axis }, [grad.into(), sums.into(), counts.into()]);
+            return Ok(Tally { sums: found.float(0), counts: found.float(1) });
         }
     }
     Err(tally)

@@ -34,14 +34,12 @@ pub(crate) mod launch;
 #[cfg(test)]
 mod tests;
 
-#[cfg(feature = "cube")]
-use burn::backend::Dispatch;
 use burn::tensor::{Int, Tensor};
 pub use cpu::{HostState, step_on_host};
 
 use super::Factors;
 #[cfg(feature = "cube")]
-use crate::backend::adam::{AdamBackend, PackedInputs};
+use crate::backend::apply;
 
 /// How moments are packed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -151,13 +149,9 @@ pub fn step_packed<const D: usize>(
 ) -> Result<PackedStep<D>, PackedStep<D>> {
     #[cfg(feature = "cube")]
     if super::taken(&from.param) {
-        let inputs = PackedInputs {
-            param: from.param.into_dispatch(),
-            grad: grad.clone().into_dispatch(),
-            words: from.words.into_dispatch(),
-        };
-        let state = <Dispatch as AdamBackend>::adam_packed(inputs, verdict.into(), factors);
-        return Ok(PackedStep { param: Tensor::from_dispatch(state.param), words: Tensor::from_dispatch(state.words) });
+        let inputs = [from.param.into(), grad.into(), from.words.into(), verdict.into()];
+        let mut found = apply(super::operation::AdamPacked(factors), inputs);
+        return Ok(PackedStep { param: found.float(0), words: found.int(1) });
     }
     Err(from)
 }

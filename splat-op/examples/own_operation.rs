@@ -1,0 +1,76 @@
+//! An operation of one's own in a graph of Burn: a kernel, its CPU twin, and their gradient.
+
+use burn::tensor::{Device, Tensor};
+use cubecl::prelude::*;
+use splat_op::backend::{Bound, Found, GpuArgs, HostArgs, Operation, Real, Spec, apply};
+
+/// Reinhard's tone curve, `y = x / (1 + x)`, whose derivative is `(1 + x)⁻²`.
+#[derive(Clone, Debug)]
+struct ToneCurve;
+
+#[cube(launch_unchecked)]
+fn curve(x: &[f32], y: &mut [f32]) {
+    if ABSOLUTE_POS < y.len() {
+        y[ABSOLUTE_POS] = x[ABSOLUTE_POS] / (1.0 + x[ABSOLUTE_POS]);
+    }
+}
+
+#[cube(launch_unchecked)]
+fn slope(x: &[f32], grad: &[f32], out: &mut [f32]) {
+    if ABSOLUTE_POS < out.len() {
+        let sum = 1.0 + x[ABSOLUTE_POS];
+        out[ABSOLUTE_POS] = grad[ABSOLUTE_POS] / (sum * sum);
+    }
+}
+
+impl Operation for ToneCurve {
+    fn outputs(&self, inputs: &[Option<Spec>]) -> Vec<Option<Spec>> {
+        inputs.to_vec()
+    }
+
+    fn run<F: Real>(&self, args: &HostArgs) -> Vec<Found<F>> {
+        vec![Found::Floats(args.floats::<F>(0).iter().map(|&x| x / (F::ONE + x)).collect())]
+    }
+
+    fn launch(&self, args: GpuArgs) -> Vec<Bound> {
+        let (len, x) = (args.shape(0).num_elements(), args.handle(0));
+        let (count, dim, y) = (cubes(len), CubeDim::new_1d(256), args.client().empty(4 * len));
+        let [x, out] = [x, y.clone()].map(|handle| unsafe { BufferArg::from_raw_parts(handle, len) });
+        unsafe { curve::launch_unchecked(args.client(), count, dim, x, out) };
+        vec![Some(y)]
+    }
+
+    fn differentiable(&self) -> &'static [usize] {
+        &[0]
+    }
+
+    fn run_backward<F: Real>(&self, args: &HostArgs) -> Vec<Found<F>> {
+        let (x, grad) = (args.floats::<F>(0), args.only_grad::<F>());
+        let slope = |(&x, &grad): (&F, &F)| grad / ((F::ONE + x) * (F::ONE + x));
+        vec![Found::Floats(x.iter().zip(grad.iter()).map(slope).collect())]
+    }
+
+    fn launch_backward(&self, args: GpuArgs) -> Vec<Bound> {
+        let (len, x, grad) = (args.shape(0).num_elements(), args.handle(0), args.grad_handle(0));
+        let (count, dim, out) = (cubes(len), CubeDim::new_1d(256), args.client().empty(4 * len));
+        let [x, grad, to] = [x, grad, out.clone()].map(|handle| unsafe { BufferArg::from_raw_parts(handle, len) });
+        unsafe { slope::launch_unchecked(args.client(), count, dim, x, grad, to) };
+        vec![Some(out)]
+    }
+}
+
+fn cubes(len: usize) -> CubeCount {
+    CubeCount::Static(len.div_ceil(256) as u32, 1, 1)
+}
+
+fn main() {
+    for device in [Device::flex(), Device::default()] {
+        let x = Tensor::<2>::from_floats([[0.0, 0.5, 1.0], [3.0, 7.0, 1e3]], &device.autodiff()).require_grad();
+        let y: Tensor<2> = apply(ToneCurve, [(&x).into()]).float(0);
+        let grad = x.grad(&(y.clone() * 2.0).sum().backward()).expect("tracked");
+        y.into_data().assert_approx_eq::<f32>(&[[0.0, 1.0 / 3.0, 0.5], [0.75, 0.875, 1e3 / 1001.0]].into(), Default::default());
+        let slopes = [[2.0, 8.0 / 9.0, 0.5], [0.125, 0.03125, 2.0 / 1001.0f32.powi(2)]];
+        grad.into_data().assert_approx_eq::<f32>(&slopes.into(), Default::default());
+    }
+    println!("the curve and its gradient agree with their formulas");
+}

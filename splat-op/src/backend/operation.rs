@@ -1,0 +1,241 @@
+//! The one form of every operation: shapes, a CPU twin, kernels and a gradient, bound to Burn's backends, autodiff and fusion once.
+
+#![allow(deprecated, reason = "burn-ndarray is deprecated in favour of burn-flex; this project supports both")]
+
+use std::fmt::Debug;
+use std::sync::Arc;
+
+use burn::backend::{Backend, Dispatch, backend_extension};
+use burn::tensor::{DType, Int, Shape, Tensor};
+
+#[cfg(feature = "cube")]
+use super::cube::{Bound, GpuArgs};
+use super::host::{Found, HostArgs};
+use super::list::{List, Slot, Tensors};
+use crate::simd::real::Real;
+
+/// The largest number of inputs that an operation has gradients of.
+pub const MAX_DIFFERENTIABLE: usize = 8;
+
+/// Shape and type of a tensor.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Spec {
+    /// The shape.
+    pub shape: Shape,
+    /// The type of the elements.
+    pub dtype: DType,
+}
+
+impl Spec {
+    /// Returns the specification of a tensor of another shape and the same type.
+    pub fn with_shape<const D: usize>(&self, shape: [usize; D]) -> Self {
+        Self { shape: Shape::from(shape), dtype: self.dtype }
+    }
+
+    /// Returns the specification of integers, i32.
+    pub fn ints<const D: usize>(shape: [usize; D]) -> Self {
+        Self { shape: Shape::from(shape), dtype: DType::I32 }
+    }
+}
+
+/// An operation on tensors, run by [`apply`].
+///
+/// A value holds what is not a tensor: sizes, options, caches. Inputs and outputs are lists; a place in them may be empty. A CPU calls the
+/// twin [`run`](Self::run) in f32 or in f64, which is the type of the inputs; a GPU calls [`launch`](Self::launch). With Burn's fusion both
+/// run later than [`apply`], on the device's own thread.
+pub trait Operation: Clone + Debug + Send + Sync + 'static {
+    /// Returns the specification of each output from those of the inputs.
+    fn outputs(&self, inputs: &[Option<Spec>]) -> Vec<Option<Spec>>;
+
+    /// Computes the outputs on the CPU.
+    fn run<F: Real>(&self, args: &HostArgs) -> Vec<Found<F>> {
+        let _ = args;
+        unreachable!("{self:?} has no CPU twin: its caller asks for the device")
+    }
+
+    /// Computes the outputs on the GPU.
+    #[cfg(feature = "cube")]
+    fn launch(&self, args: GpuArgs) -> Vec<Bound> {
+        let _ = args;
+        unreachable!("{self:?} has no kernel: its caller asks for the device")
+    }
+
+    /// Returns the inputs that gradients flow to, at most [`MAX_DIFFERENTIABLE`].
+    fn differentiable(&self) -> &'static [usize] {
+        &[]
+    }
+
+    /// Whether a gradient of `output` gives one of `input`, where outputs are functions of different inputs.
+    fn depends(&self, output: usize, input: usize) -> bool {
+        let _ = (output, input);
+        true
+    }
+
+    /// Whether the backward pass is given the outputs. They are kept until then.
+    fn keeps_outputs(&self) -> bool {
+        false
+    }
+
+    /// Returns the operation to run if an input is tracked: one that keeps what its backward pass would compute again.
+    fn tracked(&self) -> Self {
+        self.clone()
+    }
+
+    /// Computes the gradients of the inputs on the CPU, one for each; those that are not needed are dropped. `args` has the gradients of
+    /// the outputs.
+    fn run_backward<F: Real>(&self, args: &HostArgs) -> Vec<Found<F>> {
+        let _ = args;
+        unreachable!("{self:?} names no differentiable input")
+    }
+
+    /// Computes the gradients of the inputs on the GPU, as [`run_backward`](Self::run_backward).
+    #[cfg(feature = "cube")]
+    fn launch_backward(&self, args: GpuArgs) -> Vec<Bound> {
+        let _ = args;
+        unreachable!("{self:?} names no differentiable input")
+    }
+}
+
+/// An operation of any type.
+pub(super) trait Erased: Debug + Send + Sync {
+    fn outputs(&self, inputs: &[Option<Spec>]) -> Vec<Option<Spec>>;
+    fn run32(&self, args: &HostArgs, backward: bool) -> Vec<Found<f32>>;
+    fn run64(&self, args: &HostArgs, backward: bool) -> Vec<Found<f64>>;
+    #[cfg(feature = "cube")]
+    fn launch(&self, args: GpuArgs, backward: bool) -> Vec<Bound>;
+    fn differentiable(&self) -> &'static [usize];
+    fn depends(&self, output: usize, input: usize) -> bool;
+    fn keeps_outputs(&self) -> bool;
+    fn tracked(&self) -> Arc<dyn Erased>;
+}
+
+impl<O: Operation> Erased for O {
+    fn outputs(&self, inputs: &[Option<Spec>]) -> Vec<Option<Spec>> {
+        Operation::outputs(self, inputs)
+    }
+
+    fn run32(&self, args: &HostArgs, backward: bool) -> Vec<Found<f32>> {
+        if backward { self.run_backward(args) } else { self.run(args) }
+    }
+
+    fn run64(&self, args: &HostArgs, backward: bool) -> Vec<Found<f64>> {
+        if backward { self.run_backward(args) } else { self.run(args) }
+    }
+
+    #[cfg(feature = "cube")]
+    fn launch(&self, args: GpuArgs, backward: bool) -> Vec<Bound> {
+        if backward { self.launch_backward(args) } else { Operation::launch(self, args) }
+    }
+
+    fn differentiable(&self) -> &'static [usize] {
+        Operation::differentiable(self)
+    }
+
+    fn depends(&self, output: usize, input: usize) -> bool {
+        Operation::depends(self, output, input)
+    }
+
+    fn keeps_outputs(&self) -> bool {
+        Operation::keeps_outputs(self)
+    }
+
+    fn tracked(&self) -> Arc<dyn Erased> {
+        Arc::new(Operation::tracked(self))
+    }
+}
+
+/// The forward or the backward pass of an operation.
+#[derive(Clone, Debug)]
+pub struct Call {
+    pub(super) operation: Arc<dyn Erased>,
+    pub(super) backward: Option<Backwards>,
+}
+
+/// How the inputs of a backward pass are listed: the operation's inputs, its outputs if it keeps them, and the gradients of its outputs.
+#[derive(Clone, Debug)]
+pub(super) struct Backwards {
+    /// Number of the operation's outputs.
+    pub outputs: usize,
+    /// For each input, whether its gradient is asked for.
+    pub needs: Vec<bool>,
+}
+
+impl Call {
+    /// Returns the specification of each output, from those of the tensors that the call is given.
+    pub(super) fn outputs(&self, given: &[Option<Spec>]) -> Vec<Option<Spec>> {
+        let Some(Backwards { needs, .. }) = &self.backward else { return self.operation.outputs(given) };
+        // Harmonics of half precision have gradients of the other inputs' type.
+        let grads = given.iter().skip(needs.len()).flatten();
+        let dtype = grads.map(|spec| spec.dtype).find(|dtype| dtype.is_float()).expect("a gradient is given");
+        let of_input = |(spec, &needed): (&Option<Spec>, &bool)| {
+            spec.as_ref().filter(|_| needed).map(|spec| Spec { shape: spec.shape.clone(), dtype })
+        };
+        given.iter().zip(needs).map(of_input).collect()
+    }
+
+    /// Splits what the call is given into inputs, outputs and gradients of outputs.
+    pub(super) fn split<T>(&self, given: Vec<T>) -> [Vec<T>; 3] {
+        let mut given = given.into_iter();
+        let Some(Backwards { needs, outputs }) = &self.backward else {
+            return [given.collect(), Vec::new(), Vec::new()];
+        };
+        let inputs = given.by_ref().take(needs.len()).collect();
+        let kept = if self.operation.keeps_outputs() { *outputs } else { 0 };
+        let outputs = given.by_ref().take(kept).collect();
+        [inputs, outputs, given.collect()]
+    }
+
+    pub(super) fn needs(&self) -> Vec<bool> {
+        self.backward.as_ref().map_or(Vec::new(), |backward| backward.needs.clone())
+    }
+}
+
+/// A Burn backend that runs operations. With fusion, an operation on the GPU is registered first and runs later.
+#[backend_extension(Cube: cfg(feature = "cube"), Flex, NdArray, Autodiff, Fusion: cfg(feature = "fusion"))]
+pub trait OperationBackend: Backend {
+    /// Runs one pass of an operation.
+    #[fusion(meta = |inputs, call| super::list::metadata(inputs, call))]
+    fn operate(#[extension_type] inputs: Tensors<Self>, call: Call) -> Tensors<Self>;
+}
+
+/// The outputs of an operation.
+#[derive(Debug)]
+pub struct Outputs(Vec<Slot<Dispatch>>);
+
+impl Outputs {
+    /// Takes an output of floats.
+    ///
+    /// # Panics
+    /// If there is no such output, or if it was taken.
+    pub fn float<const D: usize>(&mut self, i: usize) -> Tensor<D> {
+        match std::mem::replace(&mut self.0[i], Slot::Absent) {
+            Slot::Float(tensor) => Tensor::from_dispatch(tensor),
+            other => panic!("output {i} is {other:?}, not floats"),
+        }
+    }
+
+    /// Takes an output of integers.
+    ///
+    /// # Panics
+    /// As [`float`](Self::float).
+    pub fn int<const D: usize>(&mut self, i: usize) -> Tensor<D, Int> {
+        match std::mem::replace(&mut self.0[i], Slot::Absent) {
+            Slot::Int(tensor) => Tensor::from_dispatch(tensor),
+            other => panic!("output {i} is {other:?}, not integers"),
+        }
+    }
+
+    /// Whether there is such an output, not yet taken.
+    pub fn has(&self, i: usize) -> bool {
+        !matches!(self.0.get(i), None | Some(Slot::Absent))
+    }
+}
+
+/// Runs an operation on tensors of one device, at least one of them present.
+///
+/// # Panics
+/// If an output's specification does not match what the operation computed.
+pub fn apply<const N: usize>(operation: impl Operation, inputs: [Slot<Dispatch>; N]) -> Outputs {
+    let call = Call { operation: Arc::new(operation), backward: None };
+    Outputs(<Dispatch as OperationBackend>::operate(List(inputs.into()), call).0)
+}

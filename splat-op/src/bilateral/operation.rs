@@ -1,0 +1,62 @@
+//! The slice of a bilateral grid and its roughness as operations.
+
+use super::cpu::{slice_backward_cpu, slice_cpu};
+#[cfg(feature = "cube")]
+use super::launch::{launch_slice, launch_slice_backward};
+use super::roughness::{GridSize, roughness_cpu};
+use super::{SliceSize, Sliced};
+#[cfg(feature = "cube")]
+use crate::backend::cube::{bound, bound_some};
+use crate::backend::host::{found, slices};
+use crate::backend::*;
+
+/// The mapped picture, `[3, H, W]`.
+#[derive(Clone, Debug)]
+pub(super) struct Slice(pub SliceSize);
+
+impl Operation for Slice {
+    fn outputs(&self, inputs: &[Option<Spec>]) -> Vec<Option<Spec>> {
+        vec![inputs[0].clone()]
+    }
+
+    fn run<F: Real>(&self, args: &HostArgs) -> Vec<Found<F>> {
+        found([slice_cpu(Sliced::from_array(slices(&args.all::<F, 2>())), self.0)])
+    }
+
+    #[cfg(feature = "cube")]
+    fn launch(&self, args: GpuArgs) -> Vec<Bound> {
+        bound([launch_slice(&args.gpu(), &Sliced::from_array(args.all()), self.0)])
+    }
+
+    fn differentiable(&self) -> &'static [usize] {
+        &[0, 1]
+    }
+
+    fn run_backward<F: Real>(&self, args: &HostArgs) -> Vec<Found<F>> {
+        let (read, needs) = (args.all::<F, 2>(), Sliced::from_array(args.needs()));
+        let grads = slice_backward_cpu(Sliced::from_array(slices(&read)), &args.only_grad(), self.0, needs);
+        found(grads.into_array())
+    }
+
+    #[cfg(feature = "cube")]
+    fn launch_backward(&self, args: GpuArgs) -> Vec<Bound> {
+        let (inputs, needs) = (Sliced::from_array(args.all()), Sliced::from_array(args.needs()));
+        bound_some(launch_slice_backward(&args.gpu(), &inputs, &args.only_grad(), self.0, needs).into_array())
+    }
+}
+
+/// The roughness of a grid, `[1]`, and its derivative, on CPUs. On GPUs it is tensor code.
+#[derive(Clone, Debug)]
+pub(super) struct Roughness(pub GridSize);
+
+impl Operation for Roughness {
+    fn outputs(&self, inputs: &[Option<Spec>]) -> Vec<Option<Spec>> {
+        let grid = inputs[0].clone();
+        vec![grid.as_ref().map(|grid| grid.with_shape([1])), grid]
+    }
+
+    fn run<F: Real>(&self, args: &HostArgs) -> Vec<Found<F>> {
+        let (value, gradient) = roughness_cpu(&args.floats::<F>(0), self.0);
+        found([vec![value], gradient])
+    }
+}

@@ -1,0 +1,59 @@
+//! A value whose derivative is already known.
+
+use burn::tensor::Tensor;
+
+use crate::backend::*;
+
+/// Takes a variable, a value, `[1]`, and the derivative of the value with respect to the variable; returns the value.
+#[derive(Clone, Debug)]
+struct WithGradient;
+
+impl Operation for WithGradient {
+    fn outputs(&self, inputs: &[Option<Spec>]) -> Vec<Option<Spec>> {
+        vec![inputs[1].clone()]
+    }
+
+    fn run<F: Real>(&self, _: &HostArgs) -> Vec<Found<F>> {
+        vec![Found::Input(1)]
+    }
+
+    #[cfg(feature = "cube")]
+    fn launch(&self, args: GpuArgs) -> Vec<Bound> {
+        vec![Some(args.handle(1))]
+    }
+
+    fn differentiable(&self) -> &'static [usize] {
+        &[0]
+    }
+
+    fn run_backward<F: Real>(&self, args: &HostArgs) -> Vec<Found<F>> {
+        let (gradient, factor) = (args.floats::<F>(2), args.only_grad::<F>()[0]);
+        vec![Found::Floats(gradient.iter().map(|&value| value * factor).collect()), Found::Nothing, Found::Nothing]
+    }
+
+    #[cfg(feature = "cube")]
+    fn launch_backward(&self, mut args: GpuArgs) -> Vec<Bound> {
+        use crate::backend::cube::{buffer, owned};
+
+        let (gpu, factor) = (args.gpu(), args.only_grad());
+        let gradient = buffer(owned(args.take(2)));
+        crate::gpu::launch_scale(&gpu, &gradient, &factor);
+        vec![Some(gradient.handle), None, None]
+    }
+}
+
+/// Returns `value`, `[1]`, with `gradient` as its derivative with respect to `variable`. `gradient` has the shape of `variable`.
+/// For losses whose derivative is cheaper in closed form than as a graph of small operations. `value` and `gradient` are
+/// constants. All are f32, or f64 on CPUs.
+///
+/// # Panics
+/// If the shapes of `variable` and `gradient` differ.
+pub fn with_gradient<const D: usize>(variable: Tensor<D>, value: Tensor<1>, gradient: Tensor<D>) -> Tensor<1> {
+    assert_eq!(variable.dims(), gradient.dims(), "a derivative has the shape of its variable");
+    apply(WithGradient, [variable.into(), value.into(), gradient.into()]).float(0)
+}
+
+/// Returns values as constants beside tensors of a device with autodiff, if `beside_tracked` is set, or of one without.
+pub(crate) fn constant<const D: usize>(values: &Tensor<D>, beside_tracked: bool) -> Tensor<D> {
+    if beside_tracked && !values.is_autodiff() { Tensor::from_inner(values.clone()) } else { values.clone() }
+}

@@ -1,0 +1,49 @@
+//! The composition over an environment as an operation.
+
+use super::Sky;
+use super::cpu::{environment_backward_cpu, environment_cpu};
+#[cfg(feature = "cube")]
+use super::launch::{launch_alpha_backward, launch_coefficients_backward, launch_environment};
+#[cfg(feature = "cube")]
+use crate::backend::cube::bound;
+use crate::backend::host::{found, slices};
+use crate::backend::*;
+
+/// The render over the environment, `[3, H, W]`.
+#[derive(Clone, Debug)]
+pub(super) struct Environment;
+
+impl Operation for Environment {
+    fn outputs(&self, inputs: &[Option<Spec>]) -> Vec<Option<Spec>> {
+        vec![inputs[0].clone()]
+    }
+
+    fn run<F: Real>(&self, args: &HostArgs) -> Vec<Found<F>> {
+        found([environment_cpu(Sky::from_array(slices(&args.all::<F, 4>())))])
+    }
+
+    #[cfg(feature = "cube")]
+    fn launch(&self, args: GpuArgs) -> Vec<Bound> {
+        bound([launch_environment(&args.gpu(), &Sky::from_array(args.all()))])
+    }
+
+    fn differentiable(&self) -> &'static [usize] {
+        &[0, 1, 3]
+    }
+
+    // The gradient of the picture is that of the composition.
+    fn run_backward<F: Real>(&self, args: &HostArgs) -> Vec<Found<F>> {
+        let (read, needs) = (args.all::<F, 4>(), Sky::from_array(args.needs()));
+        let grads = environment_backward_cpu(Sky::from_array(slices(&read)), &args.only_grad(), needs);
+        vec![Found::Grad(0), Found::Floats(grads.alpha), Found::Nothing, Found::Floats(grads.coefficients)]
+    }
+
+    #[cfg(feature = "cube")]
+    fn launch_backward(&self, args: GpuArgs) -> Vec<Bound> {
+        let (gpu, inputs, grad) = (args.gpu(), Sky::from_array(args.all()), args.only_grad());
+        let needs: Sky<bool> = Sky::from_array(args.needs());
+        let alpha = needs.alpha.then(|| launch_alpha_backward(&gpu, &inputs, &grad).handle);
+        let coefficients = needs.coefficients.then(|| launch_coefficients_backward(&gpu, &inputs, &grad).handle);
+        vec![Some(grad.handle), alpha, None, coefficients]
+    }
+}

@@ -1,0 +1,89 @@
+//! The photometric loss as operations. Its derivative is computed with it and attached by the caller.
+
+use burn::tensor::Shape;
+
+use super::cpu::{PlaneSize, moments_cpu, photometric_cpu};
+#[cfg(feature = "cube")]
+use super::launch::{launch_moments, launch_photometric};
+use super::taps::Compared;
+#[cfg(feature = "cube")]
+use crate::backend::cube::{bound, bound_some};
+use crate::backend::host::{found, slices};
+use crate::backend::*;
+
+/// Returns width and height, which are the last two dimensions in reverse order.
+fn picture_size(shape: &Shape) -> [usize; 2] {
+    let rank = shape.num_dims();
+    [shape[rank - 1], shape[rank - 2]]
+}
+
+fn plane_size(shape: &Shape) -> PlaneSize {
+    let [width, height] = picture_size(shape);
+    PlaneSize { width, height }
+}
+
+/// `(1 − λ) |x − y| + λ (1 − S)`, divided by the number of values, `[1]`, and its derivative, if asked for.
+#[derive(Clone, Debug)]
+pub(super) struct Photometric {
+    pub lambda: f64,
+    pub with_gradient: bool,
+}
+
+impl Operation for Photometric {
+    fn outputs(&self, inputs: &[Option<Spec>]) -> Vec<Option<Spec>> {
+        let image = inputs[0].clone();
+        vec![image.as_ref().map(|image| image.with_shape([1])), image.filter(|_| self.with_gradient)]
+    }
+
+    fn run<F: Real>(&self, args: &HostArgs) -> Vec<Found<F>> {
+        let read = args.all();
+        let inputs = Compared::from_array(slices(&read));
+        let (loss, gradient) = photometric_cpu(inputs, plane_size(&args.shape(0)), self.lambda, self.with_gradient);
+        vec![Found::Floats(vec![loss]), gradient.map_or(Found::Nothing, Found::Floats)]
+    }
+
+    #[cfg(feature = "cube")]
+    fn launch(&self, args: GpuArgs) -> Vec<Bound> {
+        let (inputs, size) = (Compared::from_array(args.all()), picture_size(&args.shape(0)));
+        let (loss, gradient) = launch_photometric(&args.gpu(), &inputs, size, self.lambda, self.with_gradient);
+        bound_some([Some(loss), gradient])
+    }
+}
+
+/// What the loss needs of a photograph besides its planes, each of their shape: `μy` and `σy² + C2`.
+#[derive(Clone, Debug)]
+pub(super) struct Moments;
+
+impl Operation for Moments {
+    fn outputs(&self, inputs: &[Option<Spec>]) -> Vec<Option<Spec>> {
+        vec![inputs[0].clone(); 2]
+    }
+
+    fn run<F: Real>(&self, args: &HostArgs) -> Vec<Found<F>> {
+        found(moments_cpu(&args.floats(0), plane_size(&args.shape(0))))
+    }
+
+    #[cfg(feature = "cube")]
+    fn launch(&self, args: GpuArgs) -> Vec<Bound> {
+        bound(launch_moments(&args.gpu(), &args.buffer(0), picture_size(&args.shape(0))))
+    }
+}
+
+/// The same values in contiguous memory.
+#[derive(Clone, Debug)]
+pub(super) struct Contiguous;
+
+impl Operation for Contiguous {
+    fn outputs(&self, inputs: &[Option<Spec>]) -> Vec<Option<Spec>> {
+        inputs.to_vec()
+    }
+
+    fn run<F: Real>(&self, _: &HostArgs) -> Vec<Found<F>> {
+        vec![Found::Input(0)]
+    }
+
+    #[cfg(feature = "cube")]
+    fn launch(&self, args: GpuArgs) -> Vec<Bound> {
+        vec![Some(args.handle(0))]
+    }
+}

@@ -1,0 +1,185 @@
+//! The rasterizer as an operation, and what it shares with the one along rays.
+
+use std::any::Any;
+
+use super::cpu::{Trace, rasterize_backward_cpu, rasterize_cpu};
+#[cfg(feature = "cube")]
+use super::launch::{launch_rasterize, launch_rasterize_backward};
+#[cfg(feature = "cube")]
+use super::trace::DeviceTrace;
+use super::{Layers, PlaneParts, RasterizeSpec, TraceCell};
+#[cfg(feature = "cube")]
+use crate::backend::cube::{bound_some, buffer, part};
+use crate::backend::host::{Host, found, slices};
+use crate::backend::*;
+#[cfg(feature = "cube")]
+use crate::gpu::{Buffer, Gpu};
+use crate::intersect::IntersectionCell;
+use crate::intersect::operation::lists;
+#[cfg(feature = "cube")]
+use crate::intersect::{Cut, launch::DeviceIntersections, launch::launch_intersect};
+
+/// Planes `[C, H, W]` of colours, `[1, H, W]` of alpha and, if asked for, of depth. Takes the tensors of [`Layers`] and the output of the
+/// intersection, which makes this operation run after that one.
+#[derive(Clone, Debug)]
+pub(crate) struct Rasterize {
+    pub spec: RasterizeSpec,
+    pub lists: IntersectionCell,
+    /// Filled for the backward pass, if there is one.
+    pub trace: Option<TraceCell>,
+}
+
+/// Returns the specifications of planes over a background.
+pub(crate) fn planes(spec: &RasterizeSpec, background: Option<&Spec>) -> Vec<Option<Spec>> {
+    let plane =
+        |count: usize| background.map(|of| of.with_shape([count, spec.intrinsics.height, spec.intrinsics.width]));
+    let features = background.map_or(0, |background| background.shape[0]);
+    let mut all = vec![plane(features), plane(1)];
+    all.extend(spec.options.depth.then(|| plane(1)));
+    all
+}
+
+/// Splits planes `[C + 1 (+ 1), H, W]`.
+pub(crate) fn split<F>(mut planes: Vec<F>, spec: &RasterizeSpec) -> Vec<Found<F>> {
+    let pixels = spec.intrinsics.width * spec.intrinsics.height;
+    let depth = spec.options.depth.then(|| planes.split_off(planes.len() - pixels));
+    let alpha = planes.split_off(planes.len() - pixels);
+    found([planes, alpha].into_iter().chain(depth))
+}
+
+/// Reads the gradients of planes; an absent one has no elements.
+pub(crate) fn host_grads<F: Real>(args: &HostArgs, spec: &RasterizeSpec) -> PlaneParts<Option<Host<F>>> {
+    let depth = if spec.options.depth { args.grad(2) } else { None };
+    PlaneParts { colour: args.grad(0), alpha: args.grad(1), depth }
+}
+
+pub(crate) fn plane_slices<F: Real>(grads: &PlaneParts<Option<Host<F>>>) -> PlaneParts<&[F]> {
+    grads.each_ref().map(|grad| grad.as_ref().map_or(&[][..], |grad| &grad[..]))
+}
+
+/// Keeps the trace of a forward pass. A cell that is already filled holds the same trace.
+pub(crate) fn keep<T: Any + Send + Sync>(cell: Option<&TraceCell>, kept: Option<T>) {
+    if let (Some(cell), Some(kept)) = (cell, kept) {
+        let _ = cell.0.set(Box::new(kept));
+    }
+}
+
+impl TraceCell {
+    pub(crate) fn kept<T: Any>(&self) -> Option<&T> {
+        self.0.get().and_then(|kept| kept.downcast_ref())
+    }
+}
+
+#[cfg(feature = "cube")]
+pub(crate) use gpu::{grad_of_planes, split_planes};
+
+#[cfg(feature = "cube")]
+mod gpu {
+    use burn::backend::ops::FloatTensorOps;
+    use burn::tensor::{DType, Shape};
+    use burn_cubecl::CubeBackend;
+    use burn_cubecl::tensor::CubeTensor;
+
+    use super::*;
+
+    /// Splits planes `[C + 1 (+ 1), H, W]`, which are as `like` but for their shape. Colours are not copied.
+    pub(crate) fn split_planes(planes: Buffer<f32>, spec: &RasterizeSpec, like: &CubeTensor) -> Vec<Bound> {
+        let (height, width) = (spec.intrinsics.height, spec.intrinsics.width);
+        let count = planes.len / (height * width).max(1);
+        let (client, device, shape) = (like.client.clone(), like.device.clone(), Shape::from([count, height, width]));
+        let planes = CubeTensor::new_contiguous(client, device, shape, planes.handle, DType::F32);
+        let features = count - 1 - usize::from(spec.options.depth);
+        let mut all = vec![part(&planes, 0, features), part(&planes, features, features + 1)];
+        all.extend(spec.options.depth.then(|| part(&planes, features + 1, features + 2)));
+        all.into_iter().map(Some).collect()
+    }
+
+    /// Returns the gradient of all planes in one buffer, with zeros where a part has none. If `shortest` is set and only the colours have
+    /// one, the result has theirs alone.
+    pub(crate) fn grad_of_planes(args: &GpuArgs, spec: &RasterizeSpec, shortest: bool) -> Buffer<f32> {
+        let colour = args.output(0);
+        let zeros =
+            |like: &CubeTensor| CubeBackend::float_zeros(like.meta.shape().clone(), &like.device, DType::F32.into());
+        let part = |i: usize| args.grad(i).unwrap_or_else(|| zeros(args.output(i)));
+        let mut parts = vec![args.grad(0).unwrap_or_else(|| zeros(colour))];
+        if !(shortest && args.grad(1).is_none()) {
+            parts.push(part(1));
+            parts.extend(spec.options.depth.then(|| part(2)));
+        }
+        buffer(if parts.len() == 1 { parts.remove(0) } else { CubeBackend::float_cat(parts, 0) })
+    }
+}
+
+impl Rasterize {
+    fn host_lists(&self, inputs: &Layers<&[impl Real]>) -> &crate::intersect::IntersectionLists {
+        self.lists.on_host(|| lists(inputs.projected, &self.spec))
+    }
+
+    #[cfg(feature = "cube")]
+    fn device_lists(&self, gpu: &Gpu, inputs: &Layers<Buffer<f32>>) -> &DeviceIntersections {
+        let RasterizeSpec { intrinsics, options } = &self.spec;
+        self.lists.on_device(|| launch_intersect(gpu, &inputs.projected, intrinsics, Cut::of(options)))
+    }
+}
+
+impl Operation for Rasterize {
+    fn outputs(&self, inputs: &[Option<Spec>]) -> Vec<Option<Spec>> {
+        planes(&self.spec, inputs[2].as_ref())
+    }
+
+    fn run<F: Real>(&self, args: &HostArgs) -> Vec<Found<F>> {
+        let read = args.all::<F, 4>();
+        let inputs = Layers::from_array(slices(&read));
+        let (planes, kept) = rasterize_cpu(inputs, &self.spec, self.host_lists(&inputs), self.trace.is_some());
+        keep(self.trace.as_ref(), kept);
+        split(planes, &self.spec)
+    }
+
+    #[cfg(feature = "cube")]
+    fn launch(&self, args: GpuArgs) -> Vec<Bound> {
+        let (gpu, inputs) = (args.gpu(), Layers::from_array(args.all()));
+        let lists = self.device_lists(&gpu, &inputs);
+        let (planes, kept) = launch_rasterize(&gpu, &inputs, lists, &self.spec, self.trace.is_some());
+        keep(self.trace.as_ref(), kept);
+        // The device may have nothing else to do by now.
+        gpu.begin();
+        split_planes(planes, &self.spec, args.tensor(0))
+    }
+
+    fn differentiable(&self) -> &'static [usize] {
+        &[0, 1, 2, 3]
+    }
+
+    // They make the backward pass run after this one, and are not read.
+    fn keeps_outputs(&self) -> bool {
+        true
+    }
+
+    fn tracked(&self) -> Self {
+        Self { trace: Some(TraceCell::default()), ..self.clone() }
+    }
+
+    fn run_backward<F: Real>(&self, args: &HostArgs) -> Vec<Found<F>> {
+        let (read, of_planes) = (args.all::<F, 4>(), host_grads(args, &self.spec));
+        let inputs = Layers::from_array(slices(&read));
+        let kept = self.trace.as_ref().and_then(TraceCell::kept::<Trace<F>>);
+        let lists = (self.host_lists(&inputs), kept);
+        let needs = Layers::from_array(args.needs());
+        let grads = rasterize_backward_cpu(inputs, plane_slices(&of_planes), &self.spec, lists, needs);
+        found(grads.into_array()).into_iter().chain([Found::Nothing]).collect()
+    }
+
+    #[cfg(feature = "cube")]
+    fn launch_backward(&self, args: GpuArgs) -> Vec<Bound> {
+        let (gpu, inputs) = (args.gpu(), Layers::from_array(args.all()));
+        let grad = grad_of_planes(&args, &self.spec, !self.spec.options.depth);
+        let lists = self.device_lists(&gpu, &inputs);
+        let kept = self.trace.as_ref().and_then(TraceCell::kept::<DeviceTrace>).cloned();
+        let kept = kept.unwrap_or_else(|| {
+            launch_rasterize(&gpu, &inputs, lists, &self.spec, true).1.expect("a trace was asked for")
+        });
+        let needs = Layers::from_array(args.needs());
+        let found = launch_rasterize_backward(&gpu, &inputs, &grad, lists, &kept, &self.spec, needs);
+        bound_some(found.into_array()).into_iter().chain([None]).collect()
+    }
+}
