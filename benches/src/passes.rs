@@ -37,7 +37,7 @@ pub fn passes(job: &Job, device: &Device) -> Result<Vec<Pass>, Box<dyn Error>> {
         (PassKind::LossBackward, loss_backward(stages.image()?, truth.clone())),
         (
             PassKind::RasterizeBackward,
-            stages.backward(stages.rasterize()?, |of| of.rasterize_tracked().expect("as forwards")),
+            stages.backward(stages.rasterize()?.permute([2, 0, 1]), |of| of.rasterize_tracked().expect("as forwards")),
         ),
         (
             PassKind::ShBackward,
@@ -245,10 +245,10 @@ impl Stages {
         picture_of(&self.packed, self.camera.intrinsics, &self.colours, &self.lists)
     }
 
-    /// Rasterizes as a step does, so that ellipses and colours have gradients.
+    /// Rasterizes planes `[3, H, W]`, as a step does, so that ellipses and colours have gradients.
     fn rasterize_tracked(&self) -> Result<Tensor<3>, SplatError> {
         let (packed, intrinsics) = (leaf(&self.packed), self.camera.intrinsics);
-        picture_of(&packed, intrinsics, &leaf(&self.colours), &lists_of(&packed, intrinsics)?)
+        Ok(picture_of(&packed, intrinsics, &leaf(&self.colours), &lists_of(&packed, intrinsics)?)?.permute([2, 0, 1]))
     }
 
     /// Renders `[H, W, 3]`, as `render_view` passes it to a loss.

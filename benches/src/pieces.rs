@@ -92,9 +92,10 @@ impl Pieces {
 
         let grad = image.grad_remove(&mut loss.backward()).expect("the loss depends on the picture");
         watch.lap(PassKind::LossBackward);
-        let zero = || Tensor::<1>::zeros([1], &grad.device());
+        let device = grad.device();
+        let zero = || Tensor::<1>::zeros([1], &device);
         watch.skip();
-        let mut grads = with_gradient(rendered, zero(), grad.clone()).backward();
+        let mut grads = with_gradient(rendered.permute([2, 0, 1]), zero(), grad.permute([2, 0, 1])).backward();
         let ellipses = ellipses.grad_remove(&mut grads).expect("the picture depends on the ellipses");
         let features = features.grad_remove(&mut grads).expect("the picture depends on the colours");
         drop((grads, lists));

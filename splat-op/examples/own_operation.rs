@@ -68,7 +68,8 @@ fn main() {
         let x = Tensor::<2>::from_floats([[0.0, 0.5, 1.0], [3.0, 7.0, 1e3]], &device.autodiff()).require_grad();
         let y: Tensor<2> = apply(ToneCurve, [(&x).into()]).float(0);
         let grad = x.grad(&(y.clone() * 2.0).sum().backward()).expect("tracked");
-        y.into_data().assert_approx_eq::<f32>(&[[0.0, 1.0 / 3.0, 0.5], [0.75, 0.875, 1e3 / 1001.0]].into(), Default::default());
+        y.into_data()
+            .assert_approx_eq::<f32>(&[[0.0, 1.0 / 3.0, 0.5], [0.75, 0.875, 1e3 / 1001.0]].into(), Default::default());
         let slopes = [[2.0, 8.0 / 9.0, 0.5], [0.125, 0.03125, 2.0 / 1001.0f32.powi(2)]];
         grad.into_data().assert_approx_eq::<f32>(&slopes.into(), Default::default());
     }

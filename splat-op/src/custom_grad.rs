@@ -27,8 +27,7 @@ impl Operation for WithGradient {
     }
 
     fn run_backward<F: Real>(&self, args: &HostArgs) -> Vec<Found<F>> {
-        let (gradient, factor) = (args.floats::<F>(2), args.only_grad::<F>()[0]);
-        vec![Found::Floats(gradient.iter().map(|&value| value * factor).collect()), Found::Nothing, Found::Nothing]
+        vec![Found::Scaled(2, args.only_grad()[0]), Found::Nothing, Found::Nothing]
     }
 
     #[cfg(feature = "cube")]

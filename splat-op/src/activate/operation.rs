@@ -36,8 +36,8 @@ impl Operation for Scales {
     }
 
     // The scales equal the derivatives, and are zero where the logarithm was unusable.
-    fn run_backward<F: Real>(&self, args: &HostArgs) -> Vec<Found<F>> {
-        found([times(&args.output(0), &args.only_grad::<F>())])
+    fn run_backward<F: Real>(&self, _: &HostArgs) -> Vec<Found<F>> {
+        vec![Found::Product(0)]
     }
 
     #[cfg(feature = "cube")]
@@ -81,12 +81,15 @@ impl Operation for Activated {
     }
 
     fn run_backward<F: Real>(&self, args: &HostArgs) -> Vec<Found<F>> {
-        let of_logs = args.grad::<F>(0).map(|grad| times(&args.output(0), &grad));
-        let of_logits = args.grad::<F>(1).map(|grad| {
-            let slopes = opacity_slopes_cpu::<F>(&args.floats(3), &args.output(1));
-            times(&slopes, &grad)
+        let [_, _, of_logs, of_logits] = args.needs();
+        let of_logits = of_logits.then(|| {
+            let mut slopes = opacity_slopes_cpu::<F>(&args.floats(3), &args.output(1));
+            let grad = args.grad::<F>(1).expect("a gradient reaches the logits");
+            slopes.iter_mut().zip(grad.iter()).for_each(|(slope, &grad)| *slope = *slope * grad);
+            Found::Floats(slopes)
         });
-        let [of_logs, of_logits] = [of_logs, of_logits].map(|grad| grad.map_or(Found::Nothing, Found::Floats));
+        let of_logs = if of_logs { Found::Product(0) } else { Found::Nothing };
+        let of_logits = of_logits.unwrap_or(Found::Nothing);
         vec![Found::Nothing, Found::Nothing, of_logs, of_logits, Found::Nothing, Found::Nothing]
     }
 
@@ -101,10 +104,6 @@ impl Operation for Activated {
         });
         vec![None, None, of_logs, of_logits, None, None]
     }
-}
-
-fn times<F: Real>(values: &[F], factors: &[F]) -> Vec<F> {
-    values.iter().zip(factors).map(|(&value, &factor)| value * factor).collect()
 }
 
 /// 1 if any value is not finite, else 0; `[1]`.

@@ -213,6 +213,10 @@ pub enum Found<F> {
     Input(usize),
     /// In a backward pass, the gradient of an output.
     Grad(usize),
+    /// An input times a number, in the input's memory if nothing else holds it.
+    Scaled(usize, F),
+    /// In a backward pass, an output times its gradient.
+    Product(usize),
     /// Nothing.
     Nothing,
 }
@@ -231,6 +235,7 @@ pub(crate) fn slices<F: Element + Pod, const N: usize>(read: &[Host<F>; N]) -> [
 trait HostBackend: Backend {
     fn of_floats(tensor: FloatTensor<Self>) -> HostTensor;
     fn of_ints(tensor: IntTensor<Self>) -> HostTensor;
+    fn into_floats(tensor: HostTensor) -> FloatTensor<Self>;
 
     /// Returns the same elements in contiguous memory.
     fn contiguous(tensor: FloatTensor<Self>) -> FloatTensor<Self>;
@@ -245,6 +250,11 @@ impl HostBackend for Flex {
         HostTensor::Flex(tensor)
     }
 
+    fn into_floats(tensor: HostTensor) -> FloatTensor<Self> {
+        let HostTensor::Flex(tensor) = tensor else { unreachable!("tensors of this backend") };
+        tensor
+    }
+
     fn contiguous(tensor: FloatTensor<Self>) -> FloatTensor<Self> {
         if tensor.is_contiguous() { tensor } else { tensor.to_contiguous() }
     }
@@ -257,6 +267,11 @@ impl HostBackend for NdArray {
 
     fn of_ints(tensor: IntTensor<Self>) -> HostTensor {
         HostTensor::NdArray(tensor)
+    }
+
+    fn into_floats(tensor: HostTensor) -> FloatTensor<Self> {
+        let HostTensor::NdArray(tensor) = tensor else { unreachable!("tensors of this backend") };
+        tensor
     }
 
     fn contiguous(tensor: FloatTensor<Self>) -> FloatTensor<Self> {
@@ -274,6 +289,8 @@ enum Made {
     Data(TensorData),
     Input(usize),
     Grad(usize),
+    Scaled(usize, f64),
+    Product(usize),
     Nothing,
 }
 
@@ -285,6 +302,8 @@ fn made<F: Real>(found: Vec<Found<F>>, specs: &[Option<Spec>]) -> Vec<Made> {
         (Found::Ints(values), Some(spec)) => Made::Data(TensorData::new(values, spec.shape.clone())),
         (Found::Input(i), Some(_)) => Made::Input(i),
         (Found::Grad(i), Some(_)) => Made::Grad(i),
+        (Found::Scaled(i, factor), Some(_)) => Made::Scaled(i, factor.f64()),
+        (Found::Product(i), Some(_)) => Made::Product(i),
     };
     found.into_iter().zip(specs).map(of).collect()
 }
@@ -307,29 +326,31 @@ fn operate<B: HostBackend>(inputs: Tensors<B>, call: &Call) -> Tensors<B> {
         Slot::Int(tensor) => Some(tensor.device()),
     });
     let device = device.expect("an operation has an input");
-    let host = |slot: &Slot<B>| match slot {
+    let host = |slot: Slot<B>| match slot {
         Slot::Absent => None,
-        Slot::Float(tensor) => Some(B::of_floats(tensor.clone())),
-        Slot::Int(tensor) => Some(B::of_ints(tensor.clone())),
+        Slot::Float(tensor) => Some(B::of_floats(tensor)),
+        Slot::Int(tensor) => Some(B::of_ints(tensor)),
     };
-    let given: Vec<Option<HostTensor>> = inputs.0.iter().map(host).collect();
+    let given: Vec<Option<HostTensor>> = inputs.0.into_iter().map(host).collect();
     let spec = |tensor: &HostTensor| Spec { shape: tensor.shape(), dtype: tensor.dtype() };
     let specs = call.outputs(&given.iter().map(|tensor| tensor.as_ref().map(spec)).collect::<Vec<_>>());
     let [of_inputs, outputs, grads] = call.split(given);
-    let first_grad = of_inputs.len() + outputs.len();
     let args = HostArgs { inputs: of_inputs, outputs, grads, needs: call.needs() };
-    let same = |i: usize| match inputs.0[i].clone().float() {
-        Some(tensor) => Slot::Float(B::contiguous(tensor)),
-        None => Slot::Absent,
+    let found = run(call, &args, &specs);
+    let HostArgs { mut inputs, mut outputs, mut grads, .. } = args;
+    let take = |tensors: &mut [Option<HostTensor>], i: usize| {
+        B::into_floats(tensors[i].take().expect("it is there, and passed on once"))
     };
     let output = |made: Made| match made {
         Made::Data(data) if data.dtype().is_float() => Slot::Float(B::float_from_data(data, &device)),
         Made::Data(data) => Slot::Int(B::int_from_data(data, &device)),
-        Made::Input(i) => same(i),
-        Made::Grad(i) => same(first_grad + i),
+        Made::Input(i) => Slot::Float(B::contiguous(take(&mut inputs, i))),
+        Made::Grad(i) => Slot::Float(B::contiguous(take(&mut grads, i))),
+        Made::Scaled(i, factor) => Slot::Float(B::float_mul_scalar(take(&mut inputs, i), factor.into())),
+        Made::Product(i) => Slot::Float(B::float_mul(take(&mut outputs, i), take(&mut grads, i))),
         Made::Nothing => Slot::Absent,
     };
-    List(run(call, &args, &specs).into_iter().map(output).collect())
+    List(found.into_iter().map(output).collect())
 }
 
 impl OperationBackend for Flex {
