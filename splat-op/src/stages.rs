@@ -114,17 +114,20 @@ impl Intersections {
     /// Refuses lists of other Gaussians, of another picture or of other options: kernels do not check the indices in them.
     fn check(&self, count: usize, spec: &RasterizeSpec) -> Result<(), SplatError> {
         let (listed, of) = &self.of;
-        let differs = match () {
-            () if *listed != count => format!("lists of {listed} Gaussians for {count}"),
-            () if of.intrinsics != spec.intrinsics => {
-                let size = |of: &Intrinsics| format!("{:?}", of);
-                format!("lists of the camera {} for {}", size(&of.intrinsics), size(&spec.intrinsics))
-            }
-            () if of.options != spec.options => format!("lists made with {:?} for {:?}", of.options, spec.options),
-            () => return Ok(()),
+        let size = |of: &Intrinsics| format!("{} × {} px", of.width, of.height);
+        let found = if *listed != count {
+            format!("lists of {listed} Gaussians, for {count}")
+        } else if size(&of.intrinsics) != size(&spec.intrinsics) {
+            format!("lists of {}, for {}", size(&of.intrinsics), size(&spec.intrinsics))
+        } else if of.intrinsics != spec.intrinsics {
+            "lists of another camera".into()
+        } else if of.options != spec.options {
+            format!("lists with {:?}, for {:?}", of.options, spec.options)
+        } else {
+            return Ok(());
         };
         let expected = "the result of `intersect` on these ellipses, with these options";
-        Err(SplatError::Value { field: "intersections", found: differs, expected })
+        Err(SplatError::Value { field: "intersections", found, expected })
     }
 }
 

@@ -143,3 +143,28 @@ fn single_stages_check_their_own_arguments() {
     let error = ellipses.pack(&CAMERA).expect_err("refused");
     assert!(matches!(error, SplatError::Shape { name: "shear", .. }), "{error}");
 }
+
+#[test]
+fn lists_of_another_view_are_refused() {
+    let options = RenderOptions::standard();
+    let view = |count, intrinsics| {
+        let scene = Scene::random(&mut Random::new(1), count, 1, intrinsics);
+        let SceneTensors { splats, camera, .. } = scene.tensors(&Device::flex(), DType::F32);
+        project(&splats, &camera, &Extras::default(), &options).expect("nothing is wrong with it")
+    };
+    let projected = view(COUNT, CAMERA);
+    let with = |lists: &splat_op::Projected, list_options: &RenderOptions| {
+        let lists = intersect(lists, list_options).expect("nothing is wrong with it");
+        rasterize(&projected, &zeros([COUNT, 3]), &lists, &Extras::default(), &options)
+    };
+    with(&projected, &options).expect("its own lists");
+    let refusal =
+        |lists: &splat_op::Projected, options: &RenderOptions| with(lists, options).expect_err("refused").to_string();
+    assert_names(&refusal(&view(COUNT + 3, CAMERA), &options), "intersections", "8 Gaussians, for 5");
+    let larger = Intrinsics { width: 40, height: 30, ..CAMERA };
+    assert_names(&refusal(&view(COUNT, larger), &options), "intersections", "40 × 30 px, for 8 × 6 px");
+    let other = Intrinsics { fx: 9.0, ..CAMERA };
+    assert_names(&refusal(&view(COUNT, other), &options), "intersections", "another camera");
+    let deep = options.with_depth(true);
+    assert_names(&refusal(&projected, &deep), "intersections", "depth: true");
+}

@@ -199,8 +199,7 @@ impl Strategy for Adaptive {
         let Some(grad_mean2d) = seen.gradient.or(seen.abs_gradient) else { return };
         // Half the picture size: normalised device coordinates run from -1 to 1.
         let per_ndc = [seen.size.0 as f32 / 2.0, seen.size.1 as f32 / 2.0];
-        let added = tally::add(self.seen.take(), &grad_mean2d, per_ndc);
-        self.seen = Some(added.unwrap_or_else(|tally| tallied(tally, grad_mean2d, per_ndc)));
+        self.seen = Some(tally::add(self.seen.take(), grad_mean2d, per_ndc));
     }
 
     fn acts_at(&self, step: usize) -> bool {
@@ -248,18 +247,6 @@ impl Strategy for Adaptive {
             self.seen = Some(Tally { sums, counts });
         }
         Ok(())
-    }
-}
-
-/// [`tally::add`] in tensor code.
-fn tallied(tally: Option<Tally>, grad: Tensor<2>, per_axis: [f32; 2]) -> Tally {
-    let per_axis = Tensor::<1>::from_floats(per_axis, &grad.device());
-    let squared = (grad * per_axis.unsqueeze()).square().sum_dim(1).squeeze_dim::<1>(1);
-    let norms = squared.sqrt();
-    let shown = norms.clone().greater_elem(0.0).float();
-    match tally {
-        Some(Tally { sums, counts }) => Tally { sums: sums + norms, counts: counts + shown },
-        None => Tally { sums: norms, counts: shown },
     }
 }
 

@@ -5,7 +5,7 @@ use burn::tensor::{DType, Device, Int, Tensor, TensorData};
 use rayon::prelude::*;
 pub use splat_op::adam::Rates;
 use splat_op::adam::packed::{HostState, PackedFactors, PackedStep, step_on_host, step_packed};
-use splat_op::adam::{Band, Factors, Stepped};
+use splat_op::adam::{Band, Factors, Stepped, has_kernel};
 
 use super::moments::{Moments, Stored};
 
@@ -101,24 +101,25 @@ impl Adam {
             }
         };
         assert_eq!(param.shape(), m.shape(), "moments have the shape of their parameter");
-        // On a GPU, one operation does the whole step.
-        let (param, m, v) = match splat_op::adam::step(Stepped { param, m, v }, &grad, verdict, factors) {
-            Ok(Stepped { param, m, v }) => (param, m, v),
-            Err(Stepped { param, m, v }) => match verdict {
-                Some(verdict) => {
-                    let (old, of_m, of_v) = (param.clone(), m.clone(), v.clone());
-                    let (new, m, v) = step_in_tensors(&factors, param, grad, (m, v));
-                    let held = verdict.clone().narrow(0, 0, 1).not_equal_elem(0).reshape([1; D]).expand(old.shape());
-                    let kept = |new: Tensor<D>, old| new.mask_where(held.clone(), old);
-                    (kept(new, old), kept(m, of_m), kept(v, of_v))
-                }
-                // Flex works in host memory and hands it over without a copy. One fused pass over it on all cores takes a third
-                // of the time of the tensor operations, which are eleven passes on one core.
-                None if param.device() == Device::flex() && param.dtype() == DType::F32 => {
-                    step_in_host_memory(&factors, param, grad, (m, v))
-                }
-                None => step_in_tensors(&factors, param, grad, (m, v)),
-            },
+        let (param, m, v) = match verdict {
+            // One operation does the whole step.
+            _ if has_kernel(&param) => {
+                let Stepped { param, m, v } = splat_op::adam::step(Stepped { param, m, v }, &grad, verdict, factors);
+                (param, m, v)
+            }
+            Some(verdict) => {
+                let (old, of_m, of_v) = (param.clone(), m.clone(), v.clone());
+                let (new, m, v) = step_in_tensors(&factors, param, grad, (m, v));
+                let held = verdict.clone().narrow(0, 0, 1).not_equal_elem(0).reshape([1; D]).expand(old.shape());
+                let kept = |new: Tensor<D>, old| new.mask_where(held.clone(), old);
+                (kept(new, old), kept(m, of_m), kept(v, of_v))
+            }
+            // Flex works in host memory and hands it over without a copy. One fused pass over it on all cores takes a third
+            // of the time of the tensor operations, which are eleven passes on one core.
+            None if param.device() == Device::flex() && param.dtype() == DType::F32 => {
+                step_in_host_memory(&factors, param, grad, (m, v))
+            }
+            None => step_in_tensors(&factors, param, grad, (m, v)),
         };
         *moments = Moments::full(m, v);
         param
@@ -186,10 +187,10 @@ fn packed_step<const D: usize>(
     factors: &PackedFactors,
     verdict: Option<&Tensor<1, Int>>,
 ) -> (Tensor<D>, Tensor<2, Int>) {
-    let (param, words) = match step_packed(PackedStep { param, words }, &grad, verdict, *factors) {
-        Ok(PackedStep { param, words }) => return (param, words),
-        Err(PackedStep { param, words }) => (param, words),
-    };
+    if has_kernel(&param) {
+        let PackedStep { param, words } = step_packed(PackedStep { param, words }, &grad, verdict, *factors);
+        return (param, words);
+    }
     if verdict.is_some_and(|verdict| verdict.clone().into_data().iter::<i64>().next() != Some(0)) {
         return (param, words);
     }

@@ -7,7 +7,7 @@
 
 use burn::tensor::{DType, Device, Int, Tensor};
 use splat_op::activate::non_finite;
-use splat_op::adam::{SceneGradients, VERDICT, watch};
+use splat_op::adam::{SceneGradients, VERDICT, has_kernel, watch};
 use splat_op::read_back;
 
 use crate::density::rows::Gradients;
@@ -68,10 +68,11 @@ impl Guard {
         if self.waits {
             let none = || Tensor::zeros([VERDICT], (&loss.device().inner(), DType::I32));
             let verdict = self.verdict.take().unwrap_or_else(none);
-            let mut watched = std::iter::once(gradients.watched()).chain(gradients.watched_more());
-            let verdict = watched
-                .try_fold(verdict, |verdict, watched| watch(loss, watched, verdict, step as u32))
-                .unwrap_or_else(|verdict| entered(verdict, flags(loss, gradients), step));
+            let watched = std::iter::once(gradients.watched()).chain(gradients.watched_more());
+            let verdict = match has_kernel(loss) {
+                true => watched.fold(verdict, |verdict, watched| watch(loss, watched, verdict, step as u32)),
+                false => entered(verdict, flags(loss, gradients), step),
+            };
             self.verdict = Some(verdict.clone());
             self.unread.push((step, view));
             return Ok(Some(verdict));

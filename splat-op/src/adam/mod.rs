@@ -28,20 +28,23 @@ mod forward;
 mod kernel_tests;
 #[cfg(feature = "cube")]
 pub(crate) mod launch;
-#[cfg(feature = "cube")]
 mod operation;
 pub mod packed;
 pub(crate) mod rule;
 
-#[cfg(feature = "cube")]
 use burn::backend::Dispatch;
-use burn::tensor::{Int, Tensor};
+use burn::tensor::{DType, Int, Tensor};
 pub use rule::{Band, Factors, Rates, VERDICT};
 
+use crate::abilities::is_gpu;
 use crate::activate::RawSplats;
 pub use crate::activate::rule::Raw;
-#[cfg(feature = "cube")]
 use crate::backend::{Slot, apply};
+
+/// Whether there is a kernel for a parameter or a loss: in f32, on a GPU.
+pub fn has_kernel<const D: usize>(tensor: &Tensor<D>) -> bool {
+    is_gpu(&tensor.device()) && tensor.dtype() == DType::F32
+}
 
 /// A parameter and its moments.
 #[derive(Clone, Debug)]
@@ -57,23 +60,17 @@ pub struct Stepped<const D: usize> {
 /// Performs one step of Adam on `from`; all tensors are without autodiff. If a step is entered in `verdict`, nothing changes.
 /// Pass `from` by its only handle: memory that nothing else holds is reused.
 ///
-/// # Errors
-/// Returns `from` on devices without this operation; use tensor code there.
-#[cfg_attr(not(feature = "cube"), expect(unused_variables, reason = "no GPU runtime is compiled in"))]
-#[expect(clippy::result_large_err, reason = "the error is the argument, handed back")]
+/// # Panics
+/// If [`has_kernel`] is false; use tensor code there.
 pub fn step<const D: usize>(
     from: Stepped<D>,
     grad: &Tensor<D>,
     verdict: Option<&Tensor<1, Int>>,
     factors: Factors,
-) -> Result<Stepped<D>, Stepped<D>> {
-    #[cfg(feature = "cube")]
-    if taken(&from.param) {
-        let inputs = [from.param.into(), grad.into(), from.m.into(), from.v.into(), verdict.into()];
-        let mut found = apply(operation::Adam(factors), inputs);
-        return Ok(Stepped { param: found.float(0), m: found.float(1), v: found.float(2) });
-    }
-    Err(from)
+) -> Stepped<D> {
+    let inputs = [from.param.into(), grad.into(), from.m.into(), from.v.into(), verdict.into()];
+    let mut found = apply(operation::Adam(factors), inputs);
+    Stepped { param: found.float(0), m: found.float(1), v: found.float(2) }
 }
 
 /// The parameters of a scene with their moments and their gradients, each set as in [`RawSplats`].
@@ -108,44 +105,29 @@ pub struct SteppedScene {
 /// Shapes and ownership as in [`step`].
 ///
 /// # Panics
-/// If [`steps_scenes`] is false.
-#[cfg_attr(not(feature = "cube"), expect(unused_variables, reason = "no GPU runtime is compiled in"))]
+/// If [`has_kernel`] is false.
 pub fn step_scene(
     from: SceneStep,
     verdict: Option<&Tensor<1, Int>>,
     mark: Tensor<1, Int>,
     factors: Raw<Factors>,
 ) -> SteppedScene {
-    #[cfg(feature = "cube")]
-    {
-        let SceneStep { params, grads, m, v } = from;
-        let [params, grads, m, v] = [params, grads, m, v].map(slots);
-        let of_params = params.zip(grads).zip(m.zip(v)).into_array().map(|((param, grad), (m, v))| [param, grad, m, v]);
-        let [a, b, c, d, e] = of_params;
-        let mut all = a.into_iter().chain(b).chain(c).chain(d).chain(e).chain([mark.into(), verdict.into()]);
-        let inputs: [_; 22] = std::array::from_fn(|_| all.next().expect("four for each of five, and two"));
-        let mut found = apply(operation::AdamScene(factors), inputs);
-        let mut splats = |of: usize| RawSplats {
-            means: found.float(of),
-            rotations: found.float(3 + of),
-            log_scales: found.float(6 + of),
-            logit_opacities: found.float(9 + of),
-            sh: found.float(12 + of),
-        };
-        let [params, m, v] = [0, 1, 2].map(&mut splats);
-        SteppedScene { params, m, v, mark: found.int(15) }
-    }
-    #[cfg(not(feature = "cube"))]
-    unreachable!("`steps_scenes` is false")
-}
-
-/// Whether [`step_scene`] and [`watch`] support scenes with these centres.
-#[cfg_attr(not(feature = "cube"), expect(unused_variables, reason = "no GPU runtime is compiled in"))]
-pub fn steps_scenes(means: &Tensor<2>) -> bool {
-    #[cfg(feature = "cube")]
-    return taken(means);
-    #[cfg(not(feature = "cube"))]
-    false
+    let SceneStep { params, grads, m, v } = from;
+    let [params, grads, m, v] = [params, grads, m, v].map(slots);
+    let of_params = params.zip(grads).zip(m.zip(v)).into_array().map(|((param, grad), (m, v))| [param, grad, m, v]);
+    let [a, b, c, d, e] = of_params;
+    let mut all = a.into_iter().chain(b).chain(c).chain(d).chain(e).chain([mark.into(), verdict.into()]);
+    let inputs: [_; 22] = std::array::from_fn(|_| all.next().expect("four for each of five, and two"));
+    let mut found = apply(operation::AdamScene(factors), inputs);
+    let mut splats = |of: usize| RawSplats {
+        means: found.float(of),
+        rotations: found.float(3 + of),
+        log_scales: found.float(6 + of),
+        logit_opacities: found.float(9 + of),
+        sh: found.float(12 + of),
+    };
+    let [params, m, v] = [0, 1, 2].map(&mut splats);
+    SteppedScene { params, m, v, mark: found.int(15) }
 }
 
 /// The gradients of a scene's parameters that [`watch`] looks at.
@@ -166,34 +148,22 @@ pub struct SceneGradients<'a> {
 /// Returns `verdict` after a check of a loss and the gradients of a scene, in one launch. If a value is not finite, `at_step` (from 1) is
 /// entered, unless an earlier step is entered, with bit 0 for the loss and bits 1 to 5 for the gradients in the order of their fields.
 ///
-/// # Errors
-/// Returns `verdict` on devices without this operation; use tensor code there.
-#[cfg_attr(not(feature = "cube"), expect(unused_variables, reason = "no GPU runtime is compiled in"))]
-#[expect(clippy::result_large_err, reason = "the error is the argument, handed back")]
-pub fn watch(
-    loss: &Tensor<1>,
-    gradients: SceneGradients,
-    verdict: Tensor<1, Int>,
-    at_step: u32,
-) -> Result<Tensor<1, Int>, Tensor<1, Int>> {
-    #[cfg(feature = "cube")]
-    if taken(loss) {
-        let SceneGradients { means, rotations, log_scales, logit_opacities, sh } = gradients;
-        let inputs = [
-            loss.into(),
-            verdict.into(),
-            means.into(),
-            rotations.into(),
-            log_scales.into(),
-            logit_opacities.into(),
-            sh.into(),
-        ];
-        return Ok(apply(operation::Watch { at_step }, inputs).int(0));
-    }
-    Err(verdict)
+/// # Panics
+/// If [`has_kernel`] is false; use tensor code there.
+pub fn watch(loss: &Tensor<1>, gradients: SceneGradients, verdict: Tensor<1, Int>, at_step: u32) -> Tensor<1, Int> {
+    let SceneGradients { means, rotations, log_scales, logit_opacities, sh } = gradients;
+    let inputs = [
+        loss.into(),
+        verdict.into(),
+        means.into(),
+        rotations.into(),
+        log_scales.into(),
+        logit_opacities.into(),
+        sh.into(),
+    ];
+    apply(operation::Watch { at_step }, inputs).int(0)
 }
 
-#[cfg(feature = "cube")]
 fn slots(tensors: RawSplats) -> Raw<Slot<Dispatch>> {
     let RawSplats { means, rotations, log_scales, logit_opacities, sh } = tensors;
     Raw {
@@ -203,11 +173,4 @@ fn slots(tensors: RawSplats) -> Raw<Slot<Dispatch>> {
         logit_opacities: logit_opacities.into(),
         sh: sh.into(),
     }
-}
-
-/// Whether the operations support this tensor.
-#[cfg(feature = "cube")]
-fn taken<const D: usize>(tensor: &Tensor<D>) -> bool {
-    use burn::backend::DispatchDevice;
-    matches!(tensor.device().as_dispatch(), DispatchDevice::Cube(_)) && tensor.dtype() == burn::tensor::DType::F32
 }

@@ -1,29 +1,39 @@
 //! Adam's step and the verdict that makes it skip, as operations on GPUs. On CPUs they are tensor code.
 
+#[cfg(feature = "cube")]
 use burn::backend::TensorMetadata;
+#[cfg(feature = "cube")]
 use burn::tensor::DType;
+#[cfg(feature = "cube")]
 use burn_cubecl::tensor::CubeTensor;
 
+#[cfg(feature = "cube")]
 use super::launch::{DeviceState, DeviceStep, launch_adam, launch_watch};
 use super::packed::PackedFactors;
+#[cfg(feature = "cube")]
 use super::packed::launch::{DevicePackedStep, launch_adam_packed};
 use super::rule::{Factors, VERDICT};
 use crate::activate::rule::Raw;
+#[cfg(feature = "cube")]
 use crate::backend::cube::{buffer, owned};
 use crate::backend::*;
+#[cfg(feature = "cube")]
 use crate::gpu::Buffer;
 
 /// Returns a tensor of integers in the type that the kernels use: none of theirs is negative, or they are bits.
+#[cfg(feature = "cube")]
 fn unsigned(tensor: &CubeTensor, len: usize) -> Buffer<u32> {
     debug_assert!(tensor.dtype == DType::I32 && tensor.shape().num_elements() == len);
     Buffer::from_handle(tensor.handle.clone(), len)
 }
 
+#[cfg(feature = "cube")]
 fn verdict(args: &GpuArgs, i: usize) -> Option<Buffer<u32>> {
     args.has(i).then(|| unsigned(args.tensor(i), VERDICT))
 }
 
 /// Prepares the step of a parameter whose tensors begin at input `first`: parameter, gradient and both moments.
+#[cfg(feature = "cube")]
 fn prepared(args: &mut GpuArgs, first: usize, factors: Factors) -> DeviceStep {
     let grad = args.buffer(first + 1);
     let [param, m, v] = [first, first + 2, first + 3].map(|i| owned(args.take(i)));
@@ -32,6 +42,7 @@ fn prepared(args: &mut GpuArgs, first: usize, factors: Factors) -> DeviceStep {
     DeviceStep { state: DeviceState { param, m, v }, grad, factors, band }
 }
 
+#[cfg(feature = "cube")]
 fn stepped(step: DeviceStep) -> [Bound; 3] {
     let DeviceState { param, m, v } = step.state;
     [param, m, v].map(|buffer| Some(buffer.handle))
@@ -47,6 +58,7 @@ impl Operation for Adam {
         [0, 2, 3].map(|i| inputs[i].clone()).into()
     }
 
+    #[cfg(feature = "cube")]
     fn launch(&self, mut args: GpuArgs) -> Vec<Bound> {
         let (gpu, verdict) = (args.gpu(), verdict(&args, 4));
         let step = prepared(&mut args, 0, self.0);
@@ -66,6 +78,7 @@ impl Operation for AdamScene {
         (0..5).flat_map(|i| [0, 2, 3].map(|j| 4 * i + j)).chain([20]).map(|i| inputs[i].clone()).collect()
     }
 
+    #[cfg(feature = "cube")]
     fn launch(&self, mut args: GpuArgs) -> Vec<Bound> {
         let (gpu, verdict) = (args.gpu(), verdict(&args, 21));
         let mark = owned(args.take(20));
@@ -92,6 +105,7 @@ impl Operation for AdamPacked {
         vec![inputs[0].clone(), inputs[2].clone()]
     }
 
+    #[cfg(feature = "cube")]
     fn launch(&self, mut args: GpuArgs) -> Vec<Bound> {
         let (gpu, verdict, grad) = (args.gpu(), verdict(&args, 3), args.buffer(1));
         let (param, words) = (owned(args.take(0)), owned(args.take(2)));
@@ -121,6 +135,7 @@ impl Operation for Watch {
         vec![Some(Spec::ints([VERDICT]))]
     }
 
+    #[cfg(feature = "cube")]
     fn launch(&self, mut args: GpuArgs) -> Vec<Bound> {
         let (gpu, loss, verdict) = (args.gpu(), args.buffer(0), owned(args.take(1)));
         let gradients = Raw::from_array(std::array::from_fn(|i| args.optional(2 + i)));

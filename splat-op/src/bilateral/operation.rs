@@ -1,9 +1,8 @@
-//! The slice of a bilateral grid and its roughness as operations.
+//! The slice of a bilateral grid as an operation.
 
 use super::cpu::{slice_backward_cpu, slice_cpu};
 #[cfg(feature = "cube")]
 use super::launch::{launch_slice, launch_slice_backward};
-use super::roughness::{GridSize, roughness_cpu};
 use super::{SliceSize, Sliced};
 #[cfg(feature = "cube")]
 use crate::backend::cube::{bound, bound_some};
@@ -42,21 +41,5 @@ impl Operation for Slice {
     fn launch_backward(&self, args: GpuArgs) -> Vec<Bound> {
         let (inputs, needs) = (Sliced::from_array(args.all()), Sliced::from_array(args.needs()));
         bound_some(launch_slice_backward(&args.gpu(), &inputs, &args.only_grad(), self.0, needs).into_array())
-    }
-}
-
-/// The roughness of a grid, `[1]`, and its derivative, on CPUs. On GPUs it is tensor code.
-#[derive(Clone, Debug)]
-pub(super) struct Roughness(pub GridSize);
-
-impl Operation for Roughness {
-    fn outputs(&self, inputs: &[Option<Spec>]) -> Vec<Option<Spec>> {
-        let grid = inputs[0].clone();
-        vec![grid.as_ref().map(|grid| grid.with_shape([1])), grid]
-    }
-
-    fn run<F: Real>(&self, args: &HostArgs) -> Vec<Found<F>> {
-        let (value, gradient) = roughness_cpu(&args.floats::<F>(0), self.0);
-        found([vec![value], gradient])
     }
 }

@@ -7,36 +7,20 @@
 //! ∂D = Σ sign(e) / (n α z)     ∂α = −Σ sign(e) D / (n α² z)
 //! ```
 //!
-//! over the samples of a pixel, with `sign(0) = 0`. Which pixels count is piecewise constant.
+//! over the samples of a pixel, with `sign(0) = 0`. Which pixels count is piecewise constant. It is tensor code.
 
-pub(crate) mod cpu;
-mod operation;
 #[cfg(test)]
 mod tests;
 
 use burn::tensor::{DType, Int, Tensor};
 
 use crate::abilities::is_gpu;
-use crate::backend::apply;
 use crate::check::Reference;
 use crate::custom_grad::constant;
 use crate::error::SplatError;
-use crate::record::record;
 
 /// The least alpha of a pixel whose depth counts.
 pub const COVERED: f64 = 0.5;
-
-record! {
-    /// Inputs of the miss, or their gradients.
-    pub struct Depths {
-        /// `[1, H, W]`: accumulated depth, scene units.
-        depth,
-        /// `[1, H, W]`: alpha.
-        alpha,
-        /// `[M]`: known depths, scene units. Constants.
-        known,
-    }
-}
 
 /// Returns the mean relative error of a render's depth as `[1]`. `depth` and `alpha`, `[H, W, 1]` f32, or f64 on CPUs, are those of a
 /// [`Rendered`](crate::Rendered); `known`, `[M]`, are known depths, camera z, scene units, more than zero; `pixels`, `[M]` i32, or i64 on CPUs, are their
@@ -64,19 +48,9 @@ pub fn depth_miss(
         return Err(SplatError::DType { name: "pixels", found, expected: "I32, or I64 on a CPU".into() });
     }
     reference.check_device("pixels", &pixels.device())?;
-    if is_gpu(&depth.device()) {
-        return Ok(in_tensors(depth, alpha, known, pixels));
-    }
-    // Pictures come from `rasterize` as planes, so that this moves nothing.
-    let planes = |picture: &Tensor<3>| picture.clone().permute([2, 0, 1]).into();
-    Ok(apply(operation::DepthMiss, [planes(depth), planes(alpha), known.into(), pixels.into()]).float(0))
-}
-
-/// The miss in tensor code, for GPUs.
-fn in_tensors(depth: &Tensor<3>, alpha: &Tensor<3>, known: &Tensor<1>, pixels: &Tensor<1, Int>) -> Tensor<1> {
-    let (plane, tracked) = (depth.dims()[0] * depth.dims()[1], depth.is_autodiff());
+    let (plane, tracked) = (height * width, depth.is_autodiff());
     if plane == 0 || known.dims() == [0] {
-        return Tensor::zeros([1], &depth.device());
+        return Ok(Tensor::zeros([1], (&depth.device(), depth.dtype())));
     }
     let at = |picture: Tensor<3>, pixels: Tensor<1, Int>| picture.reshape([plane]).select(0, pixels);
     let inside = pixels.clone().clamp(0, plane as i64 - 1);
@@ -86,5 +60,5 @@ fn in_tensors(depth: &Tensor<3>, alpha: &Tensor<3>, known: &Tensor<1>, pixels: &
     let share = counts.clone() / counts.sum().clamp_min(1.0);
     let inside = if tracked { Tensor::from_inner(inside) } else { inside };
     let divisor = at(alpha.clone(), inside.clone()).clamp_min(COVERED) * constant(known, tracked);
-    ((at(depth.clone(), inside) / divisor - 1.0).abs() * constant(&share, tracked)).sum()
+    Ok(((at(depth.clone(), inside) / divisor - 1.0).abs() * constant(&share, tracked)).sum())
 }

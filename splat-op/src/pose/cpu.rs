@@ -1,11 +1,8 @@
-//! CPU twin of both operations.
+//! CPU twin of the correction.
 
-use super::{Corrected, LEAST, POSE, Sighted};
+use super::Corrected;
 use crate::linalg::{Mat3, add, cross, dot, matvec, scale, sub, transpose};
 use crate::simd::real::Real;
-
-/// Number of points whose sums are added before they are added to the total.
-const RUN: usize = 256;
 
 /// Rotation and translation of a pose.
 fn split<F: Real>(pose: &[F]) -> (Mat3<F>, [F; 3]) {
@@ -52,33 +49,4 @@ pub(crate) fn corrected_backward_cpu<F: Real>(inputs: Corrected<&[F]>, grad: &[F
     let of_half = sub(scale(slope, f), scale(h, f * f * along));
     let of_rotation = scale(of_half, F::of(0.5));
     of_rotation.into_iter().chain(scale(of_translation, F::of(unit))).collect()
-}
-
-/// Returns the miss of a pose and its derivative, `[3, 4]`.
-pub(crate) fn miss_cpu<F: Real>(inputs: Sighted<&[F]>, robust: f64) -> (F, Vec<F>) {
-    let (rotation, translation) = split(inputs.pose);
-    let (points, directions) = (inputs.points.as_chunks::<3>().0, inputs.directions.as_chunks::<3>().0);
-    let share = F::of(1.0 / points.len().max(1) as f64);
-    let r = F::of(robust);
-    let (mut total, mut gradient) = (F::ZERO, vec![F::ZERO; POSE]);
-    for (points, directions) in points.chunks(RUN).zip(directions.chunks(RUN)) {
-        let (mut sum, mut sums) = (F::ZERO, [F::ZERO; POSE]);
-        for (&point, &observed) in points.iter().zip(directions) {
-            let p = add(matvec(&rotation, point), translation);
-            let inverse = F::ONE / dot(p, p).max_of(F::of(LEAST)).sqrt();
-            let d = scale(p, inverse);
-            let away = sub(d, observed);
-            let rho = (dot(away, away) + r * r).sqrt();
-            sum += rho - r;
-            let s = scale(away, F::ONE / rho);
-            let of_p = scale(sub(s, scale(d, dot(d, s))), inverse * share);
-            for (row, of_p) in sums.chunks_exact_mut(4).zip(of_p) {
-                row.iter_mut().zip(point).for_each(|(sum, x)| *sum += of_p * x);
-                row[3] += of_p;
-            }
-        }
-        total += sum * share;
-        gradient.iter_mut().zip(sums).for_each(|(total, sum)| *total += sum);
-    }
-    (total, gradient)
 }

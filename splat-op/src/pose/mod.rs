@@ -16,7 +16,7 @@
 //!
 //! The miss of a pose is the mean of `ρ − r`, `ρ = √(|d − d*|² + r²)`, over known points `x`, with `d = p/|p|` the direction to
 //! `p = A x + t` and `d*` the observed one: about the angle between both, rad, where it is large compared with `r`. With
-//! `s = (d − d*)/ρ`, `∂p = (s − d (d·s)) / |p|`, `∂A = Σ ∂p xᵀ` and `∂t = Σ ∂p`, divided by the number of points.
+//! `s = (d − d*)/ρ`, `∂p = (s − d (d·s)) / |p|`, `∂A = Σ ∂p xᵀ` and `∂t = Σ ∂p`, divided by the number of points. It is tensor code.
 
 pub(crate) mod cpu;
 #[cfg(all(test, feature = "cube"))]
@@ -31,18 +31,18 @@ mod tests;
 
 use burn::tensor::Tensor;
 
-use crate::abilities::is_gpu;
 use crate::backend::apply;
 use crate::check::Reference;
-use crate::custom_grad::{constant, with_gradient};
+use crate::custom_grad::constant;
 use crate::error::SplatError;
 use crate::record::record;
 
 /// Numbers of a pose.
+#[cfg(any(test, feature = "cube"))]
 pub(crate) const POSE: usize = 12;
 
 /// The least square of a distance that a direction is divided by.
-pub(crate) const LEAST: f64 = 1e-30;
+const LEAST: f64 = 1e-30;
 
 record! {
     /// Inputs of a correction, or their gradients.
@@ -51,18 +51,6 @@ record! {
         correction,
         /// `[3, 4]`: the given pose. A constant.
         cam_from_world,
-    }
-}
-
-record! {
-    /// Inputs of the miss.
-    pub struct Sighted {
-        /// `[3, 4]`: the pose.
-        pose,
-        /// `[M, 3]`: points, world frame. Constants.
-        points,
-        /// `[M, 3]`: their observed directions, camera frame, of length one. Constants.
-        directions,
     }
 }
 
@@ -93,20 +81,12 @@ pub fn miss(pose: &Tensor<2>, points: &Tensor<2>, directions: &Tensor<2>, scale:
     reference.check("pose", &values, [Some(3), Some(4)], "[3, 4]")?;
     reference.check("points", points, [None, Some(3)], "[M, 3]")?;
     reference.check("directions", directions, [Some(count), Some(3)], "[M, 3]")?;
-    if is_gpu(&pose.device()) {
-        return Ok(miss_in_tensors(pose, points, directions, scale));
+    if count == 0 {
+        return Ok(Tensor::zeros([1], (&pose.device(), pose.dtype())));
     }
-    let inputs = Sighted { pose: values.into(), points: points.into(), directions: directions.into() };
-    let mut found = apply(operation::PoseMiss { scale }, inputs.into_array());
-    Ok(if tracked { with_gradient(pose.clone(), found.float(0), found.float(1)) } else { found.float(0) })
-}
-
-/// The miss in tensor code, for GPUs.
-fn miss_in_tensors(pose: &Tensor<2>, points: &Tensor<2>, directions: &Tensor<2>, scale: f64) -> Tensor<1> {
-    let tracked = pose.is_autodiff();
     let turned = constant(points, tracked).matmul(pose.clone().narrow(1, 0, 3).transpose());
     let cam = turned + pose.clone().narrow(1, 3, 1).transpose();
     let length = cam.clone().square().sum_dim(1).clamp_min(LEAST).sqrt();
     let squared = (cam / length - constant(directions, tracked)).square().sum_dim(1);
-    (squared + scale * scale).sqrt().mean() - scale
+    Ok((squared + scale * scale).sqrt().mean() - scale)
 }

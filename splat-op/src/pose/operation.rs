@@ -1,9 +1,9 @@
-//! Corrections of poses, and the miss of a pose, as operations.
+//! Corrections of poses as an operation.
 
-use super::cpu::{corrected_backward_cpu, corrected_cpu, miss_cpu};
+use super::Corrected;
+use super::cpu::{corrected_backward_cpu, corrected_cpu};
 #[cfg(feature = "cube")]
 use super::launch::{launch_corrected, launch_corrected_backward};
-use super::{Corrected, Sighted};
 #[cfg(feature = "cube")]
 use crate::backend::cube::bound;
 use crate::backend::host::{found, slices};
@@ -43,24 +43,5 @@ impl Operation for Correct {
     fn launch_backward(&self, args: GpuArgs) -> Vec<Bound> {
         let inputs = Corrected::from_array(args.all());
         vec![Some(launch_corrected_backward(&args.gpu(), &inputs, &args.only_grad(), self.unit).handle), None]
-    }
-}
-
-/// The miss of a pose, `[1]`, and its derivative, on CPUs. On GPUs it is tensor code.
-#[derive(Clone, Debug)]
-pub(super) struct PoseMiss {
-    /// The `r` of the module's formula.
-    pub scale: f64,
-}
-
-impl Operation for PoseMiss {
-    fn outputs(&self, inputs: &[Option<Spec>]) -> Vec<Option<Spec>> {
-        let pose = inputs[0].clone();
-        vec![pose.as_ref().map(|pose| pose.with_shape([1])), pose]
-    }
-
-    fn run<F: Real>(&self, args: &HostArgs) -> Vec<Found<F>> {
-        let (value, gradient) = miss_cpu(Sighted::from_array(slices(&args.all::<F, 3>())), self.scale);
-        found([vec![value], gradient])
     }
 }

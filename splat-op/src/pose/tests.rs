@@ -1,6 +1,6 @@
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{DType, Device, Tensor, TensorData};
 
-use super::cpu::{corrected_backward_cpu, corrected_cpu, miss_cpu};
+use super::cpu::{corrected_backward_cpu, corrected_cpu};
 use super::*;
 use crate::testing::finite::{check_gradient, inner_product};
 use crate::testing::random::Random;
@@ -14,8 +14,27 @@ pub(super) fn correction(seed: u64, size: f64) -> Corrected<Vec<f64>> {
     Corrected { correction: fill(6, size), cam_from_world: fill(POSE, 2.0) }
 }
 
+/// A pose, points and directions.
+struct Sighted<T> {
+    pose: T,
+    points: T,
+    directions: T,
+}
+
+/// The miss in f64 and its derivative with respect to the pose.
+fn miss_of(inputs: &Sighted<&[f64]>, scale: f64) -> (f64, Vec<f64>) {
+    let tensor = |values: &[f64], columns: usize| {
+        let data = TensorData::new(values.to_vec(), [values.len() / columns, columns]);
+        Tensor::<2>::from_data(data, (&Device::flex(), DType::F64))
+    };
+    let pose = Tensor::from_inner(tensor(inputs.pose, 4)).require_grad();
+    let value = miss(&pose, &tensor(inputs.points, 3), &tensor(inputs.directions, 3), scale).unwrap();
+    let gradient = pose.grad(&value.backward()).expect("tracked").into_data().try_to_vec::<f64>().unwrap();
+    (value.into_scalar::<f64>(), gradient)
+}
+
 /// A pose near the identity, points in front of it and directions near them, exact in f32.
-pub(super) fn sighted(count: usize) -> Sighted<Vec<f64>> {
+fn sighted(count: usize) -> Sighted<Vec<f64>> {
     let mut random = Random::new(count as u64);
     let mut pose = random.fill(POSE, -0.1, 0.1);
     (0..3).for_each(|i| pose[5 * i] += 1.0);
@@ -27,10 +46,12 @@ pub(super) fn sighted(count: usize) -> Sighted<Vec<f64>> {
         points.extend(point);
         directions.extend(away.map(|x| x / length));
     }
-    Sighted { pose, points, directions }.map(|values| values.iter().map(|value| f64::from(*value as f32)).collect())
+    let [pose, points, directions] = [pose, points, directions]
+        .map(|values: Vec<f64>| values.iter().map(|value| f64::from(*value as f32)).collect());
+    Sighted { pose, points, directions }
 }
 
-pub(super) const ROBUST: f64 = 0.0625;
+const ROBUST: f64 = 0.0625;
 
 #[test]
 fn no_correction_is_the_pose_to_the_last_bit_and_others_are_rigid() {
@@ -68,10 +89,9 @@ fn gradients_are_those_of_differences() {
             |correction: &[f64]| inner_product(&corrected_cpu(Corrected { correction, ..slices }, 1.5), &weights);
         check_gradient("correction", &inputs.correction, &found, 1, total);
     }
-    let inputs = sighted(600);
-    let slices = inputs.each_ref().map(|values| &values[..]);
-    let (_, gradient) = miss_cpu(slices, ROBUST);
-    check_gradient("pose", &inputs.pose, &gradient, 1, |pose| miss_cpu(Sighted { pose, ..slices }, ROBUST).0);
+    let Sighted { pose, points, directions } = sighted(600);
+    let at = |pose: &[f64]| miss_of(&Sighted { pose, points: &points[..], directions: &directions[..] }, ROBUST);
+    check_gradient("pose", &pose, &at(&pose).1, 1, |pose| at(pose).0);
 }
 
 #[test]
@@ -83,13 +103,14 @@ fn the_miss_is_about_the_mean_angle() {
         points: &[0.0, 0.0, 5.0, 0.0, 0.0, 2.0][..],
         directions: &[0.0, 0.0, 1.0, 1.0, 0.0, 0.0][..],
     };
-    let (value, _) = miss_cpu(inputs, 1e-3);
+    let (value, _) = miss_of(&inputs, 1e-3);
     assert!((value - 0.5 * ((2.0_f64 + 1e-6).sqrt() - 1e-3)).abs() < 1e-12, "{value}");
-    let empty = Sighted { points: &[][..], directions: &[][..], ..inputs };
-    assert_eq!(miss_cpu(empty, 1e-3), (0.0, vec![0.0; POSE]));
+    let nothing = Tensor::<2>::zeros([0, 3], &Device::flex());
+    let value = miss(&Tensor::zeros([3, 4], &Device::flex()), &nothing, &nothing, 1e-3).unwrap();
+    assert_eq!(value.into_scalar::<f32>(), 0.0);
     // A point at the camera has no direction, and numbers stay finite.
     let inside = Sighted { points: &[0.0, 0.0, 0.0][..], directions: &[0.0, 0.0, 1.0][..], ..inputs };
-    assert!(miss_cpu(inside, 1e-3).1.iter().all(|value| value.is_finite()));
+    assert!(miss_of(&inside, 1e-3).1.iter().all(|value| value.is_finite()));
 }
 
 #[test]
@@ -101,24 +122,17 @@ fn tensors_get_their_gradients_and_other_shapes_are_refused() {
     let (given, pose) = (tensor(&correction, [2, 3]).require_grad(), tensor(&cam_from_world, [3, 4]));
     let inputs = sighted(20);
     let (points, directions) = (tensor(&inputs.points, [20, 3]).inner(), tensor(&inputs.directions, [20, 3]).inner());
-    // A graph is differentiated once.
-    let moved = || corrected(&given, &pose, 2.0).unwrap();
-    let twin = miss(&moved(), &points, &directions, ROBUST).unwrap();
-    let tensors = miss_in_tensors(&moved(), &points, &directions, ROBUST);
-    let gradient = |value: Tensor<1>| {
-        let found = given.grad(&(value * 3.0).backward()).unwrap().into_data().try_to_vec::<f32>().unwrap();
-        found.into_iter().map(f64::from).collect::<Vec<f64>>()
-    };
-    let apart = twin.clone().into_scalar::<f32>() - tensors.clone().into_scalar::<f32>();
-    assert!(apart.abs() < 1e-6, "{apart}");
+    let found = miss(&corrected(&given, &pose, 2.0).unwrap(), &points, &directions, ROBUST).unwrap() * 3.0;
+    let found = given.grad(&found.backward()).unwrap().into_data().try_to_vec::<f32>().unwrap();
     let slices = Corrected { correction: &correction[..], cam_from_world: &cam_from_world[..] };
-    let sighted = |pose| Sighted { pose, points: &inputs.points[..], directions: &inputs.directions[..] };
-    let (_, of_pose) = miss_cpu(sighted(&corrected_cpu(slices, 2.0)[..]), ROBUST);
-    let expected = corrected_backward_cpu(slices, &of_pose, 2.0);
-    for (path, found) in [("twin", gradient(twin)), ("tensors", gradient(tensors))] {
-        for (found, expected) in found.iter().zip(&expected) {
-            assert!((found - 3.0 * expected).abs() < 1e-5, "{path}: {found} instead of {}", 3.0 * expected);
-        }
+    let sighted = Sighted {
+        pose: &corrected_cpu(slices, 2.0)[..],
+        points: &inputs.points[..],
+        directions: &inputs.directions[..],
+    };
+    let expected = corrected_backward_cpu(slices, &miss_of(&sighted, ROBUST).1, 2.0);
+    for (found, expected) in found.iter().zip(&expected) {
+        assert!((f64::from(*found) - 3.0 * expected).abs() < 1e-5, "{found} instead of {}", 3.0 * expected);
     }
     let wrong = tensor(&cam_from_world, [4, 3]);
     assert!(matches!(corrected(&given, &wrong, 1.0), Err(SplatError::Shape { name: "cam_from_world", .. })));

@@ -1,8 +1,11 @@
 //! The tally as an operation on GPUs. On CPUs it is tensor code.
 
+#[cfg(feature = "cube")]
 use super::launch::launch_tally;
+#[cfg(feature = "cube")]
 use crate::backend::cube::{buffer, owned};
 use crate::backend::*;
+#[cfg(feature = "cube")]
 use crate::gpu::Buffer;
 
 /// Adds the gradients of one step, `[N, 2]`. Takes them and, from the second step on, sums of norms and numbers of steps, `[N]` each;
@@ -17,6 +20,7 @@ impl Operation for AddToTally {
         vec![inputs[0].as_ref().map(|grad| grad.with_shape([grad.shape[0]])); 2]
     }
 
+    #[cfg(feature = "cube")]
     fn launch(&self, mut args: GpuArgs) -> Vec<Bound> {
         let (gpu, grad, count) = (args.gpu(), args.buffer(0), args.shape(0)[0]);
         let begins = !args.has(1);

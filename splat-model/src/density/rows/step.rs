@@ -3,7 +3,7 @@
 use burn::module::{Param, ParamId};
 use burn::tensor::{DType, Device, Int, Shape, Tensor};
 use splat_op::RawSplats;
-use splat_op::adam::{Factors, Raw, SceneStep, SteppedScene, step_scene, steps_scenes};
+use splat_op::adam::{Factors, Raw, SceneStep, SteppedScene, has_kernel, step_scene};
 
 use super::{Gradients, Trained};
 use crate::gaussians::{Gaussians, parameter};
@@ -74,7 +74,7 @@ impl Trained {
                 logit_opacities: Some(logit_opacities),
                 sh: Some(sh),
                 ..
-            } if steps_scenes(&means) && self.moments.means.bits() == MomentBits::ThirtyTwo => {
+            } if has_kernel(&means) && self.moments.means.bits() == MomentBits::ThirtyTwo => {
                 let grads = RawSplats { means, rotations: of_rotations, log_scales, logit_opacities, sh };
                 let rates = [rates.means.into(), rotations.into(), scales.into(), opacities.into(), sh_rates];
                 let factors = Raw::from_array(rates.map(|rate| adam.factors(rate, step)));

@@ -38,7 +38,6 @@ use burn::tensor::{Int, Tensor};
 pub use cpu::{HostState, step_on_host};
 
 use super::Factors;
-#[cfg(feature = "cube")]
 use crate::backend::apply;
 
 /// How moments are packed.
@@ -137,21 +136,15 @@ pub struct PackedStep<const D: usize> {
 /// Performs one step of Adam on `from`; all tensors are without autodiff. If a step is entered in `verdict`, nothing changes.
 /// Pass `from` by its only handle: memory that nothing else holds is reused.
 ///
-/// # Errors
-/// Returns `from` on devices without this operation; use [`step_on_host`] there.
-#[cfg_attr(not(feature = "cube"), expect(unused_variables, reason = "no GPU runtime is compiled in"))]
-#[expect(clippy::result_large_err, reason = "the error is the argument, handed back")]
+/// # Panics
+/// If [`super::has_kernel`] is false; use [`step_on_host`] there.
 pub fn step_packed<const D: usize>(
     from: PackedStep<D>,
     grad: &Tensor<D>,
     verdict: Option<&Tensor<1, Int>>,
     factors: PackedFactors,
-) -> Result<PackedStep<D>, PackedStep<D>> {
-    #[cfg(feature = "cube")]
-    if super::taken(&from.param) {
-        let inputs = [from.param.into(), grad.into(), from.words.into(), verdict.into()];
-        let mut found = apply(super::operation::AdamPacked(factors), inputs);
-        return Ok(PackedStep { param: found.float(0), words: found.int(1) });
-    }
-    Err(from)
+) -> PackedStep<D> {
+    let inputs = [from.param.into(), grad.into(), from.words.into(), verdict.into()];
+    let mut found = apply(super::operation::AdamPacked(factors), inputs);
+    PackedStep { param: found.float(0), words: found.int(1) }
 }
