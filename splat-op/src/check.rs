@@ -16,16 +16,16 @@ pub(crate) struct Reference {
 
 impl Reference {
     /// Takes the float type and device of `tensor`. The type must be supported by the device.
-    pub fn new<const D: usize>(tensor: &Tensor<D>) -> Result<Self, SplatError> {
+    pub fn new<const D: usize>(name: &'static str, tensor: &Tensor<D>) -> Result<Self, SplatError> {
         let dtype = tensor.dtype();
         let device = tensor.device();
         match dtype {
             DType::F64 if buffer_limit(&device).is_some() => {
                 let expected = "F32, the float type of GPUs (move tensors to a CPU device for F64)".into();
-                Err(SplatError::DType { name: "means", found: "F64".into(), expected })
+                Err(SplatError::DType { name, found: "F64".into(), expected })
             }
             DType::F32 | DType::F64 => Ok(Self { dtype, device, or_half: false }),
-            _ => Err(SplatError::DType { name: "means", found: format!("{dtype:?}"), expected: "F32 or F64".into() }),
+            _ => Err(SplatError::DType { name, found: format!("{dtype:?}"), expected: "F32 or F64".into() }),
         }
     }
 

@@ -43,7 +43,7 @@ fn blocks_visible(
         return Err(SplatError::Shape { name: "sh", found: counts, expected, hint });
     }
     if let Some((packed, _)) = &visible {
-        Reference::new(means)?.check("projected", packed, [Some(count), Some(COLUMNS)], "[N, 7]")?;
+        Reference::new("means", means)?.check("projected", packed, [Some(count), Some(COLUMNS)], "[N, 7]")?;
     }
     let mut first = 0;
     // Burn narrows no tensor to no rows.
@@ -69,7 +69,7 @@ fn sh_visible(
     camera: &Camera,
     (visible, options): (Option<(Tensor<2>, Intrinsics)>, &RenderOptions),
 ) -> Result<Tensor<2>, SplatError> {
-    let reference = Reference::new(means)?;
+    let reference = Reference::new("means", means)?;
     let count = means.dims()[0];
     reference.check("means", means, [None, Some(3)], "[N, 3]")?;
     reference.check("cam_from_world", &camera.cam_from_world, [Some(3), Some(4)], "[3, 4]")?;

@@ -142,7 +142,7 @@ impl Ellipses {
     pub fn pack(self, intrinsics: &Intrinsics) -> Result<Projected, SplatError> {
         intrinsics.check()?;
         let count = self.mean2d.dims()[0];
-        let reference = Reference::new(&self.mean2d)?;
+        let reference = Reference::new("mean2d", &self.mean2d)?;
         reference.check("mean2d", &self.mean2d, [Some(count), Some(2)], "[N, 2]")?;
         let mut columns = vec![self.mean2d];
         for (name, column) in [
@@ -257,7 +257,7 @@ fn rasterized(
 ) -> Result<Rendered<3>, SplatError> {
     options.check()?;
     check_rays(projected, options)?;
-    let reference = Reference::new(&projected.packed)?;
+    let reference = Reference::new("projected", &projected.packed)?;
     let count = projected.len();
     reference.check("features", features, [Some(count), None], "[N, C]")?;
     let channels = features.dims()[1];
@@ -291,7 +291,7 @@ fn rasterized(
 fn check_geometry(splats: &Splats, camera: &Camera, options: &RenderOptions) -> Result<Reference, SplatError> {
     options.check()?;
     camera.intrinsics.check()?;
-    let reference = Reference::new(&splats.means)?;
+    let reference = Reference::new("means", &splats.means)?;
     let count = splats.means.dims()[0];
     reference.check("means", &splats.means, [None, Some(3)], "[N, 3]")?;
     reference.check("rotations", &splats.rotations, [Some(count), Some(4)], "[N, 4]")?;

@@ -60,15 +60,15 @@ impl Truth {
     pub fn new(truth: Tensor<3>) -> Self {
         let layout = planes(truth.inner());
         // One copy per photograph instead of a strided read at every step.
-        let planes = contiguous(&layout);
-        let [mean, variance] = moments(&planes);
+        let planes = contiguous(&layout).unwrap_or_else(|error| panic!("{error}"));
+        let [mean, variance] = moments(&planes).unwrap_or_else(|error| panic!("{error}"));
         Self { planes, mean, variance }
     }
 
     /// The loss `(1 − λ) L1 + λ (1 − SSIM)` of a picture `[1, C, H, W]` without autodiff and, if requested, its derivative.
     pub(super) fn loss(&self, x: &Tensor<4>, lambda: f64, with_derivative: bool) -> (Tensor<1>, Option<Tensor<4>>) {
         let photograph = [&self.planes, &self.mean, &self.variance];
-        splat_op::loss::photometric(x, photograph, lambda, with_derivative)
+        splat_op::loss::photometric(x, photograph, lambda, with_derivative).unwrap_or_else(|error| panic!("{error}"))
     }
 
     /// The photograph, `[H, W, C]`.

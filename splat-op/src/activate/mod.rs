@@ -64,7 +64,7 @@ pub struct RawSplats {
 /// # Errors
 /// If the shape or the float type does not fit.
 pub fn scales(log_scales: &Tensor<2>) -> Result<Tensor<2>, SplatError> {
-    let reference = Reference::new(log_scales)?;
+    let reference = Reference::new("log_scales", log_scales)?;
     reference.check("log_scales", log_scales, [None, Some(3)], "[N, 3]")?;
     Ok(apply(operation::Scales, [log_scales.into()]).float(0))
 }
@@ -86,7 +86,7 @@ pub fn opacities(raw: &RawSplats) -> Result<Tensor<1>, SplatError> {
 /// # Errors
 /// If a tensor's shape, type or device does not fit.
 pub fn activated(raw: &RawSplats, mark: Option<&Tensor<1, Int>>) -> Result<(Tensor<2>, Tensor<1>), SplatError> {
-    let reference = Reference::new(&raw.means)?;
+    let reference = Reference::new("means", &raw.means)?;
     let count = raw.means.dims()[0];
     reference.check("means", &raw.means, [None, Some(3)], "[N, 3]")?;
     reference.check("rotations", &raw.rotations, [Some(count), Some(4)], "[N, 4]")?;

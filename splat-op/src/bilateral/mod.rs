@@ -72,7 +72,7 @@ impl SliceSize {
 /// # Errors
 /// If a shape is not as documented, or if float types or devices differ.
 pub fn slice(image: &Tensor<3>, grid: &Tensor<4>) -> Result<Tensor<3>, SplatError> {
-    let reference = Reference::new(image)?;
+    let reference = Reference::new("image", image)?;
     reference.check("image", image, [None, None, Some(3)], "[H, W, 3]")?;
     reference.check("grid", grid, [Some(MAP), None, None, None], "[12, L, R, C]")?;
     let [_, levels, rows, columns] = grid.dims();

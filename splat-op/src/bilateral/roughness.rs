@@ -15,7 +15,7 @@ use crate::error::SplatError;
 /// # Errors
 /// If the shape is not as documented, or the float type has no kernel.
 pub fn roughness(grid: &Tensor<4>) -> Result<Tensor<1>, SplatError> {
-    Reference::new(grid)?.check("grid", grid, [Some(MAP), None, None, None], "[12, L, R, C]")?;
+    Reference::new("grid", grid)?.check("grid", grid, [Some(MAP), None, None, None], "[12, L, R, C]")?;
     let zero = Tensor::zeros([1], (&grid.device(), grid.dtype()));
     Ok((1..4).filter(|&axis| grid.dims()[axis] > 1).fold(zero, |sum, axis| {
         let differences = grid.dims()[axis] - 1;

@@ -38,7 +38,7 @@ record! {
 /// # Errors
 /// If a shape is not as documented, or if float types or devices differ.
 pub fn apply(image: &Tensor<3>, map: &Tensor<2>) -> Result<Tensor<3>, SplatError> {
-    let reference = Reference::new(image)?;
+    let reference = Reference::new("image", image)?;
     reference.check("image", image, [None, None, Some(3)], "[H, W, 3]")?;
     reference.check("map", map, [Some(3), Some(4)], "[3, 4]")?;
     // Pictures come from `rasterize` as planes, so that this moves nothing.

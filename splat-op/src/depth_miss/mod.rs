@@ -34,7 +34,7 @@ pub fn depth_miss(
     known: &Tensor<1>,
     pixels: &Tensor<1, Int>,
 ) -> Result<Tensor<1>, SplatError> {
-    let reference = Reference::new(depth)?;
+    let reference = Reference::new("depth", depth)?;
     let ([height, width, _], count) = (depth.dims(), known.dims()[0]);
     reference.check("depth", depth, [None, None, Some(1)], "[H, W, 1]")?;
     reference.check("alpha", alpha, [Some(height), Some(width), Some(1)], "[H, W, 1]")?;

@@ -59,7 +59,7 @@ pub fn over(
     coefficients: &Tensor<2>,
 ) -> Result<Tensor<3>, SplatError> {
     const COEFFICIENTS: &str = "[(degree+1)², 3]";
-    let reference = Reference::new(image)?;
+    let reference = Reference::new("image", image)?;
     let [height, width, _] = image.dims();
     reference.check("image", image, [None, None, Some(3)], "[H, W, 3]")?;
     reference.check("alpha", alpha, [Some(height), Some(width), Some(1)], "[H, W, 1]")?;

@@ -36,54 +36,60 @@ pub(crate) mod taps;
 #[cfg(test)]
 mod tests;
 
-use burn::tensor::{DType, Tensor};
+use burn::tensor::Tensor;
 use taps::Compared;
 pub use taps::{C1, C2, SIGMA_PX, TAPS};
 
-use crate::abilities::is_gpu;
 use crate::backend::{Slot, apply};
+use crate::check::Reference;
+use crate::error::SplatError;
 
 /// Computes the loss of `image` against a photograph, `[.., H, W]` f32, or f64 on CPUs, without autodiff. Returns
 /// the loss and, if `with_gradient` is set, its gradient.
 ///
 /// `photograph` is the photograph, its mean `μy` and its variance `σy² + C2`, all of the shape of the picture; `lambda`
 /// weighs the dissimilarity.
+///
+/// # Errors
+/// If shapes, float types or devices differ, or if the float type has no kernel.
 pub fn photometric<const D: usize>(
     image: &Tensor<D>,
     photograph: [&Tensor<D>; 3],
     lambda: f64,
     with_gradient: bool,
-) -> (Tensor<1>, Option<Tensor<D>>) {
-    for tensor in [image, photograph[0], photograph[1], photograph[2]] {
-        check(tensor);
-        assert_eq!(tensor.dims(), image.dims(), "a picture and its photograph must have the same shape");
-        assert_eq!(tensor.dtype(), image.dtype(), "a picture and its photograph must have the same float type");
+) -> Result<(Tensor<1>, Option<Tensor<D>>), SplatError> {
+    let reference = checked("image", image)?;
+    for (name, planes) in ["truth", "mean", "variance"].into_iter().zip(photograph) {
+        reference.check(name, planes, image.dims().map(Some), "that of the picture")?;
     }
     let [truth, mean, variance] = photograph.map(Slot::from);
     let inputs = Compared { image: image.into(), truth, mean, variance };
     let mut found = apply(operation::Photometric { lambda, with_gradient }, inputs.into_array());
-    (found.float(0), with_gradient.then(|| found.float(1)))
+    Ok((found.float(0), with_gradient.then(|| found.float(1))))
 }
 
 /// Returns the mean `μy` and the variance `σy² + C2` of a photograph's planes, `[.., H, W]` f32, or f64 on CPUs, without autodiff: what
 /// [`photometric`] takes besides the planes.
-pub fn moments<const D: usize>(photograph: &Tensor<D>) -> [Tensor<D>; 2] {
-    check(photograph);
+///
+/// # Errors
+/// If the float type has no kernel.
+pub fn moments<const D: usize>(photograph: &Tensor<D>) -> Result<[Tensor<D>; 2], SplatError> {
+    checked("photograph", photograph)?;
     let mut found = apply(operation::Moments, [photograph.into()]);
-    [0, 1].map(|i| found.float(i))
+    Ok([0, 1].map(|i| found.float(i)))
 }
 
-fn check<const D: usize>(tensor: &Tensor<D>) {
-    assert!(D >= 2, "a picture must have rows and columns, found {D} dimension");
-    let dtype = tensor.dtype();
-    assert!(
-        dtype == DType::F32 || dtype == DType::F64 && !is_gpu(&tensor.device()),
-        "pictures must be f32, or f64 on a CPU; found {dtype:?}"
-    );
+/// Takes the float type and device of planes, `[.., H, W]`.
+fn checked<const D: usize>(name: &'static str, planes: &Tensor<D>) -> Result<Reference, SplatError> {
+    const { assert!(D >= 2, "a picture has rows and columns") };
+    Reference::new(name, planes)
 }
 
 /// Returns the planes contiguous in memory. Planes that every step reads need not be rearranged at every step.
-pub fn contiguous<const D: usize>(planes: &Tensor<D>) -> Tensor<D> {
-    check(planes);
-    apply(operation::Contiguous, [planes.into()]).float(0)
+///
+/// # Errors
+/// If the float type has no kernel.
+pub fn contiguous<const D: usize>(planes: &Tensor<D>) -> Result<Tensor<D>, SplatError> {
+    checked("planes", planes)?;
+    Ok(apply(operation::Contiguous, [planes.into()]).float(0))
 }

@@ -155,7 +155,7 @@ fn exposed(projected: &Projected, twist: &Tensor<1>, exposure: Exposure, margin:
                        instead, which any camera can do",
         });
     }
-    let reference = Reference::new(projected.packed())?;
+    let reference = Reference::new("projected", projected.packed())?;
     reference.check("twist", twist, [Some(PARAMETERS)], "[6]")?;
     let inputs = Exposed { projected: projected.packed().into(), twist: twist.into() };
     let spec = OpticsSpec { intrinsics, exposure, margin };

@@ -60,7 +60,7 @@ record! {
 /// # Errors
 /// If a shape is not as documented, or if float types or devices differ.
 pub fn corrected(correction: &Tensor<2>, cam_from_world: &Tensor<2>, unit: f64) -> Result<Tensor<2>, SplatError> {
-    let reference = Reference::new(correction)?;
+    let reference = Reference::new("correction", correction)?;
     reference.check("correction", correction, [Some(2), Some(3)], "[2, 3]")?;
     reference.check("cam_from_world", cam_from_world, [Some(3), Some(4)], "[3, 4]")?;
     let inputs = Corrected { correction: correction.into(), cam_from_world: cam_from_world.into() };
@@ -76,7 +76,7 @@ pub fn corrected(correction: &Tensor<2>, cam_from_world: &Tensor<2>, unit: f64) 
 pub fn miss(pose: &Tensor<2>, points: &Tensor<2>, directions: &Tensor<2>, scale: f64) -> Result<Tensor<1>, SplatError> {
     let tracked = pose.is_autodiff();
     let values = if tracked { pose.clone().inner() } else { pose.clone() };
-    let reference = Reference::new(&values)?;
+    let reference = Reference::new("pose", &values)?;
     let count = points.dims()[0];
     reference.check("pose", &values, [Some(3), Some(4)], "[3, 4]")?;
     reference.check("points", points, [None, Some(3)], "[M, 3]")?;

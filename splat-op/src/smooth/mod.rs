@@ -51,7 +51,7 @@ pub fn smoothed(
     opacities: &Tensor<1>,
     widths: &Tensor<2>,
 ) -> Result<(Tensor<2>, Tensor<1>), SplatError> {
-    let reference = Reference::new(scales)?;
+    let reference = Reference::new("scales", scales)?;
     let count = scales.dims()[0];
     reference.check("scales", scales, [None, Some(3)], "[N, 3]")?;
     reference.check("opacities", opacities, [Some(count)], "[N]")?;
