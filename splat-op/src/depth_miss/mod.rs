@@ -56,7 +56,7 @@ pub fn depth_miss(
     let inside = pixels.clone().clamp(0, plane as i64 - 1);
     let values = if tracked { alpha.clone().inner() } else { alpha.clone() };
     let exists = inside.clone().equal(pixels.clone());
-    let counts = at(values, inside.clone()).greater_equal_elem(COVERED).bool_and(exists).float();
+    let counts = at(values, inside.clone()).greater_equal_elem(COVERED).bool_and(exists).float().cast(depth.dtype());
     let share = counts.clone() / counts.sum().clamp_min(1.0);
     let inside = if tracked { Tensor::from_inner(inside) } else { inside };
     let divisor = at(alpha.clone(), inside.clone()).clamp_min(COVERED) * constant(known, tracked);
