@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use splat_op::{Splats, read_back};
 
 use self::relocate::share;
-use super::noise::Noise;
+use super::noise::{Noise, apart};
 use super::order::z_order;
 use super::pick::{counts, ones, picked, repeated, rounded_down, rows_on, running_sums};
 use super::rotate::{rotated, unit};
@@ -144,14 +144,17 @@ impl Mcmc {
         let means = scene.gaussians.means.val().inner();
         let normal = self.noise.draw(means.dims()[0], rng, &means.device());
         let by = self.config.noise * at.means_rate / (self.extent * self.extent);
-        let moved = means.clone() + self.displacements(&scene.gaussians, normal) * by;
-        scene.replace_means(match at.verdict {
-            None => moved,
-            Some(verdict) => {
-                let held = verdict.clone().narrow(0, 0, 1).not_equal_elem(0).reshape([1, 1]).expand(means.shape());
-                moved.mask_where(held, means)
+        let device = means.device();
+        scene.replace_means(apart(&device, || {
+            let moved = means.clone() + self.displacements(&scene.gaussians, normal) * by;
+            match at.verdict {
+                None => moved,
+                Some(verdict) => {
+                    let held = verdict.clone().narrow(0, 0, 1).not_equal_elem(0).reshape([1, 1]).expand(means.shape());
+                    moved.mask_where(held, means)
+                }
             }
-        });
+        }));
     }
 
     /// `Σ η σ(k (t − o))`, `[N, 3]`, for normal `η`, `[N, 3]`. Sizes are limited to the scene's. With `Σ = R S² Rᵀ`, `Rᵀ η`

@@ -64,6 +64,20 @@ impl Noise {
 
 /// `[rows, 3]`: standard normal deviates.
 pub(super) fn normal(seed: u64, rows: usize, device: &Device) -> Tensor<2> {
+    apart(device, || deviates(seed, rows, device))
+}
+
+/// Runs tensor code apart from what was registered before and what comes after. Fusion joins operations with their neighbours, and a
+/// kernel's rounding depends on what else it does: apart, equal inputs have equal results, which a resumed run needs. A device that
+/// cannot flush says so at the next read.
+pub(super) fn apart<T>(device: &Device, run: impl FnOnce() -> T) -> T {
+    let _ = device.flush();
+    let found = run();
+    let _ = device.flush();
+    found
+}
+
+fn deviates(seed: u64, rows: usize, device: &Device) -> Tensor<2> {
     // A count gives two deviates.
     let pairs = (3 * rows).div_ceil(2);
     let (high, low) = scrambled(seed, pairs, device);
