@@ -110,6 +110,11 @@ impl Projected {
     }
 }
 
+/// Whether lists made with some options hold what a render with others needs: a smaller `alpha_min` lists more.
+fn lists_serve(made: &RenderOptions, options: &RenderOptions) -> bool {
+    made.alpha_min <= options.alpha_min && *made == RenderOptions { alpha_min: made.alpha_min, ..*options }
+}
+
 impl Intersections {
     /// Refuses lists of other Gaussians, of another picture or of other options: kernels do not check the indices in them.
     fn check(&self, count: usize, spec: &RasterizeSpec) -> Result<(), SplatError> {
@@ -121,12 +126,12 @@ impl Intersections {
             format!("lists of {}, for {}", size(&of.intrinsics), size(&spec.intrinsics))
         } else if of.intrinsics != spec.intrinsics {
             "lists of another camera".into()
-        } else if of.options != spec.options {
+        } else if !lists_serve(&of.options, &spec.options) {
             format!("lists with {:?}, for {:?}", of.options, spec.options)
         } else {
             return Ok(());
         };
-        let expected = "the result of `intersect` on these ellipses, with these options";
+        let expected = "the result of `intersect` on these ellipses, with these options or a smaller `alpha_min`";
         Err(SplatError::Value { field: "intersections", found, expected })
     }
 }

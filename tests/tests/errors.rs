@@ -165,6 +165,9 @@ fn lists_of_another_view_are_refused() {
     assert_names(&refusal(&view(COUNT, larger), &options), "intersections", "40 × 30 px, for 8 × 6 px");
     let other = Intrinsics { fx: 9.0, ..CAMERA };
     assert_names(&refusal(&view(COUNT, other), &options), "intersections", "another camera");
+    let [fewer, more] = [0.1, 0.0].map(|alpha_min| RenderOptions { alpha_min, ..options });
+    assert_names(&refusal(&projected, &fewer), "intersections", "a smaller `alpha_min`");
+    with(&projected, &more).expect("lists of all pairs serve any threshold");
     let deep = options.with_depth(true);
     assert_names(&refusal(&projected, &deep), "intersections", "depth: true");
 }
