@@ -475,7 +475,7 @@ fn the_sharpest_frames_of_a_video_are_used() {
     assert_eq!(alone.called()[1], "sequential_matcher");
     // Without ffmpeg, and with something that is no video.
     refuse(&mut alone.splat("ok", &["reconstruct", text(&clip)]), &["ffmpeg", "not installed", "apt install ffmpeg"]);
-    fs::write(alone.path("note.mp4"), "no video").unwrap();
+    fs::write(alone.path("note.mp4"), [0, 0x9f, 0x92, 0x96].repeat(16)).unwrap();
     let mut command = alone.splat("ok", &["reconstruct", "note.mp4"]);
     let path = env::join_paths([alone.path("bin"), "/usr/bin".into(), "/usr/local/bin".into()]).unwrap();
     refuse(command.env("PATH", path), &["note.mp4", "no pictures", "Invalid data"]);
