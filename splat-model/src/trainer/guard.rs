@@ -57,7 +57,6 @@ impl Guard {
     ///
     /// # Errors
     /// The non-finite values, if they are known yet.
-    #[expect(clippy::result_large_err, reason = "the error of `watch` is its argument, handed back")]
     pub fn look(
         &mut self,
         step: usize,

@@ -85,7 +85,7 @@ impl Operation for Activated {
         let of_logits = of_logits.then(|| {
             let mut slopes = opacity_slopes_cpu::<F>(&args.floats(3), &args.output(1));
             let grad = args.grad::<F>(1).expect("a gradient reaches the logits");
-            slopes.iter_mut().zip(grad.iter()).for_each(|(slope, &grad)| *slope = *slope * grad);
+            slopes.iter_mut().zip(grad.iter()).for_each(|(slope, &grad)| *slope *= grad);
             Found::Floats(slopes)
         });
         let of_logs = if of_logs { Found::Product(0) } else { Found::Nothing };
