@@ -1,5 +1,7 @@
 //! Adam's step and the verdict that makes it skip, as operations on GPUs. On CPUs they are tensor code.
 
+#![cfg_attr(not(feature = "cube"), allow(dead_code, reason = "kernels read the fields"))]
+
 #[cfg(feature = "cube")]
 use burn::backend::TensorMetadata;
 #[cfg(feature = "cube")]

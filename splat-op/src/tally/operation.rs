@@ -1,5 +1,7 @@
 //! The tally as an operation on GPUs. On CPUs it is tensor code.
 
+#![cfg_attr(not(feature = "cube"), allow(dead_code, reason = "kernels read the fields"))]
+
 #[cfg(feature = "cube")]
 use super::launch::launch_tally;
 #[cfg(feature = "cube")]
