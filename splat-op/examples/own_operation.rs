@@ -2,7 +2,7 @@
 
 use burn::tensor::{Device, DeviceType, Tensor};
 use cubecl::prelude::*;
-use splat_op::backend::{Bound, Found, GpuArgs, HostArgs, Operation, Real, Spec, apply};
+use splat_op::backend::{GpuArgs, GpuOutput, HostArgs, HostOutput, Operation, Real, apply};
 
 /// Reinhard's tone curve, `y = x / (1 + x)`, whose derivative is `(1 + x)⁻²`.
 #[derive(Clone, Debug)]
@@ -24,15 +24,11 @@ fn slope(x: &[f32], grad: &[f32], out: &mut [f32]) {
 }
 
 impl Operation for ToneCurve {
-    fn outputs(&self, inputs: &[Option<Spec>]) -> Vec<Option<Spec>> {
-        inputs.to_vec()
+    fn run<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {
+        vec![HostOutput::floats(args.floats::<F>(0).iter().map(|&x| x / (F::ONE + x)).collect())]
     }
 
-    fn run<F: Real>(&self, args: &HostArgs) -> Vec<Found<F>> {
-        vec![Found::Floats(args.floats::<F>(0).iter().map(|&x| x / (F::ONE + x)).collect())]
-    }
-
-    fn launch(&self, args: GpuArgs) -> Vec<Bound> {
+    fn launch(&self, args: GpuArgs) -> Vec<GpuOutput> {
         let (len, x) = (args.shape(0).num_elements(), args.handle(0));
         let (count, dim, y) = (cubes(len), CubeDim::new_1d(256), args.client().empty(4 * len));
         // SAFETY: both have this many elements, and the kernel keeps within them.
@@ -45,13 +41,13 @@ impl Operation for ToneCurve {
         &[0]
     }
 
-    fn run_backward<F: Real>(&self, args: &HostArgs) -> Vec<Found<F>> {
+    fn run_backward<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {
         let (x, grad) = (args.floats::<F>(0), args.only_grad::<F>());
         let slope = |(&x, &grad): (&F, &F)| grad / ((F::ONE + x) * (F::ONE + x));
-        vec![Found::Floats(x.iter().zip(grad.iter()).map(slope).collect())]
+        vec![HostOutput::floats(x.iter().zip(grad.iter()).map(slope).collect())]
     }
 
-    fn launch_backward(&self, args: GpuArgs) -> Vec<Bound> {
+    fn launch_backward(&self, args: GpuArgs) -> Vec<GpuOutput> {
         let (len, x, grad) = (args.shape(0).num_elements(), args.handle(0), args.grad_handle(0));
         let (count, dim, out) = (cubes(len), CubeDim::new_1d(256), args.client().empty(4 * len));
         // SAFETY: as forwards; a gradient has the shape of its output.

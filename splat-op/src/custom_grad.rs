@@ -13,12 +13,12 @@ impl Operation for WithGradient {
         vec![inputs[1].clone()]
     }
 
-    fn run<F: Real>(&self, _: &HostArgs) -> Vec<Found<F>> {
-        vec![Found::Input(1)]
+    fn run<F: Real>(&self, _: &HostArgs) -> Vec<HostOutput> {
+        vec![HostOutput::Input(1)]
     }
 
     #[cfg(feature = "cube")]
-    fn launch(&self, args: GpuArgs) -> Vec<Bound> {
+    fn launch(&self, args: GpuArgs) -> Vec<GpuOutput> {
         vec![Some(args.handle(1))]
     }
 
@@ -26,12 +26,12 @@ impl Operation for WithGradient {
         &[0]
     }
 
-    fn run_backward<F: Real>(&self, args: &HostArgs) -> Vec<Found<F>> {
-        vec![Found::Scaled(2, args.only_grad()[0]), Found::Nothing, Found::Nothing]
+    fn run_backward<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {
+        vec![HostOutput::Scaled(2, args.only_grad::<F>()[0].f64()), HostOutput::Nothing, HostOutput::Nothing]
     }
 
     #[cfg(feature = "cube")]
-    fn launch_backward(&self, mut args: GpuArgs) -> Vec<Bound> {
+    fn launch_backward(&self, mut args: GpuArgs) -> Vec<GpuOutput> {
         use crate::backend::cube::{buffer, owned};
 
         let (gpu, factor) = (args.gpu(), args.only_grad());

@@ -224,12 +224,12 @@ pub fn intersect(projected: &Projected, options: &RenderOptions) -> Result<Inter
 /// Rasterizes features `[N, C]`: blends the Gaussians of each tile front to back over `extras.background`.
 ///
 /// Returns a picture `[H, W, C]`, its alpha and, if asked for, its depth. Differentiable in the ellipses, the features and the
-/// background. `intersections` must come from `projected` with the same options. Of `extras`, only `background` and
+/// background. `intersections` must come from `projected` with the same options; a smaller `alpha_min` serves too. Of `extras`, only `background` and
 /// `mean2d_abs_probe` are read. Equations and sources: [`crate::rasterize`](mod@crate::rasterize).
 ///
 /// # Errors
-/// If a tensor's shape, type or device does not fit, if an option is out of range, or if `projected` was not made with
-/// `options.projection`.
+/// If a tensor's shape, type or device does not fit, if an option is out of range, if `projected` was not made with
+/// `options.projection`, or if `intersections` are of other Gaussians, another camera or other options.
 pub fn rasterize(
     projected: &Projected,
     features: &Tensor<2>,

@@ -28,9 +28,11 @@ pub fn pair_counts(
 ) -> Result<Option<PairCounts>, crate::SplatError> {
     let trace = crate::rasterize::TraceCell::default();
     count_pairs(true);
+    // Reading waits until the render has run, after which nothing is counted, in case of an error too.
     let rendered = crate::stages::traced(projected, features, intersections, options, &trace);
-    let _ = rendered?.colour.into_data();
+    let rendered = rendered.map(|rendered| rendered.colour.into_data());
     count_pairs(false);
+    rendered?;
     let gpu = crate::abilities::gpu(&features.device());
     let counts = trace.kept::<crate::rasterize::trace::DeviceTrace>().zip(gpu);
     Ok(counts.and_then(|(trace, gpu)| trace.pair_counts(&gpu)))

@@ -2,7 +2,8 @@
 
 use burn::tensor::{DType, Device, Tensor};
 use splat_op::{
-    Camera, Colour, Extras, Intrinsics, RenderOptions, SplatError, evaluate_sh, intersect, project, rasterize, render,
+    Camera, Colour, Extras, Intrinsics, Projected, RenderOptions, SplatError, evaluate_sh, intersect, project,
+    rasterize, render,
 };
 use splat_tests::ndarray;
 use splat_tests::random::Random;
@@ -153,13 +154,12 @@ fn lists_of_another_view_are_refused() {
         project(&splats, &camera, &Extras::default(), &options).expect("nothing is wrong with it")
     };
     let projected = view(COUNT, CAMERA);
-    let with = |lists: &splat_op::Projected, list_options: &RenderOptions| {
+    let with = |lists: &Projected, list_options: &RenderOptions| {
         let lists = intersect(lists, list_options).expect("nothing is wrong with it");
         rasterize(&projected, &zeros([COUNT, 3]), &lists, &Extras::default(), &options)
     };
     with(&projected, &options).expect("its own lists");
-    let refusal =
-        |lists: &splat_op::Projected, options: &RenderOptions| with(lists, options).expect_err("refused").to_string();
+    let refusal = |lists: &Projected, options: &RenderOptions| with(lists, options).expect_err("refused").to_string();
     assert_names(&refusal(&view(COUNT + 3, CAMERA), &options), "intersections", "8 Gaussians, for 5");
     let larger = Intrinsics { width: 40, height: 30, ..CAMERA };
     assert_names(&refusal(&view(COUNT, larger), &options), "intersections", "40 × 30 px, for 8 × 6 px");

@@ -5,8 +5,8 @@ use super::cpu::{all_finite_cpu, opacities_cpu, opacity_slopes_cpu, scales_cpu};
 use super::launch::{launch_activate, launch_non_finite, launch_opacities_backward, launch_scales};
 use super::rule::Raw;
 #[cfg(feature = "cube")]
-use crate::backend::cube::{bound, product};
-use crate::backend::host::{found, slices};
+use crate::backend::cube::{gpu_outputs, product};
+use crate::backend::host::{float_outputs, slices};
 use crate::backend::*;
 
 /// Standard deviations `[N, 3]` from their logarithms.
@@ -14,17 +14,13 @@ use crate::backend::*;
 pub(super) struct Scales;
 
 impl Operation for Scales {
-    fn outputs(&self, inputs: &[Option<Spec>]) -> Vec<Option<Spec>> {
-        inputs.to_vec()
-    }
-
-    fn run<F: Real>(&self, args: &HostArgs) -> Vec<Found<F>> {
-        found([scales_cpu(&args.floats(0))])
+    fn run<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {
+        float_outputs([scales_cpu::<F>(&args.floats(0))])
     }
 
     #[cfg(feature = "cube")]
-    fn launch(&self, args: GpuArgs) -> Vec<Bound> {
-        bound([launch_scales(&args.gpu(), &args.buffer(0))])
+    fn launch(&self, args: GpuArgs) -> Vec<GpuOutput> {
+        gpu_outputs([launch_scales(&args.gpu(), &args.buffer(0))])
     }
 
     fn differentiable(&self) -> &'static [usize] {
@@ -36,12 +32,12 @@ impl Operation for Scales {
     }
 
     // The scales equal the derivatives, and are zero where the logarithm was unusable.
-    fn run_backward<F: Real>(&self, _: &HostArgs) -> Vec<Found<F>> {
-        vec![Found::Product(0)]
+    fn run_backward<F: Real>(&self, _: &HostArgs) -> Vec<HostOutput> {
+        vec![HostOutput::Product(0)]
     }
 
     #[cfg(feature = "cube")]
-    fn launch_backward(&self, args: GpuArgs) -> Vec<Bound> {
+    fn launch_backward(&self, args: GpuArgs) -> Vec<GpuOutput> {
         vec![args.grad(0).map(|grad| product(args.output(0), grad))]
     }
 }
@@ -56,16 +52,16 @@ impl Operation for Activated {
         vec![inputs[2].clone(), inputs[3].clone()]
     }
 
-    fn run<F: Real>(&self, args: &HostArgs) -> Vec<Found<F>> {
+    fn run<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {
         let read = args.all::<F, 5>();
         let raw = Raw::from_array(slices(&read));
-        found([scales_cpu(raw.log_scales), opacities_cpu(raw)])
+        float_outputs([scales_cpu(raw.log_scales), opacities_cpu(raw)])
     }
 
     #[cfg(feature = "cube")]
-    fn launch(&self, args: GpuArgs) -> Vec<Bound> {
+    fn launch(&self, args: GpuArgs) -> Vec<GpuOutput> {
         let (scales, opacities) = launch_activate(&args.gpu(), &Raw::from_array(args.all()), args.optional(5).as_ref());
-        bound([scales, opacities])
+        gpu_outputs([scales, opacities])
     }
 
     fn differentiable(&self) -> &'static [usize] {
@@ -80,21 +76,21 @@ impl Operation for Activated {
         true
     }
 
-    fn run_backward<F: Real>(&self, args: &HostArgs) -> Vec<Found<F>> {
+    fn run_backward<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {
         let [_, _, of_logs, of_logits] = args.needs();
         let of_logits = of_logits.then(|| {
             let mut slopes = opacity_slopes_cpu::<F>(&args.floats(3), &args.output(1));
             let grad = args.grad::<F>(1).expect("a gradient reaches the logits");
             slopes.iter_mut().zip(grad.iter()).for_each(|(slope, &grad)| *slope *= grad);
-            Found::Floats(slopes)
+            HostOutput::floats(slopes)
         });
-        let of_logs = if of_logs { Found::Product(0) } else { Found::Nothing };
-        let of_logits = of_logits.unwrap_or(Found::Nothing);
-        vec![Found::Nothing, Found::Nothing, of_logs, of_logits, Found::Nothing, Found::Nothing]
+        let of_logs = if of_logs { HostOutput::Product(0) } else { HostOutput::Nothing };
+        let of_logits = of_logits.unwrap_or(HostOutput::Nothing);
+        vec![HostOutput::Nothing, HostOutput::Nothing, of_logs, of_logits, HostOutput::Nothing, HostOutput::Nothing]
     }
 
     #[cfg(feature = "cube")]
-    fn launch_backward(&self, args: GpuArgs) -> Vec<Bound> {
+    fn launch_backward(&self, args: GpuArgs) -> Vec<GpuOutput> {
         use crate::backend::cube::buffer;
 
         let of_logs = args.grad(0).map(|grad| product(args.output(0), grad));
@@ -115,12 +111,12 @@ impl Operation for NonFinite {
         vec![Some(Spec::ints([1]))]
     }
 
-    fn run<F: Real>(&self, args: &HostArgs) -> Vec<Found<F>> {
-        vec![Found::Ints(vec![i32::from(!all_finite_cpu::<F>(&args.floats(0)))])]
+    fn run<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {
+        vec![HostOutput::ints(vec![i32::from(!all_finite_cpu::<F>(&args.floats(0)))])]
     }
 
     #[cfg(feature = "cube")]
-    fn launch(&self, args: GpuArgs) -> Vec<Bound> {
-        bound([launch_non_finite(&args.gpu(), &args.buffer(0))])
+    fn launch(&self, args: GpuArgs) -> Vec<GpuOutput> {
+        gpu_outputs([launch_non_finite(&args.gpu(), &args.buffer(0))])
     }
 }

@@ -39,7 +39,7 @@ pub use rule::{Band, Factors, Rates, VERDICT};
 use crate::abilities::is_gpu;
 use crate::activate::RawSplats;
 pub use crate::activate::rule::Raw;
-use crate::backend::{Slot, apply};
+use crate::backend::{Slot, apply, apply_all};
 
 /// Whether there is a kernel for a parameter or a loss: in f32, on a GPU.
 pub fn has_kernel<const D: usize>(tensor: &Tensor<D>) -> bool {
@@ -114,11 +114,10 @@ pub fn step_scene(
 ) -> SteppedScene {
     let SceneStep { params, grads, m, v } = from;
     let [params, grads, m, v] = [params, grads, m, v].map(slots);
-    let of_params = params.zip(grads).zip(m.zip(v)).into_array().map(|((param, grad), (m, v))| [param, grad, m, v]);
-    let [a, b, c, d, e] = of_params;
-    let mut all = a.into_iter().chain(b).chain(c).chain(d).chain(e).chain([mark.into(), verdict.into()]);
-    let inputs: [_; 22] = std::array::from_fn(|_| all.next().expect("four for each of five, and two"));
-    let mut found = apply(operation::AdamScene(factors), inputs);
+    let of_params = params.zip(grads).zip(m.zip(v)).into_array();
+    let mut inputs: Vec<_> = of_params.into_iter().flat_map(|((param, grad), (m, v))| [param, grad, m, v]).collect();
+    inputs.extend([mark.into(), verdict.into()]);
+    let mut found = apply_all(operation::AdamScene(factors), inputs);
     let mut splats = |of: usize| RawSplats {
         means: found.float(of),
         rotations: found.float(3 + of),

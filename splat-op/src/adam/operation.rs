@@ -45,7 +45,7 @@ fn prepared(args: &mut GpuArgs, first: usize, factors: Factors) -> DeviceStep {
 }
 
 #[cfg(feature = "cube")]
-fn stepped(step: DeviceStep) -> [Bound; 3] {
+fn stepped(step: DeviceStep) -> [GpuOutput; 3] {
     let DeviceState { param, m, v } = step.state;
     [param, m, v].map(|buffer| Some(buffer.handle))
 }
@@ -61,7 +61,7 @@ impl Operation for Adam {
     }
 
     #[cfg(feature = "cube")]
-    fn launch(&self, mut args: GpuArgs) -> Vec<Bound> {
+    fn launch(&self, mut args: GpuArgs) -> Vec<GpuOutput> {
         let (gpu, verdict) = (args.gpu(), verdict(&args, 4));
         let step = prepared(&mut args, 0, self.0);
         launch_adam(&gpu, &[&step], verdict.as_ref(), None);
@@ -81,7 +81,7 @@ impl Operation for AdamScene {
     }
 
     #[cfg(feature = "cube")]
-    fn launch(&self, mut args: GpuArgs) -> Vec<Bound> {
+    fn launch(&self, mut args: GpuArgs) -> Vec<GpuOutput> {
         let (gpu, verdict) = (args.gpu(), verdict(&args, 21));
         let mark = owned(args.take(20));
         let mut first = 0;
@@ -108,7 +108,7 @@ impl Operation for AdamPacked {
     }
 
     #[cfg(feature = "cube")]
-    fn launch(&self, mut args: GpuArgs) -> Vec<Bound> {
+    fn launch(&self, mut args: GpuArgs) -> Vec<GpuOutput> {
         let (gpu, verdict, grad) = (args.gpu(), verdict(&args, 3), args.buffer(1));
         let (param, words) = (owned(args.take(0)), owned(args.take(2)));
         let shape = param.shape();
@@ -138,7 +138,7 @@ impl Operation for Watch {
     }
 
     #[cfg(feature = "cube")]
-    fn launch(&self, mut args: GpuArgs) -> Vec<Bound> {
+    fn launch(&self, mut args: GpuArgs) -> Vec<GpuOutput> {
         let (gpu, loss, verdict) = (args.gpu(), args.buffer(0), owned(args.take(1)));
         let gradients = Raw::from_array(std::array::from_fn(|i| args.optional(2 + i)));
         launch_watch(&gpu, &loss, &gradients, &unsigned(&verdict, VERDICT), self.at_step);

@@ -26,12 +26,12 @@ impl Operation for Argsort {
         order(inputs)
     }
 
-    fn run<F: Real>(&self, args: &HostArgs) -> Vec<Found<F>> {
-        vec![Found::Ints(argsort_cpu(args.ints(0).iter().map(|&key| key as u32)))]
+    fn run<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {
+        vec![HostOutput::ints(argsort_cpu(args.ints(0).iter().map(|&key| key as u32)))]
     }
 
     #[cfg(feature = "cube")]
-    fn launch(&self, args: GpuArgs) -> Vec<Bound> {
+    fn launch(&self, args: GpuArgs) -> Vec<GpuOutput> {
         sorted(args, self.bits)
     }
 }
@@ -41,19 +41,19 @@ impl Operation for ArgsortFloats {
         order(inputs)
     }
 
-    fn run<F: Real>(&self, args: &HostArgs) -> Vec<Found<F>> {
+    fn run<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {
         // The bits of floats that are not negative are in the order of the floats.
-        vec![Found::Ints(argsort_cpu(args.floats::<f32>(0).iter().map(|key| key.to_bits())))]
+        vec![HostOutput::ints(argsort_cpu(args.floats::<f32>(0).iter().map(|key| key.to_bits())))]
     }
 
     #[cfg(feature = "cube")]
-    fn launch(&self, args: GpuArgs) -> Vec<Bound> {
+    fn launch(&self, args: GpuArgs) -> Vec<GpuOutput> {
         sorted(args, super::ALL_BITS)
     }
 }
 
 #[cfg(feature = "cube")]
-fn sorted(mut args: GpuArgs, bits: u32) -> Vec<Bound> {
+fn sorted(mut args: GpuArgs, bits: u32) -> Vec<GpuOutput> {
     use crate::backend::cube::{buffer, owned};
     use crate::gpu::Buffer;
     use crate::intersect::sort::launch_sort;

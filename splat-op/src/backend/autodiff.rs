@@ -20,13 +20,8 @@ type AutodiffTensor<B> = FloatTensor<Autodiff<B>>;
 /// Gradients of an operation's outputs. A gradient that is missing is zero.
 type Grads<B> = Arc<Mutex<Vec<Option<FloatTensor<B>>>>>;
 
-fn add<B: Backend>(grads: &Grads<B>, output: usize, grad: FloatTensor<B>) {
-    let mut grads = grads.lock().unwrap_or_else(PoisonError::into_inner);
-    let sum = grads[output].take();
-    grads[output] = Some(match sum {
-        Some(sum) => B::float_add(sum, grad),
-        None => grad,
-    });
+fn put<B: Backend>(grads: &Grads<B>, output: usize, grad: FloatTensor<B>) {
+    grads.lock().unwrap_or_else(PoisonError::into_inner)[output] = Some(grad);
 }
 
 /// State of an operation's node.
@@ -58,7 +53,7 @@ impl<B: OperationBackend> Backward<B, MAX_DIFFERENTIABLE> for Node {
     fn backward(self, ops: Ops<State<B>, MAX_DIFFERENTIABLE>, grads: &mut Gradients, _: &mut Checkpointer) {
         let State { call, inputs, outputs, grads: of_outputs, single } = ops.state;
         if single {
-            add::<B>(&of_outputs, 0, grads.consume::<B>(&ops.node));
+            put::<B>(&of_outputs, 0, grads.consume::<B>(&ops.node));
         }
         let of_outputs = std::mem::take(&mut *of_outputs.lock().unwrap_or_else(PoisonError::into_inner));
         let differentiable = call.operation.differentiable();
@@ -103,7 +98,7 @@ impl<B: Backend> Backward<B, 1> for Part {
 
     fn backward(self, ops: Ops<PartState<B>, 1>, grads: &mut Gradients, _: &mut Checkpointer) {
         let PartState(output, of_outputs) = ops.state;
-        add::<B>(&of_outputs, output, grads.consume::<B>(&ops.node));
+        put::<B>(&of_outputs, output, grads.consume::<B>(&ops.node));
     }
 }
 
@@ -124,9 +119,9 @@ fn without_autodiff<B: Backend>(slot: &Slot<Autodiff<B>>) -> Slot<B> {
 }
 
 /// Returns the tensors for another strategy of checkpoints; they are the same.
-fn recast<B: Backend, From: CheckpointStrategy, To: CheckpointStrategy>(
-    tensors: Tensors<Autodiff<B, From>>,
-) -> Tensors<Autodiff<B, To>> {
+fn recast<B: Backend, Old: CheckpointStrategy, New: CheckpointStrategy>(
+    tensors: Tensors<Autodiff<B, Old>>,
+) -> Tensors<Autodiff<B, New>> {
     let same = |slot| match slot {
         Slot::Absent => Slot::Absent,
         Slot::Float(tensor) => Slot::Float(tensor),
@@ -155,6 +150,11 @@ fn tracked<B: OperationBackend>(inputs: Tensors<Autodiff<B>>, call: Call) -> Ten
         return List(B::operate(List(inner), call).0.into_iter().map(constant).collect());
     };
     assert_eq!(parents.len(), differentiable.len(), "differentiable inputs are present");
+    assert!(
+        parents.len() <= MAX_DIFFERENTIABLE,
+        "gradients of {} inputs of at most {MAX_DIFFERENTIABLE}",
+        parents.len()
+    );
     // Burn's nodes have a fixed number of parents; those that are missing are constants.
     let nodes = array::from_fn(|i| match parents.get(i) {
         Some(parent) => parent.node(),
@@ -169,10 +169,9 @@ fn tracked<B: OperationBackend>(inputs: Tensors<Autodiff<B>>, call: Call) -> Ten
     };
     let call = Call { operation: call.operation.tracked(), backward: None };
     let outputs = B::operate(List(inner.clone()), call.clone()).0;
-    let floats: Vec<usize> = (0..outputs.len()).filter(|&i| matches!(outputs[i], Slot::Float(_))).collect();
     let kept = if call.operation.keeps_outputs() { outputs.clone() } else { Vec::new() };
     let grads: Grads<B> = Arc::new(Mutex::new(vec![None; outputs.len()]));
-    let single = floats == [0] && outputs.len() == 1;
+    let single = outputs.len() == 1;
     let state = State { call, inputs: inner, outputs: kept, grads: grads.clone(), single };
     let first = outputs.iter().find_map(|slot| slot.clone().float()).expect("a differentiable output");
     let node = prep.finish(state, first);

@@ -12,19 +12,19 @@ use cubecl::client::Client;
 use cubecl::server::Handle;
 
 use super::list::{List, Slot, Tensors};
-use super::operation::{Call, OperationBackend, Spec};
+use super::operation::{Args, Call, OperationBackend, Spec};
 use crate::gpu::{Buffer, Gpu};
 
 /// Memory of an output of a pass on a GPU, row-major, if there is one.
-pub type Bound = Option<Handle>;
+pub type GpuOutput = Option<Handle>;
 
 /// Returns the memory of outputs.
-pub(crate) fn bound<T>(outputs: impl IntoIterator<Item = Buffer<T>>) -> Vec<Bound> {
+pub(crate) fn gpu_outputs<T>(outputs: impl IntoIterator<Item = Buffer<T>>) -> Vec<GpuOutput> {
     outputs.into_iter().map(|buffer| Some(buffer.handle)).collect()
 }
 
 /// Returns the memory of outputs that may be missing.
-pub(crate) fn bound_some<T>(outputs: impl IntoIterator<Item = Option<Buffer<T>>>) -> Vec<Bound> {
+pub(crate) fn optional_outputs<T>(outputs: impl IntoIterator<Item = Option<Buffer<T>>>) -> Vec<GpuOutput> {
     outputs.into_iter().map(|buffer| buffer.map(|buffer| buffer.handle)).collect()
 }
 
@@ -57,28 +57,17 @@ pub(crate) fn part(planes: &CubeTensor, from: usize, to: usize) -> Handle {
     planes.handle.clone().offset_end(behind as u64)
 }
 
-/// What a pass of an operation is given on a GPU. The methods panic where there is no such tensor.
-pub struct GpuArgs {
-    client: Client,
-    inputs: Vec<Option<CubeTensor>>,
-    outputs: Vec<Option<CubeTensor>>,
-    grads: Vec<Option<CubeTensor>>,
-    needs: Vec<bool>,
-}
+/// What a pass of an operation is given on a GPU.
+pub type GpuArgs = Args<CubeTensor>;
 
 impl GpuArgs {
-    /// Returns the client that launches kernels and allocates memory.
+    /// Returns the client that launches kernels and allocates memory. Ask for it before the last tensor is taken.
     pub fn client(&self) -> &Client {
-        &self.client
+        &self.all_present().next().expect("a tensor is left").client
     }
 
     pub(crate) fn gpu(&self) -> Gpu {
-        Gpu::new(&self.client)
-    }
-
-    /// Whether there is input `i`.
-    pub fn has(&self, i: usize) -> bool {
-        self.inputs[i].is_some()
+        Gpu::new(self.client())
     }
 
     /// Returns input `i`.
@@ -135,11 +124,6 @@ impl GpuArgs {
     pub(crate) fn only_grad(&self) -> Buffer<f32> {
         buffer(self.grad(0).expect("the only output has a gradient"))
     }
-
-    /// In a backward pass, returns for each input whether its gradient is asked for.
-    pub fn needs<const N: usize>(&self) -> [bool; N] {
-        array::from_fn(|i| self.needs[i])
-    }
 }
 
 impl OperationBackend for CubeBackend {
@@ -149,12 +133,13 @@ impl OperationBackend for CubeBackend {
         let (client, device) = (like.client.clone(), like.device.clone());
         let spec = |tensor: &CubeTensor| Spec { shape: tensor.shape(), dtype: tensor.dtype };
         let specs = call.outputs(&given.iter().map(|tensor| tensor.as_ref().map(spec)).collect::<Vec<_>>());
-        let [inputs, outputs, grads] = call.split(given);
-        let args = GpuArgs { client: client.clone(), inputs, outputs, grads, needs: call.needs() };
-        let found = call.operation.launch(args, call.backward.is_some());
+        let found = call.operation.launch(Args::new(&call, given), call.backward.is_some());
         assert_eq!(found.len(), specs.len(), "an operation has the outputs that it specified");
-        let output = |(found, spec): (Bound, Option<Spec>)| match (found, spec) {
+        let output = |(found, spec): (GpuOutput, Option<Spec>)| match (found, spec) {
             (Some(handle), Some(Spec { shape, dtype })) => {
+                let bytes = (shape.num_elements() * dtype.size()) as u64;
+                // Kernels read it unchecked.
+                assert!(handle.size_in_used() >= bytes, "an output of {bytes} bytes has {}", handle.size_in_used());
                 let made = CubeTensor::new_contiguous(client.clone(), device.clone(), shape, handle, dtype);
                 if dtype.is_float() { Slot::Float(made) } else { Slot::Int(made) }
             }

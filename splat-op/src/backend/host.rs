@@ -14,15 +14,16 @@ use burn_ndarray::NdArrayTensor;
 use bytemuck::Pod;
 
 use super::list::{List, Slot, Tensors};
-use super::operation::{Call, OperationBackend, Spec};
+use super::operation::{Args, Call, OperationBackend, Spec};
 use crate::counters::count_twin_call;
 use crate::sh::cpu::ShCoefficients;
 use crate::simd::real::Real;
 
 /// A tensor in host memory.
-#[derive(Clone)]
-enum HostTensor {
+pub enum HostTensor {
+    /// Of Flex.
     Flex(FlexTensor),
+    /// Of NdArray.
     NdArray(NdArrayTensor),
 }
 
@@ -134,22 +135,16 @@ impl HostTensor {
     }
 }
 
-/// What a pass of an operation is given on a CPU. The methods panic where there is no such tensor, or where it has another type.
-pub struct HostArgs {
-    inputs: Vec<Option<HostTensor>>,
-    outputs: Vec<Option<HostTensor>>,
-    grads: Vec<Option<HostTensor>>,
-    needs: Vec<bool>,
-}
+/// What a pass of an operation is given on a CPU. A tensor of another type than asked for panics too.
+pub type HostArgs = Args<HostTensor>;
 
 fn present(tensors: &[Option<HostTensor>], i: usize) -> &HostTensor {
     tensors[i].as_ref().expect("the caller gave this tensor")
 }
 
 impl HostArgs {
-    /// Whether there is input `i`.
-    pub fn has(&self, i: usize) -> bool {
-        self.inputs[i].is_some()
+    pub(super) fn is_f64(&self) -> bool {
+        self.all_present().any(|tensor| tensor.dtype() == DType::F64)
     }
 
     /// Returns the shape of input `i`.
@@ -195,35 +190,41 @@ impl HostArgs {
     pub fn only_grad<F: Real>(&self) -> Host<F> {
         present(&self.grads, 0).floats()
     }
-
-    /// In a backward pass, returns for each input whether its gradient is asked for.
-    pub fn needs<const N: usize>(&self) -> [bool; N] {
-        array::from_fn(|i| self.needs[i])
-    }
 }
 
 /// An output of a pass on a CPU.
-#[derive(Debug)]
-pub enum Found<F> {
-    /// Floats, row-major.
-    Floats(Vec<F>),
-    /// Integers, row-major.
-    Ints(Vec<i32>),
+pub enum HostOutput {
+    /// Elements, row-major.
+    Data(TensorData),
     /// The elements of an input, contiguous in memory.
     Input(usize),
     /// In a backward pass, the gradient of an output.
     Grad(usize),
     /// An input times a number, in the input's memory if nothing else holds it.
-    Scaled(usize, F),
+    Scaled(usize, f64),
     /// In a backward pass, an output times its gradient.
     Product(usize),
     /// Nothing.
     Nothing,
 }
 
+impl HostOutput {
+    /// Takes floats, row-major.
+    pub fn floats<F: Real>(values: Vec<F>) -> Self {
+        let len = values.len();
+        Self::Data(TensorData::new(values, [len]))
+    }
+
+    /// Takes integers, row-major.
+    pub fn ints(values: Vec<i32>) -> Self {
+        let len = values.len();
+        Self::Data(TensorData::new(values, [len]))
+    }
+}
+
 /// Returns outputs of floats.
-pub(crate) fn found<F>(outputs: impl IntoIterator<Item = Vec<F>>) -> Vec<Found<F>> {
-    outputs.into_iter().map(Found::Floats).collect()
+pub(crate) fn float_outputs<F: Real>(outputs: impl IntoIterator<Item = Vec<F>>) -> Vec<HostOutput> {
+    outputs.into_iter().map(HostOutput::floats).collect()
 }
 
 /// Returns the elements as slices.
@@ -284,41 +285,6 @@ impl HostBackend for NdArray {
     }
 }
 
-/// An output without its type.
-enum Made {
-    Data(TensorData),
-    Input(usize),
-    Grad(usize),
-    Scaled(usize, f64),
-    Product(usize),
-    Nothing,
-}
-
-fn made<F: Real>(found: Vec<Found<F>>, specs: &[Option<Spec>]) -> Vec<Made> {
-    assert_eq!(found.len(), specs.len(), "an operation has the outputs that it specified");
-    let of = |(found, spec): (Found<F>, &Option<Spec>)| match (found, spec) {
-        (_, None) | (Found::Nothing, _) => Made::Nothing,
-        (Found::Floats(values), Some(spec)) => Made::Data(TensorData::new(values, spec.shape.clone())),
-        (Found::Ints(values), Some(spec)) => Made::Data(TensorData::new(values, spec.shape.clone())),
-        (Found::Input(i), Some(_)) => Made::Input(i),
-        (Found::Grad(i), Some(_)) => Made::Grad(i),
-        (Found::Scaled(i, factor), Some(_)) => Made::Scaled(i, factor.f64()),
-        (Found::Product(i), Some(_)) => Made::Product(i),
-    };
-    found.into_iter().zip(specs).map(of).collect()
-}
-
-/// Runs a pass in the float type of its tensors.
-fn run(call: &Call, args: &HostArgs, specs: &[Option<Spec>]) -> Vec<Made> {
-    count_twin_call();
-    let backward = call.backward.is_some();
-    let mut tensors = args.inputs.iter().chain(&args.grads).flatten();
-    match tensors.any(|tensor| tensor.dtype() == DType::F64) {
-        true => made(call.operation.run64(args, backward), specs),
-        false => made(call.operation.run32(args, backward), specs),
-    }
-}
-
 fn operate<B: HostBackend>(inputs: Tensors<B>, call: &Call) -> Tensors<B> {
     let device = inputs.0.iter().find_map(|slot| match slot {
         Slot::Absent => None,
@@ -334,23 +300,33 @@ fn operate<B: HostBackend>(inputs: Tensors<B>, call: &Call) -> Tensors<B> {
     let given: Vec<Option<HostTensor>> = inputs.0.into_iter().map(host).collect();
     let spec = |tensor: &HostTensor| Spec { shape: tensor.shape(), dtype: tensor.dtype() };
     let specs = call.outputs(&given.iter().map(|tensor| tensor.as_ref().map(spec)).collect::<Vec<_>>());
-    let [of_inputs, outputs, grads] = call.split(given);
-    let args = HostArgs { inputs: of_inputs, outputs, grads, needs: call.needs() };
-    let found = run(call, &args, &specs);
-    let HostArgs { mut inputs, mut outputs, mut grads, .. } = args;
+    let args = Args::new(call, given);
+    count_twin_call();
+    let found = call.operation.run(&args, call.backward.is_some());
+    assert_eq!(found.len(), specs.len(), "an operation has the outputs that it specified");
+    let Args { mut inputs, mut outputs, mut grads, .. } = args;
     let take = |tensors: &mut [Option<HostTensor>], i: usize| {
         B::into_floats(tensors[i].take().expect("it is there, and passed on once"))
     };
-    let output = |made: Made| match made {
-        Made::Data(data) if data.dtype().is_float() => Slot::Float(B::float_from_data(data, &device)),
-        Made::Data(data) => Slot::Int(B::int_from_data(data, &device)),
-        Made::Input(i) => Slot::Float(B::contiguous(take(&mut inputs, i))),
-        Made::Grad(i) => Slot::Float(B::contiguous(take(&mut grads, i))),
-        Made::Scaled(i, factor) => Slot::Float(B::float_mul_scalar(take(&mut inputs, i), factor.into())),
-        Made::Product(i) => Slot::Float(B::float_mul(take(&mut outputs, i), take(&mut grads, i))),
-        Made::Nothing => Slot::Absent,
+    let output = |(output, spec): (HostOutput, Option<Spec>)| {
+        let Some(spec) = spec else { return Slot::Absent };
+        Slot::Float(match output {
+            HostOutput::Data(data) => {
+                let (bytes, _, dtype) = data.into_parts();
+                let data = TensorData::from_bytes(bytes, spec.shape, dtype);
+                if !dtype.is_float() {
+                    return Slot::Int(B::int_from_data(data, &device));
+                }
+                B::float_from_data(data, &device)
+            }
+            HostOutput::Input(i) => B::contiguous(take(&mut inputs, i)),
+            HostOutput::Grad(i) => B::contiguous(take(&mut grads, i)),
+            HostOutput::Scaled(i, factor) => B::float_mul_scalar(take(&mut inputs, i), factor.into()),
+            HostOutput::Product(i) => B::float_mul(take(&mut outputs, i), take(&mut grads, i)),
+            HostOutput::Nothing => return Slot::Absent,
+        })
     };
-    List(found.into_iter().map(output).collect())
+    List(found.into_iter().zip(specs).map(output).collect())
 }
 
 impl OperationBackend for Flex {

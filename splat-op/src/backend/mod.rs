@@ -11,11 +11,14 @@ pub(crate) mod cube;
 pub(crate) mod host;
 mod list;
 mod operation;
+#[cfg(test)]
+mod tests;
 
 #[cfg(feature = "cube")]
-pub use cube::{Bound, GpuArgs};
-pub use host::{Found, Host, HostArgs};
-pub use list::{List, Slot, Tensors};
-pub use operation::{Call, MAX_DIFFERENTIABLE, Operation, OperationBackend, Outputs, Spec, apply};
+pub use cube::{GpuArgs, GpuOutput};
+pub use host::{Host, HostArgs, HostOutput};
+pub use list::Slot;
+pub(crate) use operation::apply_all;
+pub use operation::{Args, MAX_DIFFERENTIABLE, Operation, Outputs, Spec, apply};
 
 pub use crate::simd::real::Real;

@@ -2,6 +2,7 @@
 
 #![allow(deprecated, reason = "burn-ndarray is deprecated in favour of burn-flex; this project supports both")]
 
+use std::array;
 use std::fmt::Debug;
 use std::sync::Arc;
 
@@ -9,8 +10,8 @@ use burn::backend::{Backend, Dispatch, backend_extension};
 use burn::tensor::{DType, Int, Shape, Tensor};
 
 #[cfg(feature = "cube")]
-use super::cube::{Bound, GpuArgs};
-use super::host::{Found, HostArgs};
+use super::cube::{GpuArgs, GpuOutput};
+use super::host::{HostArgs, HostOutput};
 use super::list::{List, Slot, Tensors};
 use crate::simd::real::Real;
 
@@ -44,23 +45,25 @@ impl Spec {
 /// twin [`run`](Self::run) in f32 or in f64, which is the type of the inputs; a GPU calls [`launch`](Self::launch). With Burn's fusion both
 /// run later than [`apply`], on the device's own thread.
 pub trait Operation: Clone + Debug + Send + Sync + 'static {
-    /// Returns the specification of each output from those of the inputs.
-    fn outputs(&self, inputs: &[Option<Spec>]) -> Vec<Option<Spec>>;
+    /// Returns the specification of each output from those of the inputs. By default there is one, as the first input.
+    fn outputs(&self, inputs: &[Option<Spec>]) -> Vec<Option<Spec>> {
+        inputs[..1].to_vec()
+    }
 
     /// Computes the outputs on the CPU.
-    fn run<F: Real>(&self, args: &HostArgs) -> Vec<Found<F>> {
+    fn run<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {
         let _ = args;
         unreachable!("{self:?} has no CPU twin: its caller asks for the device")
     }
 
     /// Computes the outputs on the GPU.
     #[cfg(feature = "cube")]
-    fn launch(&self, args: GpuArgs) -> Vec<Bound> {
+    fn launch(&self, args: GpuArgs) -> Vec<GpuOutput> {
         let _ = args;
         unreachable!("{self:?} has no kernel: its caller asks for the device")
     }
 
-    /// Returns the inputs that gradients flow to, at most [`MAX_DIFFERENTIABLE`].
+    /// Returns the inputs that gradients flow to, at most [`MAX_DIFFERENTIABLE`]. All of them must be present.
     fn differentiable(&self) -> &'static [usize] {
         &[]
     }
@@ -83,14 +86,14 @@ pub trait Operation: Clone + Debug + Send + Sync + 'static {
 
     /// Computes the gradients of the inputs on the CPU, one for each; those that are not needed are dropped. `args` has the gradients of
     /// the outputs.
-    fn run_backward<F: Real>(&self, args: &HostArgs) -> Vec<Found<F>> {
+    fn run_backward<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {
         let _ = args;
         unreachable!("{self:?} names no differentiable input")
     }
 
     /// Computes the gradients of the inputs on the GPU, as [`run_backward`](Self::run_backward).
     #[cfg(feature = "cube")]
-    fn launch_backward(&self, args: GpuArgs) -> Vec<Bound> {
+    fn launch_backward(&self, args: GpuArgs) -> Vec<GpuOutput> {
         let _ = args;
         unreachable!("{self:?} names no differentiable input")
     }
@@ -99,10 +102,9 @@ pub trait Operation: Clone + Debug + Send + Sync + 'static {
 /// An operation of any type.
 pub(super) trait Erased: Debug + Send + Sync {
     fn outputs(&self, inputs: &[Option<Spec>]) -> Vec<Option<Spec>>;
-    fn run32(&self, args: &HostArgs, backward: bool) -> Vec<Found<f32>>;
-    fn run64(&self, args: &HostArgs, backward: bool) -> Vec<Found<f64>>;
+    fn run(&self, args: &HostArgs, backward: bool) -> Vec<HostOutput>;
     #[cfg(feature = "cube")]
-    fn launch(&self, args: GpuArgs, backward: bool) -> Vec<Bound>;
+    fn launch(&self, args: GpuArgs, backward: bool) -> Vec<GpuOutput>;
     fn differentiable(&self) -> &'static [usize];
     fn depends(&self, output: usize, input: usize) -> bool;
     fn keeps_outputs(&self) -> bool;
@@ -114,16 +116,17 @@ impl<O: Operation> Erased for O {
         Operation::outputs(self, inputs)
     }
 
-    fn run32(&self, args: &HostArgs, backward: bool) -> Vec<Found<f32>> {
-        if backward { self.run_backward(args) } else { self.run(args) }
-    }
-
-    fn run64(&self, args: &HostArgs, backward: bool) -> Vec<Found<f64>> {
-        if backward { self.run_backward(args) } else { self.run(args) }
+    fn run(&self, args: &HostArgs, backward: bool) -> Vec<HostOutput> {
+        match (args.is_f64(), backward) {
+            (false, false) => Operation::run::<f32>(self, args),
+            (false, true) => self.run_backward::<f32>(args),
+            (true, false) => Operation::run::<f64>(self, args),
+            (true, true) => self.run_backward::<f64>(args),
+        }
     }
 
     #[cfg(feature = "cube")]
-    fn launch(&self, args: GpuArgs, backward: bool) -> Vec<Bound> {
+    fn launch(&self, args: GpuArgs, backward: bool) -> Vec<GpuOutput> {
         if backward { self.launch_backward(args) } else { Operation::launch(self, args) }
     }
 
@@ -172,21 +175,42 @@ impl Call {
         };
         given.iter().zip(needs).map(of_input).collect()
     }
+}
 
-    /// Splits what the call is given into inputs, outputs and gradients of outputs.
-    pub(super) fn split<T>(&self, given: Vec<T>) -> [Vec<T>; 3] {
+/// The tensors that a pass is given. The methods panic where there is no such tensor.
+pub struct Args<T> {
+    pub(super) inputs: Vec<Option<T>>,
+    pub(super) outputs: Vec<Option<T>>,
+    pub(super) grads: Vec<Option<T>>,
+    needs: Vec<bool>,
+}
+
+impl<T> Args<T> {
+    /// Splits what a call is given into inputs, outputs and gradients of outputs.
+    pub(super) fn new(call: &Call, given: Vec<Option<T>>) -> Self {
         let mut given = given.into_iter();
-        let Some(Backwards { needs, outputs }) = &self.backward else {
-            return [given.collect(), Vec::new(), Vec::new()];
+        let Some(Backwards { needs, outputs }) = &call.backward else {
+            return Self { inputs: given.collect(), outputs: Vec::new(), grads: Vec::new(), needs: Vec::new() };
         };
         let inputs = given.by_ref().take(needs.len()).collect();
-        let kept = if self.operation.keeps_outputs() { *outputs } else { 0 };
+        let kept = if call.operation.keeps_outputs() { *outputs } else { 0 };
         let outputs = given.by_ref().take(kept).collect();
-        [inputs, outputs, given.collect()]
+        Self { inputs, outputs, grads: given.collect(), needs: needs.clone() }
     }
 
-    pub(super) fn needs(&self) -> Vec<bool> {
-        self.backward.as_ref().map_or(Vec::new(), |backward| backward.needs.clone())
+    /// Whether there is input `i`.
+    pub fn has(&self, i: usize) -> bool {
+        self.inputs[i].is_some()
+    }
+
+    /// In a backward pass, returns for each input whether its gradient is asked for.
+    pub fn needs<const N: usize>(&self) -> [bool; N] {
+        array::from_fn(|i| self.needs[i])
+    }
+
+    /// All tensors.
+    pub(super) fn all_present(&self) -> impl Iterator<Item = &T> {
+        self.inputs.iter().chain(&self.outputs).chain(&self.grads).flatten()
     }
 }
 
@@ -224,11 +248,6 @@ impl Outputs {
             other => panic!("output {i} is {other:?}, not integers"),
         }
     }
-
-    /// Whether there is such an output, not yet taken.
-    pub fn has(&self, i: usize) -> bool {
-        !matches!(self.0.get(i), None | Some(Slot::Absent))
-    }
 }
 
 /// Runs an operation on tensors of one device, at least one of them present.
@@ -236,6 +255,11 @@ impl Outputs {
 /// # Panics
 /// If an output's specification does not match what the operation computed.
 pub fn apply<const N: usize>(operation: impl Operation, inputs: [Slot<Dispatch>; N]) -> Outputs {
+    apply_all(operation, inputs.into())
+}
+
+/// [`apply`] to any number of inputs.
+pub(crate) fn apply_all(operation: impl Operation, inputs: Vec<Slot<Dispatch>>) -> Outputs {
     let call = Call { operation: Arc::new(operation), backward: None };
-    Outputs(<Dispatch as OperationBackend>::operate(List(inputs.into()), call).0)
+    Outputs(<Dispatch as OperationBackend>::operate(List(inputs), call).0)
 }

@@ -5,8 +5,8 @@ use super::cpu::{slice_backward_cpu, slice_cpu};
 use super::launch::{launch_slice, launch_slice_backward};
 use super::{SliceSize, Sliced};
 #[cfg(feature = "cube")]
-use crate::backend::cube::{bound, bound_some};
-use crate::backend::host::{found, slices};
+use crate::backend::cube::{gpu_outputs, optional_outputs};
+use crate::backend::host::{float_outputs, slices};
 use crate::backend::*;
 
 /// The mapped picture, `[3, H, W]`.
@@ -14,32 +14,28 @@ use crate::backend::*;
 pub(super) struct Slice(pub SliceSize);
 
 impl Operation for Slice {
-    fn outputs(&self, inputs: &[Option<Spec>]) -> Vec<Option<Spec>> {
-        vec![inputs[0].clone()]
-    }
-
-    fn run<F: Real>(&self, args: &HostArgs) -> Vec<Found<F>> {
-        found([slice_cpu(Sliced::from_array(slices(&args.all::<F, 2>())), self.0)])
+    fn run<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {
+        float_outputs([slice_cpu(Sliced::from_array(slices(&args.all::<F, 2>())), self.0)])
     }
 
     #[cfg(feature = "cube")]
-    fn launch(&self, args: GpuArgs) -> Vec<Bound> {
-        bound([launch_slice(&args.gpu(), &Sliced::from_array(args.all()), self.0)])
+    fn launch(&self, args: GpuArgs) -> Vec<GpuOutput> {
+        gpu_outputs([launch_slice(&args.gpu(), &Sliced::from_array(args.all()), self.0)])
     }
 
     fn differentiable(&self) -> &'static [usize] {
         &[0, 1]
     }
 
-    fn run_backward<F: Real>(&self, args: &HostArgs) -> Vec<Found<F>> {
+    fn run_backward<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {
         let (read, needs) = (args.all::<F, 2>(), Sliced::from_array(args.needs()));
         let grads = slice_backward_cpu(Sliced::from_array(slices(&read)), &args.only_grad(), self.0, needs);
-        found(grads.into_array())
+        float_outputs(grads.into_array())
     }
 
     #[cfg(feature = "cube")]
-    fn launch_backward(&self, args: GpuArgs) -> Vec<Bound> {
+    fn launch_backward(&self, args: GpuArgs) -> Vec<GpuOutput> {
         let (inputs, needs) = (Sliced::from_array(args.all()), Sliced::from_array(args.needs()));
-        bound_some(launch_slice_backward(&args.gpu(), &inputs, &args.only_grad(), self.0, needs).into_array())
+        optional_outputs(launch_slice_backward(&args.gpu(), &inputs, &args.only_grad(), self.0, needs).into_array())
     }
 }

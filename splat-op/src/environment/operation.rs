@@ -5,8 +5,8 @@ use super::cpu::{environment_backward_cpu, environment_cpu};
 #[cfg(feature = "cube")]
 use super::launch::{launch_alpha_backward, launch_coefficients_backward, launch_environment};
 #[cfg(feature = "cube")]
-use crate::backend::cube::bound;
-use crate::backend::host::{found, slices};
+use crate::backend::cube::gpu_outputs;
+use crate::backend::host::{float_outputs, slices};
 use crate::backend::*;
 
 /// The render over the environment, `[3, H, W]`.
@@ -14,17 +14,13 @@ use crate::backend::*;
 pub(super) struct Environment;
 
 impl Operation for Environment {
-    fn outputs(&self, inputs: &[Option<Spec>]) -> Vec<Option<Spec>> {
-        vec![inputs[0].clone()]
-    }
-
-    fn run<F: Real>(&self, args: &HostArgs) -> Vec<Found<F>> {
-        found([environment_cpu(Sky::from_array(slices(&args.all::<F, 4>())))])
+    fn run<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {
+        float_outputs([environment_cpu(Sky::from_array(slices(&args.all::<F, 4>())))])
     }
 
     #[cfg(feature = "cube")]
-    fn launch(&self, args: GpuArgs) -> Vec<Bound> {
-        bound([launch_environment(&args.gpu(), &Sky::from_array(args.all()))])
+    fn launch(&self, args: GpuArgs) -> Vec<GpuOutput> {
+        gpu_outputs([launch_environment(&args.gpu(), &Sky::from_array(args.all()))])
     }
 
     fn differentiable(&self) -> &'static [usize] {
@@ -32,14 +28,19 @@ impl Operation for Environment {
     }
 
     // The gradient of the picture is that of the composition.
-    fn run_backward<F: Real>(&self, args: &HostArgs) -> Vec<Found<F>> {
+    fn run_backward<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {
         let (read, needs) = (args.all::<F, 4>(), Sky::from_array(args.needs()));
         let grads = environment_backward_cpu(Sky::from_array(slices(&read)), &args.only_grad(), needs);
-        vec![Found::Grad(0), Found::Floats(grads.alpha), Found::Nothing, Found::Floats(grads.coefficients)]
+        vec![
+            HostOutput::Grad(0),
+            HostOutput::floats(grads.alpha),
+            HostOutput::Nothing,
+            HostOutput::floats(grads.coefficients),
+        ]
     }
 
     #[cfg(feature = "cube")]
-    fn launch_backward(&self, args: GpuArgs) -> Vec<Bound> {
+    fn launch_backward(&self, args: GpuArgs) -> Vec<GpuOutput> {
         let (gpu, inputs, grad) = (args.gpu(), Sky::from_array(args.all()), args.only_grad());
         let needs: Sky<bool> = Sky::from_array(args.needs());
         let alpha = needs.alpha.then(|| launch_alpha_backward(&gpu, &inputs, &grad).handle);

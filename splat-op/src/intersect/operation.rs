@@ -20,13 +20,13 @@ impl Operation for Intersect {
         vec![Some(Spec::ints([tiles_y, tiles_x]))]
     }
 
-    fn run<F: Real>(&self, args: &HostArgs) -> Vec<Found<F>> {
+    fn run<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {
         let lists = self.cell.on_host(|| lists(&args.floats::<F>(0), &self.spec));
-        vec![Found::Ints(lists.tile_start.windows(2).map(|w| (w[1] - w[0]) as i32).collect())]
+        vec![HostOutput::ints(lists.tile_start.windows(2).map(|w| (w[1] - w[0]) as i32).collect())]
     }
 
     #[cfg(feature = "cube")]
-    fn launch(&self, args: GpuArgs) -> Vec<Bound> {
+    fn launch(&self, args: GpuArgs) -> Vec<GpuOutput> {
         let gpu = args.gpu();
         let lists = self
             .cell

@@ -7,8 +7,8 @@ use super::cpu::{PlaneSize, moments_cpu, photometric_cpu};
 use super::launch::{launch_moments, launch_photometric};
 use super::taps::Compared;
 #[cfg(feature = "cube")]
-use crate::backend::cube::{bound, bound_some};
-use crate::backend::host::{found, slices};
+use crate::backend::cube::{gpu_outputs, optional_outputs};
+use crate::backend::host::{float_outputs, slices};
 use crate::backend::*;
 
 /// Returns width and height, which are the last two dimensions in reverse order.
@@ -35,18 +35,18 @@ impl Operation for Photometric {
         vec![image.as_ref().map(|image| image.with_shape([1])), image.filter(|_| self.with_gradient)]
     }
 
-    fn run<F: Real>(&self, args: &HostArgs) -> Vec<Found<F>> {
-        let read = args.all();
+    fn run<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {
+        let read = args.all::<F, 4>();
         let inputs = Compared::from_array(slices(&read));
         let (loss, gradient) = photometric_cpu(inputs, plane_size(&args.shape(0)), self.lambda, self.with_gradient);
-        vec![Found::Floats(vec![loss]), gradient.map_or(Found::Nothing, Found::Floats)]
+        vec![HostOutput::floats(vec![loss]), gradient.map_or(HostOutput::Nothing, HostOutput::floats)]
     }
 
     #[cfg(feature = "cube")]
-    fn launch(&self, args: GpuArgs) -> Vec<Bound> {
+    fn launch(&self, args: GpuArgs) -> Vec<GpuOutput> {
         let (inputs, size) = (Compared::from_array(args.all()), picture_size(&args.shape(0)));
         let (loss, gradient) = launch_photometric(&args.gpu(), &inputs, size, self.lambda, self.with_gradient);
-        bound_some([Some(loss), gradient])
+        optional_outputs([Some(loss), gradient])
     }
 }
 
@@ -59,13 +59,13 @@ impl Operation for Moments {
         vec![inputs[0].clone(); 2]
     }
 
-    fn run<F: Real>(&self, args: &HostArgs) -> Vec<Found<F>> {
-        found(moments_cpu(&args.floats(0), plane_size(&args.shape(0))))
+    fn run<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {
+        float_outputs(moments_cpu::<F>(&args.floats(0), plane_size(&args.shape(0))))
     }
 
     #[cfg(feature = "cube")]
-    fn launch(&self, args: GpuArgs) -> Vec<Bound> {
-        bound(launch_moments(&args.gpu(), &args.buffer(0), picture_size(&args.shape(0))))
+    fn launch(&self, args: GpuArgs) -> Vec<GpuOutput> {
+        gpu_outputs(launch_moments(&args.gpu(), &args.buffer(0), picture_size(&args.shape(0))))
     }
 }
 
@@ -74,16 +74,12 @@ impl Operation for Moments {
 pub(super) struct Contiguous;
 
 impl Operation for Contiguous {
-    fn outputs(&self, inputs: &[Option<Spec>]) -> Vec<Option<Spec>> {
-        inputs.to_vec()
-    }
-
-    fn run<F: Real>(&self, _: &HostArgs) -> Vec<Found<F>> {
-        vec![Found::Input(0)]
+    fn run<F: Real>(&self, _: &HostArgs) -> Vec<HostOutput> {
+        vec![HostOutput::Input(0)]
     }
 
     #[cfg(feature = "cube")]
-    fn launch(&self, args: GpuArgs) -> Vec<Bound> {
+    fn launch(&self, args: GpuArgs) -> Vec<GpuOutput> {
         vec![Some(args.handle(0))]
     }
 }

@@ -5,8 +5,8 @@ use super::cpu::{expose_backward_cpu, expose_cpu};
 use super::launch::{launch_expose, launch_expose_backward};
 use super::{Exposed, OpticsSpec};
 #[cfg(feature = "cube")]
-use crate::backend::cube::bound;
-use crate::backend::host::{found, slices};
+use crate::backend::cube::gpu_outputs;
+use crate::backend::host::{float_outputs, slices};
 use crate::backend::*;
 
 /// The changed ellipses, `[N, 7]`.
@@ -14,17 +14,13 @@ use crate::backend::*;
 pub(super) struct Expose(pub OpticsSpec);
 
 impl Operation for Expose {
-    fn outputs(&self, inputs: &[Option<Spec>]) -> Vec<Option<Spec>> {
-        vec![inputs[0].clone()]
-    }
-
-    fn run<F: Real>(&self, args: &HostArgs) -> Vec<Found<F>> {
-        found([expose_cpu(Exposed::from_array(slices(&args.all::<F, 2>())), &self.0)])
+    fn run<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {
+        float_outputs([expose_cpu(Exposed::from_array(slices(&args.all::<F, 2>())), &self.0)])
     }
 
     #[cfg(feature = "cube")]
-    fn launch(&self, args: GpuArgs) -> Vec<Bound> {
-        bound([launch_expose(&args.gpu(), &Exposed::from_array(args.all()), &self.0)])
+    fn launch(&self, args: GpuArgs) -> Vec<GpuOutput> {
+        gpu_outputs([launch_expose(&args.gpu(), &Exposed::from_array(args.all()), &self.0)])
     }
 
     fn differentiable(&self) -> &'static [usize] {
@@ -32,14 +28,14 @@ impl Operation for Expose {
     }
 
     // Whoever tracks one of the inputs nearly always tracks the other, and both gradients come from one kernel.
-    fn run_backward<F: Real>(&self, args: &HostArgs) -> Vec<Found<F>> {
+    fn run_backward<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {
         let read = args.all::<F, 2>();
-        found(expose_backward_cpu(Exposed::from_array(slices(&read)), &args.only_grad(), &self.0).into_array())
+        float_outputs(expose_backward_cpu(Exposed::from_array(slices(&read)), &args.only_grad(), &self.0).into_array())
     }
 
     #[cfg(feature = "cube")]
-    fn launch_backward(&self, args: GpuArgs) -> Vec<Bound> {
+    fn launch_backward(&self, args: GpuArgs) -> Vec<GpuOutput> {
         let inputs = Exposed::from_array(args.all());
-        bound(launch_expose_backward(&args.gpu(), &inputs, &args.only_grad(), &self.0).into_array())
+        gpu_outputs(launch_expose_backward(&args.gpu(), &inputs, &args.only_grad(), &self.0).into_array())
     }
 }

@@ -5,8 +5,8 @@ use super::cpu::{project_backward_cpu, project_cpu};
 use super::launch::{launch_project, launch_project_backward};
 use super::{COLUMNS, Geometry, ProjectSpec};
 #[cfg(feature = "cube")]
-use crate::backend::cube::{bound, bound_some};
-use crate::backend::host::{found, slices};
+use crate::backend::cube::{gpu_outputs, optional_outputs};
+use crate::backend::host::{float_outputs, slices};
 use crate::backend::*;
 
 /// Packed ellipses, `[N, 7]`.
@@ -18,28 +18,28 @@ impl Operation for Project {
         vec![inputs[0].as_ref().map(|means| means.with_shape([means.shape[0], COLUMNS]))]
     }
 
-    fn run<F: Real>(&self, args: &HostArgs) -> Vec<Found<F>> {
-        found([project_cpu(Geometry::from_array(slices(&args.all::<F, 6>())), &self.0)])
+    fn run<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {
+        float_outputs([project_cpu(Geometry::from_array(slices(&args.all::<F, 6>())), &self.0)])
     }
 
     #[cfg(feature = "cube")]
-    fn launch(&self, args: GpuArgs) -> Vec<Bound> {
-        bound([launch_project(&args.gpu(), &Geometry::from_array(args.all()), &self.0)])
+    fn launch(&self, args: GpuArgs) -> Vec<GpuOutput> {
+        gpu_outputs([launch_project(&args.gpu(), &Geometry::from_array(args.all()), &self.0)])
     }
 
     fn differentiable(&self) -> &'static [usize] {
         &[0, 1, 2, 3, 4, 5]
     }
 
-    fn run_backward<F: Real>(&self, args: &HostArgs) -> Vec<Found<F>> {
+    fn run_backward<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {
         let (read, needs) = (args.all::<F, 6>(), Geometry::from_array(args.needs()));
         let inputs = Geometry::from_array(slices(&read));
-        found(project_backward_cpu(inputs, &args.only_grad(), &self.0, needs).into_array())
+        float_outputs(project_backward_cpu(inputs, &args.only_grad(), &self.0, needs).into_array())
     }
 
     #[cfg(feature = "cube")]
-    fn launch_backward(&self, args: GpuArgs) -> Vec<Bound> {
+    fn launch_backward(&self, args: GpuArgs) -> Vec<GpuOutput> {
         let (inputs, needs) = (Geometry::from_array(args.all()), Geometry::from_array(args.needs()));
-        bound_some(launch_project_backward(&args.gpu(), &inputs, &args.only_grad(), &self.0, needs).into_array())
+        optional_outputs(launch_project_backward(&args.gpu(), &inputs, &args.only_grad(), &self.0, needs).into_array())
     }
 }

@@ -9,8 +9,8 @@ use super::launch::{launch_rasterize, launch_rasterize_backward};
 use super::trace::DeviceTrace;
 use super::{Layers, PlaneParts, RasterizeSpec, TraceCell};
 #[cfg(feature = "cube")]
-use crate::backend::cube::{bound_some, buffer, part};
-use crate::backend::host::{Host, found, slices};
+use crate::backend::cube::{buffer, optional_outputs, part};
+use crate::backend::host::{Host, float_outputs, slices};
 use crate::backend::*;
 #[cfg(feature = "cube")]
 use crate::gpu::{Buffer, Gpu};
@@ -40,11 +40,11 @@ pub(crate) fn planes(spec: &RasterizeSpec, background: Option<&Spec>) -> Vec<Opt
 }
 
 /// Splits planes `[C + 1 (+ 1), H, W]`.
-pub(crate) fn split<F>(mut planes: Vec<F>, spec: &RasterizeSpec) -> Vec<Found<F>> {
+pub(crate) fn split<F: Real>(mut planes: Vec<F>, spec: &RasterizeSpec) -> Vec<HostOutput> {
     let pixels = spec.intrinsics.width * spec.intrinsics.height;
     let depth = spec.options.depth.then(|| planes.split_off(planes.len() - pixels));
     let alpha = planes.split_off(planes.len() - pixels);
-    found([planes, alpha].into_iter().chain(depth))
+    float_outputs([planes, alpha].into_iter().chain(depth))
 }
 
 /// Reads the gradients of planes; an absent one has no elements.
@@ -83,7 +83,7 @@ mod gpu {
     use super::*;
 
     /// Splits planes `[C + 1 (+ 1), H, W]`, which are as `like` but for their shape. Colours are not copied.
-    pub(crate) fn split_planes(planes: Buffer<f32>, spec: &RasterizeSpec, like: &CubeTensor) -> Vec<Bound> {
+    pub(crate) fn split_planes(planes: Buffer<f32>, spec: &RasterizeSpec, like: &CubeTensor) -> Vec<GpuOutput> {
         let (height, width) = (spec.intrinsics.height, spec.intrinsics.width);
         let count = planes.len / (height * width).max(1);
         let (client, device, shape) = (like.client.clone(), like.device.clone(), Shape::from([count, height, width]));
@@ -127,7 +127,7 @@ impl Operation for Rasterize {
         planes(&self.spec, inputs[2].as_ref())
     }
 
-    fn run<F: Real>(&self, args: &HostArgs) -> Vec<Found<F>> {
+    fn run<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {
         let read = args.all::<F, 4>();
         let inputs = Layers::from_array(slices(&read));
         let (planes, kept) = rasterize_cpu(inputs, &self.spec, self.host_lists(&inputs), self.trace.is_some());
@@ -136,7 +136,7 @@ impl Operation for Rasterize {
     }
 
     #[cfg(feature = "cube")]
-    fn launch(&self, args: GpuArgs) -> Vec<Bound> {
+    fn launch(&self, args: GpuArgs) -> Vec<GpuOutput> {
         let (gpu, inputs) = (args.gpu(), Layers::from_array(args.all()));
         let lists = self.device_lists(&gpu, &inputs);
         let (planes, kept) = launch_rasterize(&gpu, &inputs, lists, &self.spec, self.trace.is_some());
@@ -159,18 +159,18 @@ impl Operation for Rasterize {
         Self { trace: Some(TraceCell::default()), ..self.clone() }
     }
 
-    fn run_backward<F: Real>(&self, args: &HostArgs) -> Vec<Found<F>> {
+    fn run_backward<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {
         let (read, of_planes) = (args.all::<F, 4>(), host_grads(args, &self.spec));
         let inputs = Layers::from_array(slices(&read));
         let kept = self.trace.as_ref().and_then(TraceCell::kept::<Trace<F>>);
         let lists = (self.host_lists(&inputs), kept);
         let needs = Layers::from_array(args.needs());
         let grads = rasterize_backward_cpu(inputs, plane_slices(&of_planes), &self.spec, lists, needs);
-        found(grads.into_array()).into_iter().chain([Found::Nothing]).collect()
+        float_outputs(grads.into_array()).into_iter().chain([HostOutput::Nothing]).collect()
     }
 
     #[cfg(feature = "cube")]
-    fn launch_backward(&self, args: GpuArgs) -> Vec<Bound> {
+    fn launch_backward(&self, args: GpuArgs) -> Vec<GpuOutput> {
         let (gpu, inputs) = (args.gpu(), Layers::from_array(args.all()));
         let grad = grad_of_planes(&args, &self.spec, !self.spec.options.depth);
         let lists = self.device_lists(&gpu, &inputs);
@@ -180,6 +180,6 @@ impl Operation for Rasterize {
         });
         let needs = Layers::from_array(args.needs());
         let found = launch_rasterize_backward(&gpu, &inputs, &grad, lists, &kept, &self.spec, needs);
-        bound_some(found.into_array()).into_iter().chain([None]).collect()
+        optional_outputs(found.into_array()).into_iter().chain([None]).collect()
     }
 }

@@ -5,8 +5,8 @@ use super::cpu::{RayTrace, rasterize_rays_backward_cpu, rasterize_rays_cpu};
 #[cfg(feature = "cube")]
 use super::launch::{ROOM, launch_rasterize_rays, launch_rasterize_rays_backward};
 #[cfg(feature = "cube")]
-use crate::backend::cube::bound_some;
-use crate::backend::host::{found, slices};
+use crate::backend::cube::optional_outputs;
+use crate::backend::host::{float_outputs, slices};
 use crate::backend::*;
 #[cfg(feature = "cube")]
 use crate::gpu::{Buffer, Gpu};
@@ -52,7 +52,7 @@ impl Operation for RasterizeRays {
         planes(&self.spec, inputs[3].as_ref())
     }
 
-    fn run<F: Real>(&self, args: &HostArgs) -> Vec<Found<F>> {
+    fn run<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {
         let read = args.all::<F, 5>();
         let inputs = RayLayers::from_array(slices(&read));
         let (planes, kept) = rasterize_rays_cpu(inputs, &self.spec, self.host_lists(&inputs), self.trace.is_some());
@@ -61,7 +61,7 @@ impl Operation for RasterizeRays {
     }
 
     #[cfg(feature = "cube")]
-    fn launch(&self, args: GpuArgs) -> Vec<Bound> {
+    fn launch(&self, args: GpuArgs) -> Vec<GpuOutput> {
         let (gpu, inputs) = (args.gpu(), RayLayers::from_array(args.all()));
         let planes = launch_rasterize_rays(&gpu, &inputs, self.device_lists(&gpu, &inputs), &self.spec);
         split_planes(planes, &self.spec, args.tensor(0))
@@ -79,23 +79,23 @@ impl Operation for RasterizeRays {
         Self { trace: Some(TraceCell::default()), ..self.clone() }
     }
 
-    fn run_backward<F: Real>(&self, args: &HostArgs) -> Vec<Found<F>> {
+    fn run_backward<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {
         let (read, of_planes) = (args.all::<F, 5>(), host_grads(args, &self.spec));
         let inputs = RayLayers::from_array(slices(&read));
         let kept = self.trace.as_ref().and_then(TraceCell::kept::<RayTrace<F>>);
         let lists = (self.host_lists(&inputs), kept);
         let needs = RayLayers::from_array(args.needs());
         let grads = rasterize_rays_backward_cpu(inputs, plane_slices(&of_planes), &self.spec, lists, needs);
-        found(grads.into_array()).into_iter().chain([Found::Nothing]).collect()
+        float_outputs(grads.into_array()).into_iter().chain([HostOutput::Nothing]).collect()
     }
 
     #[cfg(feature = "cube")]
-    fn launch_backward(&self, args: GpuArgs) -> Vec<Bound> {
+    fn launch_backward(&self, args: GpuArgs) -> Vec<GpuOutput> {
         let (gpu, inputs) = (args.gpu(), RayLayers::from_array(args.all()));
         let grad = grad_of_planes(&args, &self.spec, false);
         let lists = (self.device_lists(&gpu, &inputs), ROOM);
         let needs = RayLayers::from_array(args.needs());
         let grads = launch_rasterize_rays_backward(&gpu, &inputs, &grad, lists, &self.spec, needs);
-        bound_some(grads.into_array()).into_iter().chain([None]).collect()
+        optional_outputs(grads.into_array()).into_iter().chain([None]).collect()
     }
 }

@@ -5,8 +5,8 @@ use super::cpu::{ray_space_backward_cpu, ray_space_cpu};
 use super::launch::{launch_bounds, launch_ray_space, launch_ray_space_backward};
 use super::{bounds_cpu, columns};
 #[cfg(feature = "cube")]
-use crate::backend::cube::{bound, bound_some};
-use crate::backend::host::{found, slices};
+use crate::backend::cube::{gpu_outputs, optional_outputs};
+use crate::backend::host::{float_outputs, slices};
 use crate::backend::*;
 use crate::project::{Geometry, ProjectSpec};
 use crate::rasterize::RasterizeSpec;
@@ -21,13 +21,13 @@ impl Operation for RaySpace {
         vec![inputs[0].as_ref().map(|means| means.with_shape([means.shape[0], columns]))]
     }
 
-    fn run<F: Real>(&self, args: &HostArgs) -> Vec<Found<F>> {
-        found([ray_space_cpu(Geometry::from_array(slices(&args.all::<F, 6>())), &self.0)])
+    fn run<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {
+        float_outputs([ray_space_cpu(Geometry::from_array(slices(&args.all::<F, 6>())), &self.0)])
     }
 
     #[cfg(feature = "cube")]
-    fn launch(&self, args: GpuArgs) -> Vec<Bound> {
-        bound([launch_ray_space(&args.gpu(), &Geometry::from_array(args.all()), &self.0)])
+    fn launch(&self, args: GpuArgs) -> Vec<GpuOutput> {
+        gpu_outputs([launch_ray_space(&args.gpu(), &Geometry::from_array(args.all()), &self.0)])
     }
 
     // All but the opacities.
@@ -35,16 +35,18 @@ impl Operation for RaySpace {
         &[0, 1, 2, 4, 5]
     }
 
-    fn run_backward<F: Real>(&self, args: &HostArgs) -> Vec<Found<F>> {
+    fn run_backward<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {
         let (read, needs) = (args.all::<F, 6>(), Geometry::from_array(args.needs()));
         let inputs = Geometry::from_array(slices(&read));
-        found(ray_space_backward_cpu(inputs, &args.only_grad(), &self.0, needs).into_array())
+        float_outputs(ray_space_backward_cpu(inputs, &args.only_grad(), &self.0, needs).into_array())
     }
 
     #[cfg(feature = "cube")]
-    fn launch_backward(&self, args: GpuArgs) -> Vec<Bound> {
+    fn launch_backward(&self, args: GpuArgs) -> Vec<GpuOutput> {
         let (inputs, needs) = (Geometry::from_array(args.all()), Geometry::from_array(args.needs()));
-        bound_some(launch_ray_space_backward(&args.gpu(), &inputs, &args.only_grad(), &self.0, needs).into_array())
+        optional_outputs(
+            launch_ray_space_backward(&args.gpu(), &inputs, &args.only_grad(), &self.0, needs).into_array(),
+        )
     }
 }
 
@@ -53,16 +55,12 @@ impl Operation for RaySpace {
 pub(crate) struct Bounds(pub RasterizeSpec);
 
 impl Operation for Bounds {
-    fn outputs(&self, inputs: &[Option<Spec>]) -> Vec<Option<Spec>> {
-        vec![inputs[0].clone()]
-    }
-
-    fn run<F: Real>(&self, args: &HostArgs) -> Vec<Found<F>> {
-        found([bounds_cpu::<F>(&args.floats(0), &args.floats(1), &self.0)])
+    fn run<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {
+        float_outputs([bounds_cpu::<F>(&args.floats(0), &args.floats(1), &self.0)])
     }
 
     #[cfg(feature = "cube")]
-    fn launch(&self, args: GpuArgs) -> Vec<Bound> {
-        bound([launch_bounds(&args.gpu(), &args.buffer(0), &args.buffer(1), &self.0)])
+    fn launch(&self, args: GpuArgs) -> Vec<GpuOutput> {
+        gpu_outputs([launch_bounds(&args.gpu(), &args.buffer(0), &args.buffer(1), &self.0)])
     }
 }

@@ -5,8 +5,8 @@ use super::cpu::{ShCpuInputs, Visible, sh_backward_cpu, sh_cpu};
 #[cfg(feature = "cube")]
 use super::launch::{DeviceShCoefficients, ShDeviceInputs, launch_sh, launch_sh_backward};
 #[cfg(feature = "cube")]
-use crate::backend::cube::{bound, bound_some};
-use crate::backend::host::{Host, HostCoefficients, found};
+use crate::backend::cube::{gpu_outputs, optional_outputs};
+use crate::backend::host::{Host, HostCoefficients, float_outputs};
 use crate::backend::*;
 use crate::project::ProjectSpec;
 
@@ -65,34 +65,34 @@ impl Operation for EvaluateSh {
         vec![inputs[1].clone()]
     }
 
-    fn run<F: Real>(&self, args: &HostArgs) -> Vec<Found<F>> {
+    fn run<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {
         let read = Read::<F>::new(args);
-        found([sh_cpu(read.inputs(), read.visible(&self.0).as_ref())])
+        float_outputs([sh_cpu(read.inputs(), read.visible(&self.0).as_ref())])
     }
 
     #[cfg(feature = "cube")]
-    fn launch(&self, args: GpuArgs) -> Vec<Bound> {
+    fn launch(&self, args: GpuArgs) -> Vec<GpuOutput> {
         let visible = args.optional(3);
         let visible = visible.as_ref().map(|ellipses| (ellipses, &self.0));
-        bound([launch_sh(&args.gpu(), &read(&args), visible, args.shape(0)[1])])
+        gpu_outputs([launch_sh(&args.gpu(), &read(&args), visible, args.shape(0)[1])])
     }
 
     fn differentiable(&self) -> &'static [usize] {
         &[0, 1, 2]
     }
 
-    fn run_backward<F: Real>(&self, args: &HostArgs) -> Vec<Found<F>> {
+    fn run_backward<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {
         let (read, needs) = (Read::<F>::new(args), Shading::from_array(args.needs()));
         let grads = sh_backward_cpu(read.inputs(), read.visible(&self.0).as_ref(), &args.only_grad(), needs);
-        found(grads.into_array()).into_iter().chain([Found::Nothing]).collect()
+        float_outputs(grads.into_array()).into_iter().chain([HostOutput::Nothing]).collect()
     }
 
     #[cfg(feature = "cube")]
-    fn launch_backward(&self, args: GpuArgs) -> Vec<Bound> {
+    fn launch_backward(&self, args: GpuArgs) -> Vec<GpuOutput> {
         let (visible, needs) = (args.optional(3), Shading::from_array(args.needs()));
         let visible = visible.as_ref().map(|ellipses| (ellipses, &self.0));
         let coefficients = args.shape(0)[1];
         let grads = launch_sh_backward(&args.gpu(), &read(&args), visible, coefficients, &args.only_grad(), needs);
-        bound_some(grads.into_array()).into_iter().chain([None]).collect()
+        optional_outputs(grads.into_array()).into_iter().chain([None]).collect()
     }
 }

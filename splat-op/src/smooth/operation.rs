@@ -5,8 +5,8 @@ use super::cpu::{smoothed_opacities_backward_cpu, smoothed_opacities_cpu, smooth
 #[cfg(feature = "cube")]
 use super::launch::{launch_smoothed_opacities, launch_smoothed_opacities_backward, launch_smoothed_scales};
 #[cfg(feature = "cube")]
-use crate::backend::cube::bound;
-use crate::backend::host::{found, slices};
+use crate::backend::cube::gpu_outputs;
+use crate::backend::host::{float_outputs, slices};
 use crate::backend::*;
 
 /// The new standard deviations, `[N, 3]`, from the old ones and the widths.
@@ -14,17 +14,13 @@ use crate::backend::*;
 pub(super) struct SmoothedScales;
 
 impl Operation for SmoothedScales {
-    fn outputs(&self, inputs: &[Option<Spec>]) -> Vec<Option<Spec>> {
-        vec![inputs[0].clone()]
-    }
-
-    fn run<F: Real>(&self, args: &HostArgs) -> Vec<Found<F>> {
-        found([smoothed_scales_cpu(&args.floats::<F>(0), &args.floats(1))])
+    fn run<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {
+        float_outputs([smoothed_scales_cpu(&args.floats::<F>(0), &args.floats(1))])
     }
 
     #[cfg(feature = "cube")]
-    fn launch(&self, args: GpuArgs) -> Vec<Bound> {
-        bound([launch_smoothed_scales(&args.gpu(), &args.buffer(0), &args.buffer(1))])
+    fn launch(&self, args: GpuArgs) -> Vec<GpuOutput> {
+        gpu_outputs([launch_smoothed_scales(&args.gpu(), &args.buffer(0), &args.buffer(1))])
     }
 
     fn differentiable(&self) -> &'static [usize] {
@@ -36,14 +32,14 @@ impl Operation for SmoothedScales {
     }
 
     // The derivative is the share of the old in the new one.
-    fn run_backward<F: Real>(&self, args: &HostArgs) -> Vec<Found<F>> {
+    fn run_backward<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {
         let (old, new, grad) = (args.floats::<F>(0), args.output::<F>(0), args.only_grad::<F>());
         let grads = old.iter().zip(new.iter()).zip(grad.iter()).map(|((&old, &new), &grad)| grad * (old / new));
-        vec![Found::Floats(grads.collect()), Found::Nothing]
+        vec![HostOutput::floats(grads.collect()), HostOutput::Nothing]
     }
 
     #[cfg(feature = "cube")]
-    fn launch_backward(&self, args: GpuArgs) -> Vec<Bound> {
+    fn launch_backward(&self, args: GpuArgs) -> Vec<GpuOutput> {
         use burn::backend::ops::FloatTensorOps;
         use burn_cubecl::CubeBackend;
 
@@ -63,27 +59,27 @@ impl Operation for SmoothedOpacities {
         vec![inputs[1].clone()]
     }
 
-    fn run<F: Real>(&self, args: &HostArgs) -> Vec<Found<F>> {
-        found([smoothed_opacities_cpu(Smooth::from_array(slices(&args.all::<F, 3>())))])
+    fn run<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {
+        float_outputs([smoothed_opacities_cpu(Smooth::from_array(slices(&args.all::<F, 3>())))])
     }
 
     #[cfg(feature = "cube")]
-    fn launch(&self, args: GpuArgs) -> Vec<Bound> {
-        bound([launch_smoothed_opacities(&args.gpu(), &Smooth::from_array(args.all()))])
+    fn launch(&self, args: GpuArgs) -> Vec<GpuOutput> {
+        gpu_outputs([launch_smoothed_opacities(&args.gpu(), &Smooth::from_array(args.all()))])
     }
 
     fn differentiable(&self) -> &'static [usize] {
         &[0, 1]
     }
 
-    fn run_backward<F: Real>(&self, args: &HostArgs) -> Vec<Found<F>> {
+    fn run_backward<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {
         let read = args.all::<F, 3>();
         let grads = smoothed_opacities_backward_cpu(Smooth::from_array(slices(&read)), &args.only_grad());
-        found(grads.into_array())
+        float_outputs(grads.into_array())
     }
 
     #[cfg(feature = "cube")]
-    fn launch_backward(&self, args: GpuArgs) -> Vec<Bound> {
+    fn launch_backward(&self, args: GpuArgs) -> Vec<GpuOutput> {
         let inputs = Smooth::from_array(args.all());
         let (scales, opacities) = launch_smoothed_opacities_backward(&args.gpu(), &inputs, &args.only_grad());
         vec![Some(scales.handle), Some(opacities.handle), None]

@@ -23,7 +23,7 @@ impl Operation for AddToTally {
     }
 
     #[cfg(feature = "cube")]
-    fn launch(&self, mut args: GpuArgs) -> Vec<Bound> {
+    fn launch(&self, mut args: GpuArgs) -> Vec<GpuOutput> {
         let (gpu, grad, count) = (args.gpu(), args.buffer(0), args.shape(0)[0]);
         let begins = !args.has(1);
         let [sums, counts] = [1, 2].map(|i| match begins {
