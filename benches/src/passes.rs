@@ -260,12 +260,6 @@ impl Stages {
 /// Returns gradients that nothing else holds: a hundredth of the parameters.
 fn gradients(gaussians: &Gaussians) -> Gradients {
     const SHARE: f64 = 0.01;
-    Gradients {
-        means: Some(gaussians.means.val() * SHARE),
-        rotations: Some(gaussians.rotations.val() * SHARE),
-        log_scales: Some(gaussians.log_scales.val() * SHARE),
-        logit_opacities: Some(gaussians.logit_opacities.val() * SHARE),
-        sh: Some(gaussians.sh.val() * SHARE),
-        sh_more: Vec::new(),
-    }
+    let groups = gaussians.groups().iter();
+    groups.fold(Gradients::default(), |gradients, group| gradients.with(group.name(), group.raw() * SHARE))
 }

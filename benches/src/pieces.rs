@@ -121,11 +121,8 @@ impl Pieces {
             + with_gradient(harmonics(&splats), zero(), sh);
         drop(splats);
         let mut grads = activated.backward();
-        let gradients = Gradients {
-            means: Some(means),
-            rotations: Some(rotations),
-            ..Gradients::take(&self.scene.gaussians, &mut grads)
-        };
+        let gradients = Gradients::take(&self.scene.gaussians, &mut grads);
+        let gradients = gradients.with("means", means).with("rotations", rotations);
         drop(grads);
         watch.lap(PassKind::ActivateBackward);
 

@@ -79,6 +79,7 @@ impl SyntheticView {
             sh_dc: coefficients.iter().map(|row| [row[0], row[1], row[2]]).collect(),
             sh_rest: coefficients.iter().flat_map(|row| row[3..].iter().copied()).collect(),
             sh_degree: 3,
+            groups: Vec::new(),
         }
     }
 

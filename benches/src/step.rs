@@ -83,7 +83,7 @@ impl Step {
 
     /// Saves the scene and its moments, as a checkpoint does.
     pub fn save(&self) -> State {
-        self.scene.save()
+        self.scene.save().expect("a scene without further groups")
     }
 
     /// Refines the scene once as `gradual` does where all Gaussians wait to become two: a fifth of them do, the most that a refinement takes.
@@ -115,5 +115,5 @@ pub(crate) fn density() -> Adaptive {
 
 pub(crate) fn rates() -> StepRates {
     let rates = LearningRates::default();
-    StepRates { rates, means: rates.means }
+    StepRates { rates, means: rates.means, done: 0.0 }
 }

@@ -18,7 +18,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let truth = seen.truth.image();
         let weight = truth.clone().neg() + 1.5;
         let colour = ((seen.image.clone() - truth).abs() * weight).mean();
-        let opacity = seen.splats.opacities.clone();
+        let opacity = seen.input.splats.opacities.clone();
         colour + (opacity.clone() * (opacity.neg() + 1.0)).mean() * 0.01
     };
     let mut trainer = Trainer::new(photos.clone(), &capture.points, config, &device)?.with_loss(loss);

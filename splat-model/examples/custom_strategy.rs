@@ -52,7 +52,7 @@ impl Strategy for Budget {
         let rows = scene.gaussians.len();
         let device = pulled.device();
         // The logit of 0.01.
-        let stays = scene.gaussians.logit_opacities.val().inner().greater_elem(-4.6);
+        let stays = scene.gaussians.logit_opacities().inner().greater_elem(-4.6);
         let [kept] = counts([stays.clone()]);
         let cloned = self.most.saturating_sub(kept).min(kept / 5);
         let (clones, _) = largest(&pulled, &stays, cloned);

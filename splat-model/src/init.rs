@@ -78,6 +78,7 @@ pub fn from_points(points: &PointCloud) -> GaussianRows {
         sh_dc: points.colours.iter().map(dc).collect(),
         sh_rest: Vec::new(),
         sh_degree: 0,
+        groups: Vec::new(),
     }
 }
 

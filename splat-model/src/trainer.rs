@@ -20,14 +20,14 @@ use burn::tensor::{Device, Tensor};
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
-use splat_op::{RenderOptions, Splats};
+use splat_op::{Colour, Extras, RenderOptions, SplatError};
 
 use crate::accuracy::Setting;
 use crate::capture::{Photo, Photograph, PointCloud, PointsSeen};
 use crate::density::rows::{StepRates, Trained};
 use crate::density::{RefineReport, Strategy, StrategyContext};
-use crate::effects::{Effect, EffectContext, EffectStack};
-use crate::gaussians::Gaussians;
+use crate::effects::{Effect, EffectContext, EffectStack, RenderInput};
+use crate::gaussians::{Gaussians, Group, GroupOptions};
 use crate::loss::{Truth, photometric};
 use crate::optim::{Adam, Decay, scene_extent, sh_degree_at};
 
@@ -48,12 +48,38 @@ pub struct LossInputs<'a> {
     pub alpha: Tensor<3>,
     /// The photograph, prepared; [`Truth::image`] gives it as `[H, W, 3]`.
     pub truth: &'a Truth,
-    /// The activated parameters that were rendered, tracked.
-    pub splats: &'a Splats,
+    /// `[H, W, 1]`: the accumulated depth, tracked, if the run's options render it.
+    pub depth: Option<Tensor<3>>,
+    /// The inputs of the render, after effects: the activated parameters, tracked, the camera and the options.
+    pub input: &'a RenderInput,
+    /// The scene's parameters, tracked.
+    pub gaussians: &'a Gaussians,
     /// Number of the step, counted from 1.
     pub step: usize,
     /// The photograph's name.
     pub view: &'a str,
+}
+
+impl LossInputs<'_> {
+    /// `[N, width]`: the values of a group, activated and tracked.
+    ///
+    /// # Panics
+    /// If the scene has no such group.
+    pub fn group(&self, name: &str) -> Tensor<2> {
+        let group = self.gaussians.group(name).unwrap_or_else(|| panic!("the scene has no group `{name}`"));
+        group.values()
+    }
+
+    /// Renders features of one's own, `[N, C]`, as the view's picture is rendered, over black: `[H, W, C]`, tracked.
+    ///
+    /// # Errors
+    /// Errors of the render operation.
+    pub fn features(&self, features: Tensor<2>) -> Result<Tensor<3>, SplatError> {
+        let mut input = self.input.clone();
+        input.splats.colour = Colour::Features(features);
+        input.extras = Extras::default();
+        Ok(input.render()?.colour)
+    }
 }
 
 /// A loss: any function of [`LossInputs`] to a `[1]` tensor.
@@ -198,6 +224,24 @@ impl Trainer {
         Ok(self)
     }
 
+    /// Adds a group of parameters with rows of `width` zeros, which is trained, saved and carried along by density control like the
+    /// others; losses read it by [`LossInputs::group`]. Must be called before the first step.
+    ///
+    /// # Errors
+    /// If there is a group of that name, if files cannot hold the name, or if `width` is 0.
+    pub fn with_group(self, name: &str, width: usize, options: GroupOptions) -> Result<Self, TrainError> {
+        let zeros = Tensor::zeros([self.scene.gaussians.len(), width], &self.device.clone().autodiff());
+        self.with_group_of(Group::new(name, zeros, options)?)
+    }
+
+    /// As [`Self::with_group`], with values of one's own on the scene's device with autodiff.
+    ///
+    /// # Errors
+    /// As [`Self::with_group`], and if the number of rows differs.
+    pub fn with_group_of(self, group: Group) -> Result<Self, TrainError> {
+        Ok(Self { scene: self.scene.with_group(group)?, ..self })
+    }
+
     /// Shares the views of each batch with other processes, which train the same run (see [`ranks`]). Before its first step, each
     /// rank checks that all begin from the same version, options, photographs and state. From then on every rank has to take the same
     /// steps. Steps wait for the device. Rank 0 always renders the first view of a batch; a rank without a view waits.
@@ -246,6 +290,11 @@ impl Trainer {
     /// The configuration of the run, with the current dials.
     pub fn config(&self) -> &TrainConfig {
         &self.config
+    }
+
+    /// Extent of the scene (see [`scene_extent`]), scene units.
+    pub fn extent(&self) -> f64 {
+        self.extent
     }
 
     /// Number of completed steps.
@@ -300,7 +349,8 @@ impl Trainer {
         let Batch { loss, gradients, views, held } = self.differentiate_batch()?;
         let first = views[0].0;
         let others = self.config.step_rates().after(step as f64 / steps as f64);
-        let rates = StepRates { rates: others, means: self.means_decay.at(step) };
+        let done = step as f64 / steps as f64;
+        let rates = StepRates { rates: others, means: self.means_decay.at(step), done };
         self.scene.step(gradients, &self.adam(), &rates, step, held.as_ref());
         for (view, mut of_effects) in views {
             self.effects.step(&mut of_effects, EffectContext { view, step, steps, verdict: held.as_ref() });
@@ -366,6 +416,8 @@ impl Trainer {
 mod custom_effect_tests;
 #[cfg(test)]
 mod effects_tests;
+#[cfg(test)]
+mod groups_tests;
 #[cfg(test)]
 mod robust_tests;
 #[cfg(test)]

@@ -5,7 +5,7 @@ use burn::tensor::{DType, Device, Tensor};
 use glam::{DAffine3, DVec3};
 use splat_model::accuracy::Setting;
 use splat_model::capture::{Photo, PointCloud};
-use splat_model::density::rows::Gradients;
+use splat_model::density::rows::{Gradients, GroupGradients};
 use splat_model::density::{AdaptiveConfig, DensityConfig, McmcConfig};
 use splat_model::effects::background::Background;
 use splat_model::evaluate::evaluate;
@@ -71,7 +71,7 @@ fn train(density: DensityConfig, batch: usize, device: &Device) -> Outcome {
             second.resume(state).expect("the state of an equal run");
         }
         losses.push(host(first.step().expect("a sound run").loss)[0]);
-        blocks.push(first.gaussians().sh_params().count());
+        blocks.push(first.gaussians().sh_blocks().len());
     }
     while !second.is_done() {
         second.step().expect("a sound run");
@@ -184,8 +184,8 @@ fn poisoned(device: &Device) -> Vec<f64> {
     let mut state = before.save().expect("a sound run");
     let (mut scene, host_device) = (state.take_part("scene"), Device::flex());
     let mut sh = scene.take_part("sh");
-    let values: Tensor<3> = sh.take("values", &host_device).expect("the coefficients");
-    let row = Tensor::full([1, 16, 3], f32::NAN, &host_device);
+    let values: Tensor<2> = sh.take("values", &host_device).expect("the coefficients");
+    let row = Tensor::full([1, 48], f32::NAN, &host_device);
     let (first, last) = (values.clone().narrow(0, 0, POINTS - 40), values.narrow(0, POINTS - 39, 39));
     sh.put("values", Tensor::cat(vec![first, row, last], 0));
     scene.put_part("sh", sh);
@@ -200,11 +200,10 @@ fn poisoned(device: &Device) -> Vec<f64> {
 /// The guard looks at all blocks.
 fn guarded(device: &Device) {
     let mut guard = Guard::new(device);
-    let ones = || Tensor::<3>::ones([4, 1, 3], device);
-    let gradients = |last: f32| Gradients {
-        sh: Some(ones()),
-        sh_more: vec![Some(ones()), Some(ones() * last)],
-        ..Gradients::default()
+    let ones = || Tensor::<2>::ones([4, 3], device);
+    let gradients = |last: f32| {
+        let blocks = vec![Some(ones()), Some(ones()), Some(ones() * last)];
+        Gradients(vec![GroupGradients { name: "sh".into(), blocks }])
     };
     let loss = Tensor::ones([1], device);
     let mut fault = |step, last| {
@@ -226,5 +225,6 @@ fn some_rows() -> GaussianRows {
         sh_rest: (0..45 * POINTS).map(wave).collect(),
         means: points.positions,
         sh_degree: 3,
+        groups: Vec::new(),
     }
 }

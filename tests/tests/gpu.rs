@@ -319,7 +319,7 @@ fn adam_in_one_operation_is_adam_in_tensors_and_leaves_what_others_hold() {
     let before = host(start.clone());
     let adam = Adam::default();
     // Rates of the first column and of the other columns.
-    let rates = Rates { first: 0.05, others: 0.01 };
+    let rates = Rates { first: 0.05, others: 0.01, width: 1 };
     for step in 1..=6 {
         let gradient = draw(-1e-3, 1e-3);
         other = adam.step_in_tensors(other, gradient.clone(), rates, &mut theirs, step);

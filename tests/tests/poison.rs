@@ -52,7 +52,7 @@ fn run(device: &Device, steps: usize, bad: usize) -> Trainer {
         if seen.step != bad {
             return loss;
         }
-        let scales = seen.splats.scales.clone();
+        let scales = seen.input.splats.scales.clone();
         let device = scales.device().inner();
         let mut gradient = vec![0.0; scales.shape().num_elements()];
         gradient[7] = f32::NAN;

@@ -182,6 +182,11 @@ fn dropped(scene: &SceneFile, format: Format, written: &Written, of_degree: usiz
             "{left_out} splats that cannot be rendered, because a parameter is not finite or out of range"
         ));
     }
+    if let Some(group) = scene.rows.groups.iter().find(|group| !written.rows.has_group(group)) {
+        let others = scene.rows.groups.len() - 1;
+        let more = if others == 0 { String::new() } else { format!(" and {others} more") };
+        lost.push(format!("the further properties `{}`{more}: only PLY holds them", group.name));
+    }
     if sh_degree < of_degree {
         lost.push(format!("spherical harmonics above degree {sh_degree}"));
     }

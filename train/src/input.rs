@@ -193,7 +193,7 @@ pub fn rows(option: &str, path: &Path, capture: &Capture) -> Result<(GaussianRow
 
 /// Returns some rows of a scene, with spherical harmonics up to `sh_degree`.
 pub fn selected(rows: &GaussianRows, which: impl IntoIterator<Item = usize>, sh_degree: usize) -> GaussianRows {
-    let mut found = GaussianRows { sh_degree, ..GaussianRows::default() };
+    let mut found = GaussianRows { sh_degree, ..GaussianRows::like(rows) };
     which.into_iter().for_each(|row| found.push(rows, row));
     found
 }

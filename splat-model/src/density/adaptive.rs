@@ -77,7 +77,7 @@ impl Adaptive {
             (splits.clone(), if count == 0 { 0 } else { counts([splits])[0] })
         };
         let (kept, cloned) = (surviving - split, count - split);
-        let order = z_order(&plain.means.val(), &usable);
+        let order = z_order(&plain.means(), &usable);
         let keep = picked(&order, &sound.bool_and(splits.clone().bool_not()), kept);
         let rows = |mask: &Tensor<1, Bool>, count| picked(&order, mask, count);
         let edit = match (cloned, split) {
@@ -104,13 +104,13 @@ impl Adaptive {
     fn mean_gradients(&mut self, scene: &Gaussians) -> Tensor<1> {
         match self.seen.take() {
             Some(Tally { sums, counts }) => sums / counts.clamp_min(1.0),
-            None => scene.logit_opacities.val().zeros_like(),
+            None => scene.logit_opacities().zeros_like(),
         }
     }
 
     /// `[N]`: whether each Gaussian is neither too faint nor too large nor unusable. No optimiser step makes a non-finite value finite.
     fn sound(&self, scene: &Gaussians, usable: &Tensor<1, Bool>, step: usize) -> Tensor<1, Bool> {
-        let seen = scene.logit_opacities.val().greater_equal_elem(logit(self.config.prune_opacity));
+        let seen = scene.logit_opacities().greater_equal_elem(logit(self.config.prune_opacity));
         let sound = seen.bool_and(usable.clone());
         if self.config.reset_every == 0 || step <= self.config.reset_every {
             return sound;
@@ -131,7 +131,7 @@ impl Adaptive {
         match self.config.focus {
             None => [surviving, count] = counts([sound.clone(), wanted.clone()]),
             Some(focus) => {
-                let beyond = focus.beyond(&scene.means.val());
+                let beyond = focus.beyond(&scene.means());
                 let far = wanted.clone().bool_and(beyond.clone());
                 let far_sound = sound.clone().bool_and(beyond);
                 let [all, all_wanted, surviving_far, wanted_far] =
@@ -178,7 +178,7 @@ impl Adaptive {
 
     /// Limits each Gaussian's largest standard deviation to `max_elongation` times its middle one.
     fn limit_elongation(&self, scene: &mut Trained) {
-        let logs = scene.gaussians.log_scales.val().inner();
+        let logs = scene.gaussians.log_scales().inner();
         let (smallest, largest) = (logs.clone().min_dim(1), logs.clone().max_dim(1));
         let middle = logs.clone().sum_dim(1) - smallest - largest;
         let ceiling = middle + self.config.max_elongation.ln();
@@ -221,7 +221,7 @@ impl Strategy for Adaptive {
         }
         if self.resets_at(at.step) {
             let ceiling = (RESET_OPACITY / (1.0 - RESET_OPACITY)).ln();
-            let logits = scene.gaussians.logit_opacities.val().inner().clamp_max(ceiling);
+            let logits = scene.gaussians.logit_opacities().inner().clamp_max(ceiling);
             scene.reset_opacities(logits);
         }
         Ok(report)
@@ -278,15 +278,15 @@ fn with_parts(
     };
     let after = |values: Tensor<2>, parts| Tensor::cat(vec![values.select(0, clones.clone()), parts], 0);
     let edit = RowEdit::new(keep, Tensor::cat(vec![clones.clone(), whole], 0));
-    let logits = scene.logit_opacities.val().select(0, clones.clone());
-    edit.with("means", after(scene.means.val(), means))
-        .with("log_scales", after(scene.log_scales.val(), log_scales))
+    let logits = scene.logit_opacities().select(0, clones.clone());
+    edit.with("means", after(scene.means(), means))
+        .with("log_scales", after(scene.log_scales(), log_scales))
         .with("logit_opacities", Tensor::cat(vec![logits, logit_opacities], 0))
 }
 
 /// `[N]`: logarithm of each Gaussian's largest standard deviation.
 fn largest_log_scale(scene: &Gaussians) -> Tensor<1> {
-    scene.log_scales.val().max_dim(1).squeeze_dim(1)
+    scene.log_scales().max_dim(1).squeeze_dim(1)
 }
 
 #[cfg(test)]

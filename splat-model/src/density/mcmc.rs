@@ -94,7 +94,7 @@ impl Mcmc {
         let plain = scene.gaussians.untracked();
         let (rows, opacities) = (plain.len(), plain.opacities());
         let usable = opacities.clone().greater_elem(0.0);
-        let lives = usable.clone().bool_and(plain.logit_opacities.val().greater_elem(logit(self.config.dead_opacity)));
+        let lives = usable.clone().bool_and(plain.logit_opacities().greater_elem(logit(self.config.dead_opacity)));
         if rows == 0 {
             return Ok(None);
         }
@@ -115,7 +115,7 @@ impl Mcmc {
         let shares = drawn.clone().greater_elem(0);
         let [sharing] = counts([shares.clone()]);
 
-        let order = z_order(&plain.means.val(), &usable);
+        let order = z_order(&plain.means(), &usable);
         let keep = picked(&order, &lives.bool_and(shares.clone().bool_not()), living - sharing);
         let edit = if sharing == 0 {
             RowEdit::new(keep, rows_on(&order.device(), &[]))
@@ -123,7 +123,7 @@ impl Mcmc {
             let new = repeated(drawn.clone() + ones(shares), draws + sharing);
             let together = (drawn.select(0, new.clone()) + 1).float().cast(opacities.dtype());
             let (each, factor) = share(opacities.select(0, new.clone()), together);
-            let log_scales = plain.log_scales.val().select(0, new.clone()) + factor.log().unsqueeze_dim::<2>(1);
+            let log_scales = plain.log_scales().select(0, new.clone()) + factor.log().unsqueeze_dim::<2>(1);
             let logits = each.clone().log() - each.neg().log1p();
             RowEdit::new(keep, new).with("log_scales", log_scales).with("logit_opacities", logits)
         };
@@ -141,7 +141,7 @@ impl Mcmc {
     /// covariance, `η` normal, `o` the opacity and `t` the opacity of the dead (Kheradmand et al. 2024, eq. 8 and its
     /// code). Faint Gaussians move, mostly along their own extent, and visible ones do not.
     fn wander(&mut self, scene: &mut Trained, at: &StrategyContext, rng: &mut dyn Rng) {
-        let means = scene.gaussians.means.val().inner();
+        let means = scene.gaussians.means().inner();
         let normal = self.noise.draw(means.dims()[0], rng, &means.device());
         let by = self.config.noise * at.means_rate / (self.extent * self.extent);
         let device = means.device();
@@ -160,10 +160,10 @@ impl Mcmc {
     /// `Σ η σ(k (t − o))`, `[N, 3]`, for normal `η`, `[N, 3]`. Sizes are limited to the scene's. With `Σ = R S² Rᵀ`, `Rᵀ η`
     /// is as normal as `η`, so `normal` is used as `Rᵀ η`.
     fn displacements(&self, gaussians: &Gaussians, normal: Tensor<2>) -> Tensor<2> {
-        let opacities = sigmoid(gaussians.logit_opacities.val().inner()).unsqueeze_dim::<2>(1);
+        let opacities = sigmoid(gaussians.logit_opacities().inner()).unsqueeze_dim::<2>(1);
         let faint = sigmoid((opacities.neg() + self.config.dead_opacity) * SUDDENNESS);
-        let scales = gaussians.log_scales.val().inner().exp().clamp_max(self.extent);
-        let (w, axis) = unit(gaussians.rotations.val().inner());
+        let scales = gaussians.log_scales().inner().exp().clamp_max(self.extent);
+        let (w, axis) = unit(gaussians.rotations().inner());
         rotated(normal * scales.square(), w, axis) * faint
     }
 }

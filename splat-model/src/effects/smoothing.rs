@@ -95,7 +95,7 @@ impl Smoothing {
         if self.widths.is_some() && step < self.found_at + EVERY {
             return;
         }
-        let means = gaussians.means.val().inner();
+        let means = gaussians.means().inner();
         let device = means.device();
         let rows = values_of(means);
         let widths = self.ln_widths(rows.as_chunks::<3>().0);

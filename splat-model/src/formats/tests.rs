@@ -18,6 +18,7 @@ fn one() -> GaussianRows {
         sh_dc: vec![[0.3, -0.2, 1.0]],
         sh_rest: vec![],
         sh_degree: 0,
+        groups: Vec::new(),
     }
 }
 

@@ -11,7 +11,7 @@ fn rows_survive_a_round_trip_bit_for_bit() {
                 assert_eq!(scene.to_rows(), rows);
                 assert_eq!(Gaussians::from_own_rows(rows.clone(), &device).unwrap().to_rows(), rows);
                 assert_eq!((scene.len(), scene.sh_degree()), (17, degree));
-                assert_eq!(scene.sh.val().dims(), [17, (degree + 1) * (degree + 1), 3]);
+                assert_eq!(scene.sh_blocks().remove(0).dims(), [17, (degree + 1) * (degree + 1), 3]);
             }
         }
     }
@@ -43,6 +43,7 @@ fn accessors_activate() {
         sh_dc: vec![[0.1, 0.2, 0.3]],
         sh_rest: (1..=9).map(|i| i as f32).collect(),
         sh_degree: 1,
+        groups: Vec::new(),
     };
     for device in devices() {
         let scene = Gaussians::from_rows(&rows, &device).unwrap();
@@ -54,7 +55,10 @@ fn accessors_activate() {
         let opacity = values_of(scene.opacities())[0];
         assert!((opacity - 0.9).abs() < 1e-6, "{opacity}");
         // Coefficient by coefficient, the constant one first.
-        assert_eq!(values_of(scene.sh.val()), [0.1, 0.2, 0.3, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0]);
+        assert_eq!(
+            values_of(scene.sh_blocks().remove(0)),
+            [0.1, 0.2, 0.3, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0]
+        );
     }
 }
 
@@ -67,7 +71,7 @@ fn opacities_within_rounding_of_one_keep_their_derivative() {
         let rows = GaussianRows { logit_opacities: logits.clone(), ..random_rows(logits.len(), 1, 2) };
         let scene = Gaussians::from_rows(&rows, &device.clone().autodiff()).unwrap();
         let opacities = scene.opacities();
-        let gradient = scene.logit_opacities.val().grad(&opacities.clone().sum().backward()).unwrap();
+        let gradient = scene.gradient("logit_opacities", &opacities.clone().sum().backward()).unwrap();
         let gradient = values_of(gradient);
         let plain = values_of(Gaussians::from_rows(&rows, &device).unwrap().opacities());
         assert_eq!(values_of(opacities), plain);
@@ -134,8 +138,66 @@ fn a_scene_may_be_empty() {
             let scene = Gaussians::from_rows(&rows, &device.clone().autodiff()).unwrap();
             assert!(scene.is_empty());
             assert_eq!(scene.to_rows(), rows);
-            assert_eq!(scene.sh.val().dims(), [0, (degree + 1) * (degree + 1), 3]);
+            assert_eq!(scene.sh_blocks().remove(0).dims(), [0, (degree + 1) * (degree + 1), 3]);
             assert!(scene.untracked().is_empty());
         }
     }
+}
+
+/// A scene of `count` Gaussians with a group of two numbers each.
+fn with_features(count: usize, activation: Activation, device: &Device) -> Gaussians {
+    let scene = Gaussians::from_rows(&random_rows(count, 1, 2), device).unwrap();
+    let values: Vec<f32> = (0..2 * count).map(|i| i as f32 - 1.5).collect();
+    let options = GroupOptions { activation, rate: 0.1, ..GroupOptions::default() };
+    let group = Group::new("features", tensor(values, [count, 2], device), options).unwrap();
+    scene.with_group(group).unwrap()
+}
+
+#[test]
+fn groups_survive_a_round_trip() {
+    for device in devices() {
+        for device in [device.clone(), device.autodiff()] {
+            let scene = with_features(7, Activation::Sigmoid, &device);
+            let rows = scene.to_rows();
+            assert_eq!(rows.groups[0].values[..4], [-1.5, -0.5, 0.5, 1.5]);
+            assert_eq!(Gaussians::from_rows(&rows, &device).unwrap().to_rows(), rows);
+            assert_eq!(scene.rows_in(2..4), rows.part(2..4));
+            assert_eq!(scene.untracked().to_rows(), rows);
+            assert_eq!(scene.group("features").unwrap().raw().is_require_grad(), device.is_autodiff());
+        }
+    }
+}
+
+#[test]
+fn groups_are_activated() {
+    let device = Device::flex();
+    for (activation, expected) in [
+        (Activation::Identity, [-1.5, -0.5]),
+        (Activation::Exp, [(-1.5_f32).exp(), (-0.5_f32).exp()]),
+        (Activation::Sigmoid, [sigmoid(-1.5) as f32, sigmoid(-0.5) as f32]),
+        (Activation::Normalise, [-1.5 / 2.5_f32.sqrt(), -0.5 / 2.5_f32.sqrt()]),
+    ] {
+        let found = values_of(with_features(1, activation, &device).group("features").unwrap().values());
+        assert!(found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-6), "{activation:?}: {found:?}");
+    }
+    let zeros = Group::new(
+        "a",
+        Tensor::zeros([1, 2], &device),
+        GroupOptions { activation: Activation::Normalise, ..GroupOptions::default() },
+    );
+    assert_eq!(values_of(zeros.unwrap().values()), [0.0; 2]);
+}
+
+#[test]
+fn groups_that_do_not_fit_are_refused() {
+    let device = Device::flex();
+    let new = |name: &str, shape: [usize; 2]| Group::new(name, Tensor::zeros(shape, &device), GroupOptions::default());
+    let scene = with_features(3, Activation::Identity, &device);
+    let add = |name: &str, rows| scene.clone().with_group(new(name, [rows, 2]).unwrap()).unwrap_err().to_string();
+    assert!(add("means", 3).contains("two groups are named `means`"));
+    assert!(add("features", 3).contains("two groups are named `features`"));
+    assert!(add("others", 4).contains("`others` holds 8 numbers, expected 6 for 3 Gaussians"));
+    assert!(new("a/b", [3, 1]).unwrap_err().to_string().contains("a group named \"a/b\""));
+    assert!(new("", [3, 1]).unwrap_err().to_string().contains("a group named \"\""));
+    assert!(new("a", [3, 0]).unwrap_err().to_string().contains("rows of 0 numbers"));
 }

@@ -91,7 +91,7 @@ fn a_point_shows_its_colour_and_opacity() {
     let device = Device::flex();
     let scene = Gaussians::from_rows(&rows, &device).unwrap();
     let camera = Camera::new(Intrinsics::centred(32, 24, 30.0), &DAffine3::IDENTITY, &device);
-    let shown = values_of(evaluate_sh(&scene.sh.val(), &scene.means.val(), &camera).unwrap());
+    let shown = values_of(evaluate_sh(&scene.sh_blocks().remove(0), &scene.means(), &camera).unwrap());
     for (shown, colour) in shown.iter().zip(colours.as_flattened()) {
         // Black would be clamped and have no gradient.
         let expected = f32::from(*colour).max(0.5) / 255.0;

@@ -154,14 +154,14 @@ fn step_in_tensors<const D: usize>(
 /// Multiplies each number by its rate.
 fn rated<const D: usize>(rate: Rates, ratio: Tensor<D>) -> Tensor<D> {
     let dims = ratio.dims();
-    match rate.band(&dims) {
-        None => return ratio * rate.others,
-        Some(Band { period, width }) if period == width => return ratio * rate.first,
-        Some(_) => {}
+    let Some(Band { period, width }) = rate.band(&dims) else { return ratio * rate.others };
+    if period == width {
+        return ratio * rate.first;
     }
-    let first = ratio.clone().narrow(1, 0, 1) * rate.first;
-    let others = ratio.narrow(1, 1, dims[1] - 1) * rate.others;
-    Tensor::cat(vec![first, others], 1)
+    let rows: Tensor<2> = ratio.reshape([dims[0], period]);
+    let first = rows.clone().narrow(1, 0, width) * rate.first;
+    let others = rows.narrow(1, width, period - width) * rate.others;
+    Tensor::cat(vec![first, others], 1).reshape(dims)
 }
 
 /// Computes the step for f32 on a device whose tensors are in host memory. Returns the parameter and both sums.

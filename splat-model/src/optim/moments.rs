@@ -116,11 +116,6 @@ impl<const D: usize> Moments<D> {
         Self::packed(Tensor::zeros(shape, (&param.device().inner(), DType::I32)), packing)
     }
 
-    /// Moments without history and with as many bits, for another parameter.
-    pub(crate) fn anew(&self, param: &Tensor<D>) -> Self {
-        Self::with_bits(param, self.bits())
-    }
-
     pub(crate) fn full(m: Tensor<D>, v: Tensor<D>) -> Self {
         Self(Some(Stored::Full { m, v }))
     }
@@ -213,15 +208,13 @@ impl<const D: usize> Moments<D> {
     }
 }
 
-impl Moments<3> {
-    /// Extends each row to `coefficients` coefficients, the new ones without history.
-    pub(crate) fn grow(&mut self, coefficients: usize, channels: usize) {
+impl Moments<2> {
+    /// Extends each row to `width` numbers, the new ones without history.
+    pub(crate) fn grow(&mut self, width: usize) {
         *self = match self.take() {
-            Stored::Full { m, v } => Self::full(grown(m, coefficients), grown(v, coefficients)),
+            Stored::Full { m, v } => Self::full(grown(m, width), grown(v, width)),
             // Codes beyond the end of a row are zero.
-            Stored::Packed { words, packing } => {
-                Self::packed(grown(words, packing.words_per_row(coefficients * channels)), packing)
-            }
+            Stored::Packed { words, packing } => Self::packed(grown(words, packing.words_per_row(width)), packing),
         };
     }
 }

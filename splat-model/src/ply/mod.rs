@@ -104,7 +104,7 @@ pub enum PlyError {
         /// The file.
         path: PathBuf,
         /// The field of [`crate::gaussians::GaussianRows`], or the argument.
-        field: &'static str,
+        field: String,
         /// Its length or value.
         found: String,
         /// The length or value that the other fields require.

@@ -1,7 +1,9 @@
 //! The properties of a Gaussian, in files that are read and in files that are written.
 
+use std::collections::{HashMap, HashSet};
+
 use crate::formats::limits;
-use crate::gaussians::GaussianRows;
+use crate::gaussians::{GaussianRows, GroupOptions, GroupRows, OWN_GROUPS, check_name};
 
 /// The highest degree of the spherical harmonics.
 pub(super) const MAX_DEGREE: usize = 4;
@@ -27,7 +29,7 @@ pub(crate) fn rest_names(count: usize) -> impl Iterator<Item = String> {
     (0..count).map(|i| format!("f_rest_{i}"))
 }
 
-/// The names of all properties in the order of the original code.
+/// The names of the properties of every scene, in the order of the original code. Those of further groups follow.
 pub(super) fn names(degree: usize) -> Vec<String> {
     let (before, after) = REQUIRED.split_at(6);
     let mut names: Vec<String> = before.iter().map(|name| name.to_string()).collect();
@@ -35,6 +37,49 @@ pub(super) fn names(degree: usize) -> Vec<String> {
     names.extend(rest_names(3 * rest_per_channel(degree)));
     names.extend(after.iter().map(|name| name.to_string()));
     names
+}
+
+/// The names of a group's properties: the group's name, for rows of several numbers followed by `_0`, `_1` and so on.
+fn names_of(name: &str, width: usize) -> Vec<String> {
+    if width == 1 { vec![name.to_owned()] } else { (0..width).map(|i| format!("{name}_{i}")).collect() }
+}
+
+/// The groups, without rows, of properties that are none of the original code's, in the order of their first properties. Properties
+/// whose numbers are not 0, 1 and so on are groups of their own.
+pub(super) fn further_groups<'a>(properties: impl Iterator<Item = &'a String>) -> Vec<GroupRows> {
+    let own: HashSet<String> = names(MAX_DEGREE).into_iter().collect();
+    let further: Vec<&String> = properties.filter(|name| !own.contains(*name) && check_name(name).is_ok()).collect();
+    let all: HashSet<&String> = further.iter().copied().collect();
+    let (mut groups, mut widths) = (Vec::new(), HashMap::new());
+    for property in further {
+        let stem = property.rsplit_once('_').filter(|(stem, i)| !stem.is_empty() && i.parse::<usize>().is_ok());
+        let of_stem = stem.map(|(stem, i)| {
+            let count = || (0..).take_while(|i| all.contains(&format!("{stem}_{i}"))).count();
+            (stem, i, *widths.entry(stem).or_insert_with(count))
+        });
+        // A stem that is itself a property, or one of the scene's groups, cannot name a group.
+        let usable = |stem: &str| !all.contains(&stem.to_owned()) && !OWN_GROUPS.contains(&stem);
+        let group = match of_stem {
+            // The first of the properties brings all of them.
+            Some((stem, "0", width)) if width > 1 && usable(stem) => (stem.to_owned(), width),
+            Some((stem, i, width)) if width > 1 && usable(stem) && is_number_below(i, width) => continue,
+            _ if OWN_GROUPS.contains(&&**property) => continue,
+            _ => (property.clone(), 1),
+        };
+        groups.push(group);
+    }
+    let rows = |(name, width)| GroupRows { name, width, values: Vec::new(), options: GroupOptions::default() };
+    groups.into_iter().map(rows).collect()
+}
+
+/// Whether a name ends in a number as [`names_of`] writes it.
+fn is_number_below(text: &str, most: usize) -> bool {
+    text.parse::<usize>().is_ok_and(|i| i < most && i.to_string() == text)
+}
+
+/// The properties of groups, in their order.
+pub(super) fn group_names(groups: &[GroupRows]) -> impl Iterator<Item = String> {
+    groups.iter().flat_map(|group| names_of(&group.name, group.width))
 }
 
 /// Appends the values of Gaussian `i` to `out`, in the order of [`names`]. All fields must have that row.
@@ -45,12 +90,14 @@ pub(super) fn values_of_row(rows: &GaussianRows, i: usize, out: &mut Vec<f32>) {
     out.push(rows.logit_opacities[i]);
     out.extend(rows.log_scales[i]);
     out.extend(rows.rotations[i]);
+    rows.groups.iter().for_each(|group| out.extend(&group.values[group.width * i..group.width * (i + 1)]));
 }
 
-/// Appends a Gaussian with these values of [`REQUIRED`] and of `f_rest_*` to a scene of the same degree. Opacities of exactly 0 and 1 and
+/// Appends a Gaussian with these values of [`REQUIRED`], of `f_rest_*` and of groups to a scene of the same degree and groups. Opacities of exactly 0 and 1 and
 /// thicknesses of 0 become finite ([`limits`]).
 pub(super) fn push_row(rows: &mut GaussianRows, values: &[f64]) {
     let (required, rest) = values.split_at(REQUIRED.len());
+    let (rest, mut further) = rest.split_at(rows.rest_per_row());
     let three = |at: usize| [0, 1, 2].map(|i| required[at + i] as f32);
     rows.means.push(three(0));
     rows.sh_dc.push(three(3));
@@ -60,5 +107,10 @@ pub(super) fn push_row(rows: &mut GaussianRows, values: &[f64]) {
     let per_channel = rest.len() / 3;
     for coefficient in 0..per_channel {
         rows.sh_rest.extend([0, 1, 2].map(|channel| rest[channel * per_channel + coefficient] as f32));
+    }
+    for group in &mut rows.groups {
+        let (own, others) = further.split_at(group.width);
+        group.values.extend(own.iter().map(|value| *value as f32));
+        further = others;
     }
 }

@@ -7,14 +7,15 @@ use ply_rs_bw::ply::{ElementDef, Header};
 
 use super::frame::world_frame;
 use super::read::{PlyReader, layout_error, missing_property, require, vertex};
-use super::row::{REQUIRED, degree_of_rest, push_row, rest_names, rest_per_channel};
+use super::row::{REQUIRED, degree_of_rest, further_groups, group_names, push_row, rest_names};
 use super::{PlyError, WorldFrame};
 use crate::gaussians::GaussianRows;
 
 /// Reads a scene, and the origin that its positions are relative to (zero if the file names none).
 ///
 /// Values of other numeric types are converted to the nearest f32; whether they are finite is not checked. Logits of opacities 0 and 1 and
-/// logarithms of a thickness of 0, which are infinite, become finite numbers with the same effect.
+/// logarithms of a thickness of 0, which are infinite, become finite numbers with the same effect. Further properties of the vertices
+/// become groups: `name_0`, `name_1` and so on one group, others one each.
 ///
 /// # Errors
 ///
@@ -31,9 +32,13 @@ pub fn read(path: &Path) -> Result<(GaussianRows, DVec3), PlyError> {
 pub(crate) fn read_rows(mut input: PlyReader, header: &Header) -> Result<(GaussianRows, WorldFrame), PlyError> {
     let world = world_frame(input.path, header)?;
     let vertex = vertex(input.path, header)?;
-    let (sh_degree, properties) = check_properties(input.path, vertex)?;
+    let (sh_degree, mut properties) = check_properties(input.path, vertex)?;
+    let groups = further_groups(vertex.properties.keys());
+    properties.extend(group_names(&groups));
     input.begin(header)?;
-    let mut rows = empty_rows(vertex.count, sh_degree);
+    // The header was checked: the file can hold so many rows.
+    let mut rows = GaussianRows { sh_degree, groups, ..GaussianRows::default() };
+    rows.reserve_exact(vertex.count);
     input.each_row(vertex, header.encoding, &properties, |_, values| {
         push_row(&mut rows, values);
         Ok(())
@@ -41,8 +46,8 @@ pub(crate) fn read_rows(mut input: PlyReader, header: &Header) -> Result<(Gaussi
     Ok((rows, world))
 }
 
-/// Checks that the properties describe a Gaussian, and returns the degree of its spherical harmonics and the names of all
-/// properties that [`push_row`] takes.
+/// Checks that the properties describe a Gaussian, and returns the degree of its spherical harmonics and the names of the
+/// properties of every scene of that degree.
 fn check_properties(path: &Path, vertex: &ElementDef) -> Result<(usize, Vec<String>), PlyError> {
     require(path, vertex, &REQUIRED)?;
     let rest = || vertex.properties.keys().filter(|name| name.starts_with("f_rest_"));
@@ -58,18 +63,5 @@ fn check_properties(path: &Path, vertex: &ElementDef) -> Result<(usize, Vec<Stri
     match names.iter().find(|name| !vertex.properties.contains_key(*name)) {
         Some(property) => Err(missing_property(path, property, rest())),
         None => Ok((degree, names)),
-    }
-}
-
-/// An empty scene with room for `count` rows, which the file was checked to hold.
-fn empty_rows(count: usize, sh_degree: usize) -> GaussianRows {
-    GaussianRows {
-        means: Vec::with_capacity(count),
-        rotations: Vec::with_capacity(count),
-        log_scales: Vec::with_capacity(count),
-        logit_opacities: Vec::with_capacity(count),
-        sh_dc: Vec::with_capacity(count),
-        sh_rest: Vec::with_capacity(3 * rest_per_channel(sh_degree) * count),
-        sh_degree,
     }
 }

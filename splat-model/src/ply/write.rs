@@ -1,6 +1,7 @@
 //! Writing as binary little endian, first under a temporary name.
 
 use std::borrow::Borrow;
+use std::collections::HashSet;
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
@@ -10,10 +11,10 @@ use ply_rs_bw::ply::{Addable, DefaultElement, ElementDef, Encoding, Header, Prop
 use ply_rs_bw::writer::Writer;
 
 use super::frame::{ORIGIN_COMMENT, SCALE_COMMENT, TRAINED_COMMENT, TrainedAs};
-use super::row::{MAX_DEGREE, names, values_of_row};
+use super::row::{MAX_DEGREE, group_names, names, values_of_row};
 use super::{PlyError, VERTEX, WorldFrame};
 use crate::capture::scale::is_scale;
-use crate::gaussians::{GaussianRows, RowsError};
+use crate::gaussians::{GaussianRows, GroupRows, RowsError};
 use crate::replace::{WRITE, replace};
 
 /// Writes a scene whose positions are in the frame `world`: an origin alone (world frame, scene units; zero without one), or a
@@ -45,7 +46,12 @@ pub fn write_parts<R: Borrow<GaussianRows>>(
     check(path, &GaussianRows { sh_degree, ..GaussianRows::default() }, world)?;
     let mut empty = Ok(());
     let to_file = |out: &mut BufWriter<File>| {
-        write_header(out, count, sh_degree, world)?;
+        let mut parts = parts.into_iter().peekable();
+        let groups: Vec<GroupRows> = parts.peek().map_or(Vec::new(), |part| GaussianRows::like(part.borrow()).groups);
+        if let Some(name) = twice(sh_degree, &groups) {
+            return Err(io::Error::other(format!("groups give two properties the name `{name}`, expected one each")));
+        }
+        write_header(out, count, (sh_degree, &groups), world)?;
         let (mut left, mut usable) = (count, 0);
         for part in parts {
             let part = part.borrow();
@@ -53,6 +59,9 @@ pub fn write_parts<R: Borrow<GaussianRows>>(
             if part.sh_degree != sh_degree || part.len() > left {
                 let found = format!("a part has {} Gaussians of degree {}", part.len(), part.sh_degree);
                 return Err(io::Error::other(format!("{found}, expected at most {left} of degree {sh_degree}")));
+            }
+            if GaussianRows::like(part).groups != groups {
+                return Err(io::Error::other("parts have different groups, expected those of the first part in all"));
             }
             write_rows(out, part)?;
             left -= part.len();
@@ -76,8 +85,8 @@ pub(crate) fn check_left(path: &Path, usable: usize, of: usize) -> Result<(), Pl
 
 /// Refuses rows that do not fit together, and a frame that has no meaning.
 pub(crate) fn check(path: &Path, rows: &GaussianRows, world: WorldFrame) -> Result<(), PlyError> {
-    let refuse = |field, found: String, expected: String| {
-        Err(PlyError::Rows { path: path.to_path_buf(), field, found, expected })
+    let refuse = |field: &str, found: String, expected: String| {
+        Err(PlyError::Rows { path: path.to_path_buf(), field: field.to_owned(), found, expected })
     };
     if rows.sh_degree > MAX_DEGREE {
         return refuse("sh_degree", rows.sh_degree.to_string(), format!("0 to {MAX_DEGREE}"));
@@ -91,9 +100,21 @@ pub(crate) fn check(path: &Path, rows: &GaussianRows, world: WorldFrame) -> Resu
     if world.trained.background.iter().any(|value| !value.is_finite()) {
         return refuse("trained.background", format!("{:?}", world.trained.background), "three finite numbers".into());
     }
-    rows.check().or_else(|RowsError { field, found, expected, count, sh_degree }| {
-        refuse(field, format!("{found} long"), format!("{expected} long ({count} means, degree {sh_degree})"))
+    if let Some(name) = twice(rows.sh_degree, &rows.groups) {
+        return refuse("groups", format!("two properties `{name}`"), "names that give every property one name".into());
+    }
+    rows.check().or_else(|error| match error {
+        RowsError::Length { field, found, expected, count, sh_degree } => {
+            refuse(&field, format!("{found} long"), format!("{expected} long ({count} means, degree {sh_degree})"))
+        }
+        other => refuse("groups", other.to_string(), "groups that files can hold".into()),
     })
+}
+
+/// The first property that would be there twice.
+fn twice(sh_degree: usize, groups: &[GroupRows]) -> Option<String> {
+    let mut seen = HashSet::new();
+    names(sh_degree).into_iter().chain(group_names(groups)).find(|name| !seen.insert(name.clone()))
 }
 
 /// Writes the bytes of a file of [`write()`] to `out`. The rows must fit together ([`GaussianRows::check`]).
@@ -101,13 +122,19 @@ pub(crate) fn check(path: &Path, rows: &GaussianRows, world: WorldFrame) -> Resu
 /// # Errors
 /// If `out` cannot be written to.
 pub fn write_to(out: &mut impl Write, rows: &GaussianRows, world: impl Into<WorldFrame>) -> io::Result<()> {
-    write_header(out, rows.len(), rows.sh_degree, world.into())?;
+    write_header(out, rows.len(), (rows.sh_degree, &rows.groups), world.into())?;
     write_rows(out, rows)
 }
 
 /// Writes the header of a file with `count` Gaussians.
-pub(super) fn write_header(out: &mut impl Write, count: usize, sh_degree: usize, world: WorldFrame) -> io::Result<()> {
-    let header = file_header(world, [element(VERTEX, count, ScalarType::Float, names(sh_degree))]);
+pub(super) fn write_header(
+    out: &mut impl Write,
+    count: usize,
+    (sh_degree, groups): (usize, &[GroupRows]),
+    world: WorldFrame,
+) -> io::Result<()> {
+    let properties = names(sh_degree).into_iter().chain(group_names(groups));
+    let header = file_header(world, [element(VERTEX, count, ScalarType::Float, properties)]);
     Writer::<DefaultElement>::new().write_header(out, &header).map(drop)
 }
 

@@ -159,10 +159,9 @@ impl Trainer {
         };
         // Excluded pixels are cleared last, so that they do not train the effects either.
         let image = cleared(self.effects.image(picture.colour.clone(), input, &picture, *at));
-        let alpha = cleared(picture.alpha.clone());
-        let name = self.views.name(at.view);
-        let mut loss =
-            self.loss.loss(&LossInputs { image, alpha, truth, splats: &input.splats, step: at.step, view: name });
+        let (alpha, depth) = (cleared(picture.alpha.clone()), picture.depth.clone());
+        let (gaussians, step, view) = (&self.scene.gaussians, at.step, self.views.name(at.view));
+        let mut loss = self.loss.loss(&LossInputs { image, alpha, depth, truth, input, gaussians, step, view });
         if let Some(penalty) = self.effects.penalty(input, &picture, *at) {
             loss = loss + penalty;
         }

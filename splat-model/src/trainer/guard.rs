@@ -7,16 +7,13 @@
 
 use burn::tensor::{DType, Device, Int, Tensor};
 use splat_op::activate::non_finite;
-use splat_op::adam::{SceneGradients, VERDICT, has_kernel, watch};
+use splat_op::adam::{LAST_BIT, VERDICT, has_kernel, watch};
 use splat_op::read_back;
 
 use crate::density::rows::Gradients;
 
 /// Steps between readings of the verdict on a GPU. The cost of one wait in fifty steps is not measurable.
 const READ_EVERY: usize = 50;
-
-/// The checked values, in the order in which they are computed.
-const WATCHED: [&str; 6] = ["loss", "means", "rotations", "log_scales", "logit_opacities", "sh"];
 
 /// A step that was blocked.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -33,9 +30,11 @@ pub struct Fault {
 pub struct Guard {
     /// Whether the device computes asynchronously.
     waits: bool,
-    /// `[2]`, on an asynchronous device (see [`splat_op::adam`]): the first step with a non-finite value, 0 for none, and
-    /// the index in [`WATCHED`].
+    /// `[2]`, on an asynchronous device (see [`splat_op::adam`]): the first step with a non-finite value, 0 for none, and a bit for
+    /// the loss and for each gradient.
     verdict: Option<Tensor<1, Int>>,
+    /// Names of the gradients at the last step, block by block. Rows, and so blocks, change only after a reading.
+    names: Vec<String>,
     /// Steps and their photographs since the last reading of the verdict.
     unread: Vec<(usize, usize)>,
 }
@@ -43,12 +42,12 @@ pub struct Guard {
 impl Guard {
     /// A guard for a run on `device`.
     pub fn new(device: &Device) -> Self {
-        Self { waits: splat_op::is_gpu(device), verdict: None, unread: Vec::new() }
+        Self { waits: splat_op::is_gpu(device), verdict: None, names: Vec::new(), unread: Vec::new() }
     }
 
     /// A guard that checks each step before it is taken, on any device. On a GPU it waits for the device in every step.
     pub(super) fn at_once() -> Self {
-        Self { waits: false, verdict: None, unread: Vec::new() }
+        Self { waits: false, verdict: None, names: Vec::new(), unread: Vec::new() }
     }
 
     /// Checks the loss, `[1]`, and the gradients of a step, counted from 1, on photograph number `view`, before the step is
@@ -67,21 +66,28 @@ impl Guard {
         if self.waits {
             let none = || Tensor::zeros([VERDICT], (&loss.device().inner(), DType::I32));
             let verdict = self.verdict.take().unwrap_or_else(none);
-            let watched = std::iter::once(gradients.watched()).chain(gradients.watched_more());
+            let gradients: Vec<_> = gradients.blocks().collect();
             let verdict = match has_kernel(loss) {
-                true => watched.fold(verdict, |verdict, watched| watch(loss, watched, verdict, step as u32)),
-                false => entered(verdict, flags(loss, gradients), step),
+                true => {
+                    let values: Vec<_> = gradients.iter().map(|(_, values)| *values).collect();
+                    watch(loss, &values, verdict, step as u32)
+                }
+                false => entered(verdict, flags(loss, &gradients), step),
             };
+            self.names = gradients.iter().map(|(name, _)| (*name).to_owned()).collect();
             self.verdict = Some(verdict.clone());
             self.unread.push((step, view));
             return Ok(Some(verdict));
         }
-        let (watched, flags): (Vec<usize>, Vec<Tensor<1, Int>>) = flags(loss, gradients).into_iter().unzip();
+        let gradients: Vec<_> = gradients.blocks().collect();
+        let (watched, flags): (Vec<usize>, Vec<Tensor<1, Int>>) = flags(loss, &gradients).into_iter().unzip();
         // One reading for all: each costs more than the check of a small parameter.
         let flags: Vec<i32> = read_back(Tensor::cat(flags, 0)).iter().collect();
-        let bad =
-            std::array::from_fn(|i| watched.iter().zip(&flags).any(|(&watched, &flag)| watched == i && flag != 0));
-        if bad.contains(&true) { Err(Fault { step, view, what: in_words(bad) }) } else { Ok(None) }
+        let bad: Vec<usize> = watched.into_iter().zip(flags).filter(|(_, flag)| *flag != 0).map(|(at, _)| at).collect();
+        if bad.is_empty() {
+            return Ok(None);
+        }
+        Err(Fault { step, view, what: in_words(&bad, gradients.iter().map(|(name, _)| *name)) })
     }
 
     /// Reads the verdict if `now` is set, or if it has not been read for `READ_EVERY` steps.
@@ -99,44 +105,18 @@ impl Guard {
         match unread.iter().find(|(step, _)| *step == first) {
             None => Ok(()),
             Some(&(step, view)) => {
-                let bad = std::array::from_fn(|i| which >> i & 1 != 0);
-                Err(Fault { step, view, what: in_words(bad) })
+                let bad: Vec<usize> = (0..=LAST_BIT).filter(|bit| which >> bit & 1 != 0).collect();
+                Err(Fault { step, view, what: in_words(&bad, self.names.iter().map(String::as_str)) })
             }
         }
     }
 }
 
-impl Gradients {
-    fn watched(&self) -> SceneGradients<'_> {
-        let Self { means, rotations, log_scales, logit_opacities, sh, .. } = self;
-        SceneGradients {
-            means: means.as_ref(),
-            rotations: rotations.as_ref(),
-            log_scales: log_scales.as_ref(),
-            logit_opacities: logit_opacities.as_ref(),
-            sh: sh.as_ref(),
-        }
-    }
-
-    /// The further blocks of coefficients, one by one.
-    fn watched_more(&self) -> impl Iterator<Item = SceneGradients<'_>> {
-        self.sh_more.iter().flatten().map(|block| SceneGradients { sh: Some(block), ..SceneGradients::default() })
-    }
-}
-
-/// A flag, `[1]`, for each value that there is, with its place in [`WATCHED`].
-fn flags(loss: &Tensor<1>, gradients: &Gradients) -> Vec<(usize, Tensor<1, Int>)> {
-    let SceneGradients { means, rotations, log_scales, logit_opacities, sh } = gradients.watched();
-    let blocks = sh.into_iter().chain(gradients.watched_more().filter_map(|watched| watched.sh));
-    let all = [
-        Some(non_finite(loss)),
-        means.map(non_finite),
-        rotations.map(non_finite),
-        log_scales.map(non_finite),
-        logit_opacities.map(non_finite),
-        blocks.map(non_finite).reduce(Tensor::max_pair),
-    ];
-    all.into_iter().enumerate().filter_map(|(place, flag)| Some((place, flag?))).collect()
+/// A flag, `[1]`, for the loss and for each gradient that there is, with its bit in a verdict.
+fn flags(loss: &Tensor<1>, gradients: &[(&str, Option<&Tensor<2>>)]) -> Vec<(usize, Tensor<1, Int>)> {
+    let of_gradients =
+        gradients.iter().enumerate().filter_map(|(i, (_, values))| Some((i + 1, non_finite((*values)?))));
+    std::iter::once((0, non_finite(loss))).chain(of_gradients).collect()
 }
 
 /// The verdict after a step, in tensor code, for devices without the kernel.
@@ -147,17 +127,20 @@ fn entered(verdict: Tensor<1, Int>, flags: Vec<(usize, Tensor<1, Int>)>, step: u
         let open = first.clone().equal_elem(0).int() + first.clone().equal_elem(step).int();
         let bad = flag * open;
         let entered = first.clone() + bad.clone() * (first.neg() + step);
-        Tensor::cat(vec![entered, verdict.narrow(0, 1, 1) + bad * (1 << place)], 0)
+        Tensor::cat(vec![entered, verdict.narrow(0, 1, 1) + bad * (1 << place.min(LAST_BIT))], 0)
     })
 }
 
-/// Names the loss if it is not finite, because its gradients follow from it. Lists the gradients otherwise.
-fn in_words(bad: [bool; WATCHED.len()]) -> String {
-    if bad[0] {
+/// Names the loss if it is not finite, because its gradients follow from it. Lists the gradients otherwise: `bad` are bits of a
+/// verdict, and `names` are those of the gradients, block by block.
+fn in_words<'a>(bad: &[usize], names: impl Iterator<Item = &'a str>) -> String {
+    if bad.contains(&0) {
         return "the loss".into();
     }
-    let names: Vec<String> =
-        WATCHED.iter().zip(bad).filter(|(_, bad)| *bad).map(|(name, _)| format!("`{name}`")).collect();
+    let is_bad = |i: usize| bad.contains(&(i + 1).min(LAST_BIT));
+    let mut names: Vec<String> =
+        names.enumerate().filter(|(i, _)| is_bad(*i)).map(|(_, name)| format!("`{name}`")).collect();
+    names.dedup();
     format!("the gradient of {}", names.join(", "))
 }
 

@@ -145,4 +145,4 @@ pub(super) fn first_difference(
 #[cfg(test)]
 mod tests;
 #[cfg(test)]
-mod threads;
+pub(super) mod threads;

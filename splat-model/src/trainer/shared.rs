@@ -13,7 +13,7 @@ use super::differentiate::{Batch, OneView};
 use super::ranks::{self, Fact, RankError, gather_all, share_of};
 use super::{TrainError, Trainer};
 use crate::density::Observed;
-use crate::density::rows::Gradients;
+use crate::density::rows::{Gradients, GroupGradients};
 use crate::effects::{Effect, EffectContext, RenderInput, stand_in};
 use crate::gaussians::values_of;
 use crate::state::State;
@@ -33,7 +33,7 @@ enum Account {
 #[derive(Serialize, Deserialize)]
 struct ViewAccount {
     loss_bits: u32,
-    /// Which parameters of the scene have a gradient, in the order of [`Gradients`].
+    /// Which blocks of the scene's groups have a gradient, in the order of [`Gradients`].
     scene: Vec<bool>,
     /// Which parameters of effects have a gradient, in the order of [`Effect::leaves`].
     leaves: Vec<bool>,
@@ -127,7 +127,7 @@ impl Trainer {
         let signals = one.seen.as_ref().map(|seen| ([seen.gradient.is_some(), seen.abs_gradient.is_some()], seen.size));
         ViewAccount {
             loss_bits: one.loss.clone().into_scalar::<f32>().to_bits(),
-            scene: one.gradients.present(),
+            scene: one.gradients.blocks().map(|(_, gradient)| gradient.is_some()).collect(),
             leaves: leaves.iter().map(|leaf| leaf.gradient(&one.left).is_some()).collect(),
             signals,
         }
@@ -144,30 +144,21 @@ impl Trainer {
         accounts: &[ViewAccount],
         shares: &[std::ops::Range<usize>],
     ) -> Result<Gradients, TrainError> {
-        let mut field = 0;
-        let mut parts_of = || {
-            let has = |view: &ViewAccount| view.scene.get(field).copied().unwrap_or(false);
-            let parts_of = shares.iter().map(|share| accounts[share.clone()].iter().filter(|view| has(view)).count());
-            let parts_of: Vec<usize> = parts_of.collect();
-            field += 1;
-            parts_of
-        };
-        let g = &self.scene.gaussians;
-        macro_rules! sum {
-            ($param:expr, $part:expr) => {
-                self.sum(parts.iter_mut().filter_map($part).collect(), &parts_of(), $param.val().dims())?
-            };
+        let mut place = 0;
+        let mut summed = Gradients::default();
+        for (i, group) in self.scene.gaussians.groups().iter().enumerate() {
+            let mut blocks = Vec::new();
+            for (j, block) in group.blocks.iter().enumerate() {
+                let has = |view: &&ViewAccount| view.scene.get(place).copied().unwrap_or(false);
+                let parts_of: Vec<usize> =
+                    shares.iter().map(|share| accounts[share.clone()].iter().filter(has).count()).collect();
+                let own = parts.iter_mut().filter_map(|part| part.0[i].blocks[j].take()).collect();
+                blocks.push(self.sum(own, &parts_of, block.val().dims())?);
+                place += 1;
+            }
+            summed.0.push(GroupGradients { name: group.name().to_owned(), blocks });
         }
-        Ok(Gradients {
-            means: sum!(g.means, |part| part.means.take()),
-            rotations: sum!(g.rotations, |part| part.rotations.take()),
-            log_scales: sum!(g.log_scales, |part| part.log_scales.take()),
-            logit_opacities: sum!(g.logit_opacities, |part| part.logit_opacities.take()),
-            sh: sum!(g.sh, |part| part.sh.take()),
-            sh_more: (0..g.sh_more.len())
-                .map(|i| Ok(sum!(g.sh_more[i], |part| part.sh_more.get_mut(i).and_then(Option::take))))
-                .collect::<Result<_, TrainError>>()?,
-        })
+        Ok(summed)
     }
 
     fn sum<const D: usize>(
@@ -269,7 +260,7 @@ impl Trainer {
     pub(super) fn check_together(&mut self) -> Result<(), TrainError> {
         let mut state = State::default();
         state.tell("random numbers", &self.rng.get_word_pos().to_string())?;
-        state.put("means", self.scene.gaussians.means.val().inner());
+        state.put("means", self.scene.gaussians.means().inner());
         state.in_part("density", |part| self.density.save(part))?;
         state.in_part("effects", |part| self.effects.save(part))?;
         match ranks::first_difference(&*self.ranks, &checksums(&state))? {

@@ -9,6 +9,7 @@ use super::{TrainConfig, TrainError, Trainer};
 use crate::accuracy::Setting;
 use crate::density::rows::Trained;
 use crate::effects::Effect;
+use crate::gaussians::OWN_GROUPS;
 use crate::state::{State, StateError};
 
 /// State of a random number generator.
@@ -48,7 +49,7 @@ impl Trainer {
         state.tell("photographs", &self.photographs())?;
         state.tell("queue", &self.queue)?;
         state.tell("random", &RandomState::of(&self.rng))?;
-        state.put_part("scene", self.scene.save());
+        state.put_part("scene", self.scene.save()?);
         state.in_part("density", |part| self.density.save(part))?;
         state.in_part("effects", |part| self.effects.save(part))?;
         Ok(state)
@@ -79,8 +80,13 @@ impl Trainer {
             return Err(TrainError::OtherRun { what: "a photograph in the queue".into(), found, expected });
         }
         let random: RandomState = state.told("random")?;
-        self.scene = state
+        let scene = state
             .load_part("scene", |part| Trained::load(part, config.moment_bits, &self.device.clone().autodiff()))?;
+        let (expected, found) = (groups_of(&scene), groups_of(&self.scene));
+        if found != expected {
+            return Err(TrainError::OtherRun { what: "the list of further groups".into(), found, expected });
+        }
+        self.scene = scene;
         state.load_part("density", |part| self.density.load(part, &self.device))?;
         state.load_part("effects", |part| self.effects.load(part, &self.device))?;
         state.finish()?;
@@ -93,6 +99,14 @@ impl Trainer {
     fn photographs(&self) -> Vec<(String, [usize; 2])> {
         (0..self.views.len()).map(|view| (self.views.name(view).to_owned(), self.views.full_size(view))).collect()
     }
+}
+
+/// The groups that are not in every scene, in words.
+fn groups_of(scene: &Trained) -> String {
+    let further = &scene.gaussians.groups()[OWN_GROUPS.len()..];
+    let words: Vec<_> =
+        further.iter().map(|group| format!("{} [{}] {:?}", group.name(), group.width(), group.options())).collect();
+    if words.is_empty() { "none".into() } else { words.join(", ") }
 }
 
 /// Returns an error for the first option that differs between the saved run and this one. Dials may differ, because they may

@@ -7,6 +7,7 @@ use crate::density::{AdaptiveConfig, DensityConfig, Division, McmcConfig, Observ
 use crate::gaussians::{GaussianRows, values_of};
 use crate::optim::LearningRates;
 use crate::state::{State, StateError};
+use splat_op::Splats;
 
 /// Each strategy with a schedule for runs of a few dozen steps.
 fn strategies() -> [DensityConfig; 4] {
@@ -177,8 +178,8 @@ fn a_batch_of_one_view_twice_is_that_view() {
         ([&mut one, &mut two].map(|run| run.differentiate_batch().unwrap()), one.gaussians().to_rows());
     assert_eq!((a.views.len(), b.views.len()), (1, 2));
     assert_eq!(values_of(a.loss.clone()), values_of(b.loss.clone()));
-    assert_eq!(values_of(a.gradients.means.unwrap()), values_of(b.gradients.means.unwrap()));
-    assert_eq!(values_of(a.gradients.sh.unwrap()), values_of(b.gradients.sh.unwrap()));
+    assert_eq!(values_of(a.gradients.get("means").unwrap()), values_of(b.gradients.get("means").unwrap()));
+    assert_eq!(values_of(a.gradients.get("sh").unwrap()), values_of(b.gradients.get("sh").unwrap()));
     // Adam's first step has the size of its rate for any gradient, and the rate is √2 times as large.
     (one.step, two.step) = (0, 0);
     let [one, two] = [one, two].map(|mut run| {
@@ -215,7 +216,7 @@ fn a_batch_averages_its_views_and_visits_each_once_an_epoch() {
         let sum = parts.iter().map(of).reduce(|a, b| a.iter().zip(&b).map(|(a, b)| a + b).collect()).unwrap();
         sum.iter().map(|sum| sum / 4.0).collect()
     };
-    let means: fn(&Batch) -> Vec<f32> = |batch| values_of(batch.gradients.means.clone().unwrap());
+    let means: fn(&Batch) -> Vec<f32> = |batch| values_of(batch.gradients.get("means").unwrap());
     for (of, what) in
         [(means, "means"), (|batch| values_of(batch.loss.clone()), "loss")] as [(fn(&Batch) -> Vec<f32>, _); 2]
     {

@@ -113,7 +113,7 @@ fn a_loss_of_the_callers_is_what_is_minimised() {
         assert_eq!(seen.alpha.dims(), [HEIGHT, WIDTH, 1]);
         assert_eq!(seen.truth.image().dims(), [HEIGHT, WIDTH, 3]);
         record.borrow_mut().push((seen.step, seen.view.to_string()));
-        seen.splats.opacities.clone().mean()
+        seen.input.splats.opacities.clone().mean()
     };
     let mut trainer = trainer(config(3)).with_loss(loss);
     let before = trainer.gaussians().to_rows();

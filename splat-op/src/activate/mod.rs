@@ -80,7 +80,7 @@ pub fn opacities(raw: &RawSplats) -> Result<Tensor<1>, SplatError> {
     Ok(activated(raw, None)?.1)
 }
 
-/// Computes [`scales`] and [`opacities`] together. `mark`, `[1]`, may come from [`crate::adam::step_scene`]: if it is zero, all
+/// Computes [`scales`] and [`opacities`] together. `mark`, `[1]`, may come from [`crate::adam::step_groups`]: if it is zero, all
 /// coefficients are known to be usable, and a GPU does not read them.
 ///
 /// # Errors

@@ -2,7 +2,7 @@
 
 use cubecl::prelude::*;
 
-use super::rule::Band;
+use super::rule::{Band, LAST_BIT};
 use crate::activate::forward::bounded;
 use crate::gpu::math::{clamped, own_values_finite};
 
@@ -107,42 +107,43 @@ fn bit_if_wrong(values: &ComptimeOption<Box<[f32]>>, count: u32, stride: u32, #[
     if let ComptimeOption::Some(values) = values {
         sound = own_values_finite(values, count, stride);
     }
-    select(sound, 0u32, comptime!(1u32 << bit))
+    select(sound, 0u32, comptime!(1u32 << bit.min(LAST_BIT as u32)))
 }
 
-/// Numbers of values.
+/// Numbers of values: of the loss and of each gradient.
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub(super) struct WatchedCounts {
     pub loss: u32,
-    pub means: u32,
-    pub rotations: u32,
-    pub log_scales: u32,
-    pub logit_opacities: u32,
-    pub sh: u32,
+    pub a: u32,
+    pub b: u32,
+    pub c: u32,
+    pub d: u32,
+    pub e: u32,
 }
 
 /// Writes the step to the verdict if any of this unit's values, `stride` apart, is not finite and no earlier step is entered.
-/// Units with finite values never write.
+/// Units with finite values never write. Bits of gradients begin after bit `first`.
 #[cube(launch_unchecked)]
 pub(super) fn watch_kernel(
     loss: ComptimeOption<Box<[f32]>>,
-    means: ComptimeOption<Box<[f32]>>,
-    rotations: ComptimeOption<Box<[f32]>>,
-    log_scales: ComptimeOption<Box<[f32]>>,
-    logit_opacities: ComptimeOption<Box<[f32]>>,
-    sh: ComptimeOption<Box<[f32]>>,
+    a: ComptimeOption<Box<[f32]>>,
+    b: ComptimeOption<Box<[f32]>>,
+    c: ComptimeOption<Box<[f32]>>,
+    d: ComptimeOption<Box<[f32]>>,
+    e: ComptimeOption<Box<[f32]>>,
     verdict: &[Atomic<u32>],
     counts: WatchedCounts,
     stride: u32,
     at_step: u32,
+    #[comptime] first: u32,
 ) {
     let mut wrong = bit_if_wrong(&loss, counts.loss, stride, 0u32);
-    wrong |= bit_if_wrong(&means, counts.means, stride, 1u32);
-    wrong |= bit_if_wrong(&rotations, counts.rotations, stride, 2u32);
-    wrong |= bit_if_wrong(&log_scales, counts.log_scales, stride, 3u32);
-    wrong |= bit_if_wrong(&logit_opacities, counts.logit_opacities, stride, 4u32);
-    wrong |= bit_if_wrong(&sh, counts.sh, stride, 5u32);
+    wrong |= bit_if_wrong(&a, counts.a, stride, comptime!(first + 1));
+    wrong |= bit_if_wrong(&b, counts.b, stride, comptime!(first + 2));
+    wrong |= bit_if_wrong(&c, counts.c, stride, comptime!(first + 3));
+    wrong |= bit_if_wrong(&d, counts.d, stride, comptime!(first + 4));
+    wrong |= bit_if_wrong(&e, counts.e, stride, comptime!(first + 5));
     if wrong != 0 {
         let entered = verdict[0].load();
         if entered == 0 || entered == at_step {

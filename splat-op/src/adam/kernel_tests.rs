@@ -2,13 +2,12 @@
 
 use super::launch::{DeviceState, DeviceStep, launch_adam, launch_watch};
 use super::{Band, Factors, Rates, VERDICT};
-use crate::activate::rule::Raw;
 use crate::gpu::{Buffer, Gpu};
 use crate::testing::ceiling::{PerturbedReference, rounded, to_f32};
 use crate::testing::gpu::gpus;
 use crate::testing::random::Random;
 
-const RATES: Rates = Rates { first: 0.06, others: 3e-3 };
+const RATES: Rates = Rates { first: 0.06, others: 3e-3, width: 3 };
 const FACTORS: Factors = Factors { beta1: 0.9, beta2: 0.999, rate: RATES, floor: 1e-15, largest: 1e17 };
 
 /// Parameter, gradient and moments after some steps, in f32 precision; every seventh row has zero moments and gradient.
@@ -185,7 +184,7 @@ fn a_verdict_names_the_first_step_and_all_that_was_wrong_in_it() {
                     3 => Some(Buffer::new(&gpu, 0)),
                     _ => Some(one.clone()),
                 });
-                launch_watch(&gpu, loss, &Raw::from_array(gradients), &verdict, *at_step);
+                launch_watch(&gpu, loss, &gradients, &verdict, (*at_step, 0));
                 assert_eq!(verdict.read(&gpu), expected, "{count}, {form}, step {at_step}, place {place}");
             }
         }

@@ -3,8 +3,8 @@
 use cubecl::prelude::ComptimeOptionArgs;
 
 use super::forward::{MovingLaunch, StepFactorsLaunch, WatchedCountsLaunch, adam_kernel, watch_kernel};
+use super::operation::WATCHED;
 use super::rule::{Band, Factors};
-use crate::activate::rule::Raw;
 use crate::gpu::{Buffer, Gpu, elementwise, search};
 
 /// A parameter and its moments on the device, all of one length.
@@ -74,24 +74,21 @@ pub(crate) fn launch_adam(gpu: &Gpu, steps: &[&DeviceStep], verdict: Option<&Buf
     }
 }
 
-/// Enters `at_step` in `verdict`, `[2]`, with a bit for the loss and for each gradient that has a value that is not finite, in this
-/// order, if no earlier step is entered.
+/// Enters `at_step` in `verdict`, `[2]`, if no earlier step is entered and the loss or a gradient has a value that is not finite, with
+/// bit 0 for the loss and bits from `first + 1` on for the gradients.
 pub(crate) fn launch_watch(
     gpu: &Gpu,
     loss: &Buffer<f32>,
-    gradients: &Raw<Option<Buffer<f32>>>,
+    gradients: &[Option<Buffer<f32>>; WATCHED],
     verdict: &Buffer<u32>,
-    at_step: u32,
+    (at_step, first): (u32, u32),
 ) {
-    let Raw { means, rotations, log_scales, logit_opacities, sh } =
-        gradients.each_ref().map(|found| found.as_ref().filter(|found| found.len > 0));
-    let loss = Some(loss).filter(|loss| loss.len > 0);
-    let all = [loss, means, rotations, log_scales, logit_opacities, sh];
-    let [of_loss, of_means, of_rotations, of_log_scales, of_logit_opacities, of_sh] =
-        all.map(|values| values.map_or(0, |values| values.len as u32));
+    let [a, b, c, d, e] = gradients.each_ref().map(Option::as_ref);
+    let all = [Some(loss), a, b, c, d, e].map(|found| found.filter(|found| found.len > 0));
     let (grid, dim, stride) = search(all.iter().flatten().map(|values| values.len).max().unwrap_or(0));
-    let counts = WatchedCountsLaunch::new(of_loss, of_means, of_rotations, of_log_scales, of_logit_opacities, of_sh);
-    let [loss, means, rotations, log_scales, logit_opacities, sh] = all.map(|values| values.map(Buffer::arg).into());
+    let [n0, n1, n2, n3, n4, n5] = all.map(|values| values.map_or(0, |values| values.len as u32));
+    let counts = WatchedCountsLaunch::new(n0, n1, n2, n3, n4, n5);
+    let [loss, a, b, c, d, e] = all.map(|values| values.map(Buffer::arg).into());
     // SAFETY: every access is guarded by the lengths given; a verdict has two numbers.
     unsafe {
         watch_kernel::launch_unchecked(
@@ -99,15 +96,16 @@ pub(crate) fn launch_watch(
             grid,
             dim,
             loss,
-            means,
-            rotations,
-            log_scales,
-            logit_opacities,
-            sh,
+            a,
+            b,
+            c,
+            d,
+            e,
             verdict.arg(),
             counts,
             stride,
             at_step,
+            first,
         );
     }
 }

@@ -8,8 +8,8 @@
 //! `m ← β₁ m + g`, `v ← β₂ v + g²`, `θ ← θ − rate · m / (√v + floor)`:
 //!
 //! Kingma and Ba 2015, algorithm 1, with `m` and `v` divided by `1 − β₁` and `1 − β₂`. `rate` and `floor` include the bias
-//! corrections and the learning rate. The rate may differ between index 0 of a parameter's second dimension and all other indices
-//! ([`Rates`]), so that all coefficients of the spherical harmonics are one parameter.
+//! corrections and the learning rate. The first numbers of each row may have another rate than the others ([`Rates`]), so that all
+//! coefficients of the spherical harmonics are one parameter.
 //!
 //! A **verdict** is two numbers, `[2]`: the first step at which a value was not finite (0: none), and the watched tensors in
 //! which it was found, one bit each. [`watch`] enters its result unless an earlier step is entered; [`step`] changes nothing if
@@ -34,11 +34,9 @@ pub(crate) mod rule;
 
 use burn::backend::Dispatch;
 use burn::tensor::{DType, Int, Tensor};
-pub use rule::{Band, Factors, Rates, VERDICT};
+pub use rule::{Band, Factors, LAST_BIT, Rates, VERDICT};
 
 use crate::abilities::is_gpu;
-use crate::activate::RawSplats;
-pub use crate::activate::rule::Raw;
 use crate::backend::{Slot, apply, apply_all};
 
 /// Whether there is a kernel for a parameter or a loss: in f32, on a GPU.
@@ -73,103 +71,64 @@ pub fn step<const D: usize>(
     Stepped { param: found.float(0), m: found.float(1), v: found.float(2) }
 }
 
-/// The parameters of a scene with their moments and their gradients, each set as in [`RawSplats`].
+/// A parameter of a scene with its gradient.
 #[derive(Clone, Debug)]
-pub struct SceneStep {
-    /// The parameters.
-    pub params: RawSplats,
-    /// Their gradients.
-    pub grads: RawSplats,
-    /// First moments, `Σ β₁ᵏ g`.
-    pub m: RawSplats,
-    /// Second moments, `Σ β₂ᵏ g²`.
-    pub v: RawSplats,
+pub struct GroupStep {
+    /// `[n, width]`: the parameter and its moments.
+    pub from: Stepped<2>,
+    /// `[n, width]`: its gradient.
+    pub grad: Tensor<2>,
+    /// Scalars of its step.
+    pub factors: Factors,
 }
 
-/// The parameters of a scene and their moments after a step.
-#[derive(Clone, Debug)]
-pub struct SteppedScene {
-    /// The parameters.
-    pub params: RawSplats,
-    /// First moments, `Σ β₁ᵏ g`.
-    pub m: RawSplats,
-    /// Second moments, `Σ β₂ᵏ g²`.
-    pub v: RawSplats,
-    /// `[1]`: zero if all colour coefficients are usable, for [`crate::activate::activated`].
-    pub mark: Tensor<1, Int>,
-}
-
-/// Performs [`step`] for all parameters of a scene in two launches. `mark`, `[1]`, is a zero before the first step and comes from the
-/// step before afterwards; it is set once a coefficient is not usable.
+/// Performs [`step`] for all parameters of a scene, up to three in a launch, and returns them in the same order. Ownership as in
+/// [`step`].
 ///
-/// Shapes and ownership as in [`step`].
+/// `mark` is the place of the colour coefficients among the parameters, not the only one, and their mark, `[1]`: a zero before the
+/// first step, later that of the step before. The mark returned is set once a coefficient is not usable, and serves
+/// [`crate::activate::activated`].
 ///
 /// # Panics
 /// If [`has_kernel`] is false.
-pub fn step_scene(
-    from: SceneStep,
+pub fn step_groups(
+    steps: Vec<GroupStep>,
     verdict: Option<&Tensor<1, Int>>,
-    mark: Tensor<1, Int>,
-    factors: Raw<Factors>,
-) -> SteppedScene {
-    let SceneStep { params, grads, m, v } = from;
-    let [params, grads, m, v] = [params, grads, m, v].map(slots);
-    let of_params = params.zip(grads).zip(m.zip(v)).into_array();
-    let mut inputs: Vec<_> = of_params.into_iter().flat_map(|((param, grad), (m, v))| [param, grad, m, v]).collect();
-    inputs.extend([mark.into(), verdict.into()]);
-    let mut found = apply_all(operation::AdamScene(factors), inputs);
-    let mut splats = |of: usize| RawSplats {
-        means: found.float(of),
-        rotations: found.float(3 + of),
-        log_scales: found.float(6 + of),
-        logit_opacities: found.float(9 + of),
-        sh: found.float(12 + of),
-    };
-    let [params, m, v] = [0, 1, 2].map(&mut splats);
-    SteppedScene { params, m, v, mark: found.int(15) }
+    mark: Option<(usize, Tensor<1, Int>)>,
+) -> (Vec<Stepped<2>>, Option<Tensor<1, Int>>) {
+    let (marked, mark) = mark.filter(|_| steps.len() > 1).unzip();
+    let (count, has_mark) = (steps.len(), mark.is_some());
+    let factors = steps.iter().map(|step| step.factors).collect();
+    let mut inputs: Vec<Slot<Dispatch>> = vec![verdict.into(), mark.into()];
+    for GroupStep { from: Stepped { param, m, v }, grad, .. } in steps {
+        inputs.extend([param.into(), grad.into(), m.into(), v.into()]);
+    }
+    let mut found = apply_all(operation::AdamGroups { factors, marked }, inputs);
+    let mut stepped = |i| Stepped { param: found.float(i), m: found.float(i + 1), v: found.float(i + 2) };
+    let steps = (0..count).map(|i| stepped(1 + 3 * i)).collect();
+    (steps, has_mark.then(|| found.int(0)))
 }
 
-/// The gradients of a scene's parameters that [`watch`] looks at.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct SceneGradients<'a> {
-    /// `[N, 3]`.
-    pub means: Option<&'a Tensor<2>>,
-    /// `[N, 4]`.
-    pub rotations: Option<&'a Tensor<2>>,
-    /// `[N, 3]`.
-    pub log_scales: Option<&'a Tensor<2>>,
-    /// `[N]`.
-    pub logit_opacities: Option<&'a Tensor<1>>,
-    /// `[N, K, 3]`.
-    pub sh: Option<&'a Tensor<3>>,
-}
-
-/// Returns `verdict` after a check of a loss and the gradients of a scene, in one launch. If a value is not finite, `at_step` (from 1) is
-/// entered, unless an earlier step is entered, with bit 0 for the loss and bits 1 to 5 for the gradients in the order of their fields.
+/// Returns `verdict` after a check of a loss and of gradients, five in a launch. If a value is not finite, `at_step` (from 1) is
+/// entered, unless an earlier step is entered, with bit 0 for the loss and bit `i + 1` for gradient `i`; from [`LAST_BIT`] on they
+/// share it.
 ///
 /// # Panics
 /// If [`has_kernel`] is false; use tensor code there.
-pub fn watch(loss: &Tensor<1>, gradients: SceneGradients, verdict: Tensor<1, Int>, at_step: u32) -> Tensor<1, Int> {
-    let SceneGradients { means, rotations, log_scales, logit_opacities, sh } = gradients;
-    let inputs = [
-        loss.into(),
-        verdict.into(),
-        means.into(),
-        rotations.into(),
-        log_scales.into(),
-        logit_opacities.into(),
-        sh.into(),
-    ];
-    apply(operation::Watch { at_step }, inputs).int(0)
-}
-
-fn slots(tensors: RawSplats) -> Raw<Slot<Dispatch>> {
-    let RawSplats { means, rotations, log_scales, logit_opacities, sh } = tensors;
-    Raw {
-        means: means.into(),
-        rotations: rotations.into(),
-        log_scales: log_scales.into(),
-        logit_opacities: logit_opacities.into(),
-        sh: sh.into(),
-    }
+pub fn watch(
+    loss: &Tensor<1>,
+    gradients: &[Option<&Tensor<2>>],
+    verdict: Tensor<1, Int>,
+    at_step: u32,
+) -> Tensor<1, Int> {
+    let look = |verdict: Tensor<1, Int>, (launch, five): (usize, &[Option<&Tensor<2>>])| {
+        let first = (launch * operation::WATCHED) as u32;
+        let gradients = (0..operation::WATCHED).map(|i| five.get(i).copied().flatten().into());
+        apply_all(
+            operation::Watch { at_step, first },
+            [loss.into(), verdict.into()].into_iter().chain(gradients).collect(),
+        )
+        .int(0)
+    };
+    gradients.chunks(operation::WATCHED).enumerate().fold(verdict, look)
 }

@@ -15,7 +15,6 @@ use super::packed::PackedFactors;
 #[cfg(feature = "cube")]
 use super::packed::launch::{DevicePackedStep, launch_adam_packed};
 use super::rule::{Factors, VERDICT};
-use crate::activate::rule::Raw;
 #[cfg(feature = "cube")]
 use crate::backend::cube::{buffer, owned};
 use crate::backend::*;
@@ -69,31 +68,36 @@ impl Operation for Adam {
     }
 }
 
-/// One step of all parameters of a scene, unless the verdict names a step. Takes four tensors for each parameter as [`Adam`], the mark,
-/// `[1]`, and the verdict; returns three for each parameter, and the mark: set if a coefficient is not usable afterwards, or if nobody
-/// looked.
+/// One step of the parameters of a scene, unless the verdict names a step. Takes, optionally, the verdict and the mark, `[1]`, and four
+/// tensors for each parameter as [`Adam`]; returns the mark, and three tensors for each parameter. The mark is set if a number of the
+/// parameter at `marked` is not usable afterwards, or if nobody looked.
 #[derive(Clone, Debug)]
-pub(super) struct AdamScene(pub Raw<Factors>);
+pub(super) struct AdamGroups {
+    pub factors: Vec<Factors>,
+    pub marked: Option<usize>,
+}
 
-impl Operation for AdamScene {
+impl Operation for AdamGroups {
     fn outputs(&self, inputs: &[Option<Spec>]) -> Vec<Option<Spec>> {
-        (0..5).flat_map(|i| [0, 2, 3].map(|j| 4 * i + j)).chain([20]).map(|i| inputs[i].clone()).collect()
+        let of_steps = (0..self.factors.len()).flat_map(|i| [2, 4, 5].map(|j| 4 * i + j));
+        [1].into_iter().chain(of_steps).map(|i| inputs[i].clone()).collect()
     }
 
     #[cfg(feature = "cube")]
     fn launch(&self, mut args: GpuArgs) -> Vec<GpuOutput> {
-        let (gpu, verdict) = (args.gpu(), verdict(&args, 21));
-        let mark = owned(args.take(20));
-        let mut first = 0;
-        let all = self.0.map(|factors| {
-            first += 4;
-            prepared(&mut args, first - 4, factors)
-        });
-        let Raw { means, rotations, log_scales, logit_opacities, sh } = all.each_ref();
-        // Two launches: a kernel may have 16 buffers, and a parameter takes four.
-        launch_adam(&gpu, &[means, rotations, log_scales], verdict.as_ref(), None);
-        launch_adam(&gpu, &[logit_opacities, sh], verdict.as_ref(), Some(&unsigned(&mark, 1)));
-        all.into_array().into_iter().flat_map(stepped).chain([Some(mark.handle)]).collect()
+        let (gpu, verdict) = (args.gpu(), verdict(&args, 0));
+        let mark = args.has(1).then(|| owned(args.take(1)));
+        let steps: Vec<DeviceStep> =
+            self.factors.iter().enumerate().map(|(i, factors)| prepared(&mut args, 4 * i + 2, *factors)).collect();
+        let mut plain: Vec<&DeviceStep> = steps.iter().collect();
+        // A kernel may have 16 buffers, and a parameter takes four. The one with a mark is the second in its launch.
+        let marked = self.marked.zip(mark.as_ref()).map(|(at, mark)| (plain.remove(at), mark));
+        let before = marked.and_then(|marked| Some((plain.pop()?, marked)));
+        plain.chunks(3).for_each(|three| launch_adam(&gpu, three, verdict.as_ref(), None));
+        if let Some((before, (step, mark))) = before {
+            launch_adam(&gpu, &[before, step], verdict.as_ref(), Some(&unsigned(mark, 1)));
+        }
+        [mark.map(|mark| mark.handle)].into_iter().chain(steps.into_iter().flat_map(stepped)).collect()
     }
 }
 
@@ -126,10 +130,15 @@ impl Operation for AdamPacked {
     }
 }
 
-/// The verdict, `[2]`, after a check of the loss and of the gradients. Takes the loss, the verdict, and the gradients that there are.
+/// Gradients in a launch of [`Watch`].
+pub(super) const WATCHED: usize = 5;
+
+/// The verdict, `[2]`, after a check of the loss and of up to five gradients. Takes the loss, the verdict, and the gradients, each
+/// optional, whose bits begin after bit `first`.
 #[derive(Clone, Debug)]
 pub(super) struct Watch {
     pub at_step: u32,
+    pub first: u32,
 }
 
 impl Operation for Watch {
@@ -140,8 +149,8 @@ impl Operation for Watch {
     #[cfg(feature = "cube")]
     fn launch(&self, mut args: GpuArgs) -> Vec<GpuOutput> {
         let (gpu, loss, verdict) = (args.gpu(), args.buffer(0), owned(args.take(1)));
-        let gradients = Raw::from_array(std::array::from_fn(|i| args.optional(2 + i)));
-        launch_watch(&gpu, &loss, &gradients, &unsigned(&verdict, VERDICT), self.at_step);
+        let gradients = std::array::from_fn(|i| args.optional(2 + i));
+        launch_watch(&gpu, &loss, &gradients, &unsigned(&verdict, VERDICT), (self.at_step, self.first));
         vec![Some(verdict.handle)]
     }
 }

@@ -3,34 +3,39 @@
 /// Number of values of a verdict.
 pub const VERDICT: usize = 2;
 
-/// Learning rates of a parameter `[N, K, …]`.
+/// Highest bit of a verdict's second number, which all further gradients share.
+pub const LAST_BIT: usize = 30;
+
+/// Learning rates of a parameter with rows of numbers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rates {
-    /// Rate of index 0 of the second dimension.
+    /// Rate of the first [`Self::width`] numbers of each row.
     pub first: f64,
-    /// Rate of all other indices, and of parameters of one dimension.
+    /// Rate of all other numbers.
     pub others: f64,
+    /// Numbers of a row that have the first rate.
+    pub width: usize,
 }
 
 impl From<f64> for Rates {
-    /// Uses one rate for all indices.
+    /// Uses one rate for all numbers.
     fn from(rate: f64) -> Self {
-        Self { first: rate, others: rate }
+        Self { first: rate, others: rate, width: 0 }
     }
 }
 
 impl Rates {
     /// Multiplies both rates by `factor`.
     pub fn times(self, factor: f64) -> Self {
-        Self { first: self.first * factor, others: self.others * factor }
+        Self { first: self.first * factor, others: self.others * factor, ..self }
     }
 
-    /// Returns the band in which the first rate applies, index 0 of the second dimension, in a parameter of shape `dims`.
-    /// `None` if there is only one rate.
+    /// Returns the band in which the first rate applies, in a parameter of shape `dims` with a row for each index of the first
+    /// dimension. `None` if there is only one rate.
     pub fn band(&self, dims: &[usize]) -> Option<Band> {
-        let width = dims.get(2..).unwrap_or_default().iter().product::<usize>();
-        let period = dims.get(1).map_or(0, |rows| rows * width);
-        (self.first != self.others && period > 0).then_some(Band { period, width })
+        let period = dims.get(1..).unwrap_or_default().iter().product::<usize>();
+        let width = self.width.min(period);
+        (self.first != self.others && width > 0).then_some(Band { period, width })
     }
 }
 

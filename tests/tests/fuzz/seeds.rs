@@ -5,7 +5,7 @@ use std::path::Path;
 
 use glam::{DAffine3, DQuat, DVec3};
 use splat_model::capture::{PointCloud, View, write_binary};
-use splat_model::gaussians::GaussianRows;
+use splat_model::gaussians::{GaussianRows, GroupOptions, GroupRows};
 use splat_model::ply;
 use splat_op::{CameraModel, Intrinsics};
 
@@ -21,6 +21,7 @@ pub fn rows(count: usize, sh_degree: usize) -> GaussianRows {
         sh_dc: vec![[0.1, 0.2, 0.3]; count],
         sh_rest: (0..count * rest).map(value).collect(),
         sh_degree,
+        groups: Vec::new(),
     }
 }
 
@@ -54,6 +55,15 @@ pub fn scenes() -> Vec<Vec<u8>> {
     };
     let mut file = Vec::new();
     ply::write_to(&mut file, &flat, DVec3::ZERO).expect("into memory");
+    seeds.push(file);
+    // Further groups of parameters.
+    let group = |name: &str, width: usize| {
+        let values = (0..2 * width).map(|i| i as f32).collect();
+        GroupRows { name: name.into(), width, values, options: GroupOptions::default() }
+    };
+    let mut file = Vec::new();
+    let groups = vec![group("features", 3), group("label", 1), group("odd_2", 1)];
+    ply::write_to(&mut file, &GaussianRows { groups, ..rows(2, 1) }, DVec3::ZERO).expect("into memory");
     seeds.push(file);
     // A file with another element, which has a list, before the Gaussians, and with numbers of all types.
     let types = ["double", "float", "int", "uint", "short", "ushort", "char", "uchar"];

@@ -90,13 +90,16 @@ fn merged(folder: &PlanFolder, files: &[BlockFile], capture: &Capture) -> Result
     for (name, file) in folder.plan.blocks.iter().zip(files) {
         let (rows, trained) = input::rows("--scene", &folder.run(name).join(SCENE), capture)?;
         trained_as = trained;
-        let all = merged.get_or_insert_with(|| GaussianRows { sh_degree: rows.sh_degree, ..GaussianRows::default() });
+        let all = merged.get_or_insert_with(|| GaussianRows::like(&rows));
         ensure!(
             rows.sh_degree == all.sh_degree,
             "{name} has harmonics of degree {} and those before it of degree {}: train all with the lines of jobs.txt",
             rows.sh_degree,
             all.sh_degree
         );
+        if let Some(group) = all.groups.iter().find(|group| !rows.has_group(group)) {
+            bail!("{name} has no group `{}` of {} numbers, as those before it have", group.name, group.width);
+        }
         let before = all.len();
         keep(&file.cell, &rows, all);
         progress::note(&format!("{name}: {} of {} splats lie in its cell", all.len() - before, rows.len()));

@@ -33,6 +33,8 @@ pub struct SceneInfo {
     bytes: u64,
     splats: usize,
     sh_degree: usize,
+    /// Further groups of parameters: name and numbers per Gaussian.
+    groups: Vec<(String, usize)>,
     /// Origin that positions are relative to.
     origin: [f64; 3],
     trained: TrainedAs,
@@ -128,6 +130,7 @@ pub fn of_scene(path: &Path) -> Result<SceneInfo> {
         bytes: fs::metadata(path).with_context(|| format!("cannot read the size of {}", path.display()))?.len(),
         splats: rows.len(),
         sh_degree: rows.sh_degree,
+        groups: rows.groups.iter().map(|group| (group.name.clone(), group.width)).collect(),
         origin: scene.origin.to_array(),
         trained: TrainedAs { antialias: scene.antialiased, ..scene.trained },
         bounds: bounds(means.iter().map(|mean| mean.map(f64::from))),
@@ -208,6 +211,10 @@ fn quantiles(mut values: Vec<f64>) -> Quantiles {
 pub fn scene_text(info: &SceneInfo) -> String {
     let SceneInfo { format, splats, sh_degree, bytes, .. } = info;
     let mut lines = vec![format!("{format}, {splats} splats of degree {sh_degree}, {bytes} bytes")];
+    if !info.groups.is_empty() {
+        let groups = info.groups.iter().map(|(name, width)| format!("{name} [{width}]"));
+        lines.push(format!("further groups: {}", groups.collect::<Vec<_>>().join(", ")));
+    }
     lines.extend(info.bounds.map(|bounds| line("centres", &bounds.to_string())));
     lines.extend(info.bulk.map(|bounds| line("90% of centres", &bounds.to_string())));
     lines.push(line("origin", &position(&info.origin)));

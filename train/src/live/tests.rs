@@ -19,6 +19,7 @@ fn rows(x: f32) -> GaussianRows {
         sh_dc: vec![[0.0; 3]],
         sh_rest: Vec::new(),
         sh_degree: 0,
+        groups: Vec::new(),
     }
 }
 

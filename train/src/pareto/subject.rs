@@ -3,7 +3,7 @@
 use std::cell::OnceCell;
 
 use anyhow::Result;
-use burn::module::Param;
+use burn::module::{Module, ModuleMapper, Param};
 use burn::tensor::{DType, Device, Gradients, Tensor, TensorData};
 use glam::DAffine3;
 use rand::{RngExt, SeedableRng};
@@ -44,6 +44,15 @@ pub struct DeviceScene {
 /// Names of the differentiated parameters.
 pub const PARAMETERS: [&str; 5] = ["means", "rotations", "log_scales", "logit_opacities", "sh"];
 
+/// Converts parameters to f64, tracked.
+struct Wide;
+
+impl ModuleMapper for Wide {
+    fn map_float<const D: usize>(&mut self, param: Param<Tensor<D>>) -> Param<Tensor<D>> {
+        Param::from_tensor(Tensor::from_inner(param.val().cast(DType::F64)))
+    }
+}
+
 /// Gradients in the order of [`PARAMETERS`], summed over views.
 pub type GradientSums = [Vec<f64>; 5];
 
@@ -68,18 +77,7 @@ impl DeviceScene {
     /// its input is not.
     pub fn in_f64(rows: &GaussianRows, shots: &[MeasuredView], background: [f32; 3]) -> Result<Self> {
         let f32 = Self::new(rows, shots, background, &Device::flex())?;
-        let plain = f32.gaussians.untracked();
-        fn wide<const D: usize>(param: &Param<Tensor<D>>) -> Param<Tensor<D>> {
-            Param::from_tensor(Tensor::from_inner(param.val().cast(DType::F64)))
-        }
-        let gaussians = Gaussians {
-            means: wide(&plain.means),
-            rotations: wide(&plain.rotations),
-            log_scales: wide(&plain.log_scales),
-            logit_opacities: wide(&plain.logit_opacities),
-            sh: wide(&plain.sh),
-            sh_more: plain.sh_more.iter().map(wide).collect(),
-        };
+        let gaussians = f32.gaussians.untracked().map(&mut Wide);
         let camera = |camera: Camera| Camera { cam_from_world: camera.cam_from_world.cast(DType::F64), ..camera };
         let background = f32.extras.background.map(|background| background.cast(DType::F64));
         Ok(Self {
@@ -121,17 +119,7 @@ impl DeviceScene {
 
     /// Adds a view's gradients to `sums`, which are empty at first.
     pub fn add_gradients(&self, gradients: &Gradients, sums: &mut GradientSums) {
-        let of = &self.gaussians;
-        let all = [
-            of.means.val().grad(gradients).map(host),
-            of.rotations.val().grad(gradients).map(host),
-            of.log_scales.val().grad(gradients).map(host),
-            of.logit_opacities.val().grad(gradients).map(host),
-            of.sh_params()
-                .map(|block| block.val().grad(gradients).map(host))
-                .collect::<Option<Vec<_>>>()
-                .map(|blocks| blocks.concat()),
-        ];
+        let all = PARAMETERS.map(|name| Some(host(self.gaussians.gradient(name, gradients)?)));
         for (sum, found) in sums.iter_mut().zip(all) {
             let found = found.unwrap_or_default();
             sum.resize(sum.len().max(found.len()), 0.0);

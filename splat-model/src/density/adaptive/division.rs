@@ -49,10 +49,10 @@ impl Whole {
     fn of(scene: &Gaussians, rows: &Tensor<1, Int>) -> Self {
         let part = |values: Tensor<2>| values.select(0, rows.clone());
         Self {
-            means: part(scene.means.val()),
-            log_scales: part(scene.log_scales.val()),
-            logit_opacities: scene.logit_opacities.val().select(0, rows.clone()),
-            rotations: part(scene.rotations.val()),
+            means: part(scene.means()),
+            log_scales: part(scene.log_scales()),
+            logit_opacities: scene.logit_opacities().select(0, rows.clone()),
+            rotations: part(scene.rotations()),
         }
     }
 

@@ -89,7 +89,7 @@ fn those_who_are_not_drawn_stay_as_they_are_with_their_history() {
     let rows = of_opacities(&[0.9, 0.006, 0.001, 0.006, 0.006]);
     let (mut policy, mut scene) = (Mcmc::new(McmcConfig { growth: 1.0, ..still() }, EXTENT, STEPS), trained(&rows));
     let ones = Tensor::from_data(TensorData::new(vec![1.0_f32; 15], [5, 3]), &Device::flex());
-    scene.moments.means = Moments::full(ones.clone(), ones.zeros_like());
+    scene.moments[0][0] = Moments::full(ones.clone(), ones.zeros_like());
     policy.act(&mut scene, &at(500), &mut rng()).unwrap();
     let after = scene.gaussians.to_rows();
     // The most opaque Gaussian is drawn (50 to 1) and shares with the one that was dead.
@@ -97,7 +97,7 @@ fn those_who_are_not_drawn_stay_as_they_are_with_their_history() {
         assert_eq!(row(&after, now), row(&rows, was));
     }
     [3, 4].iter().for_each(|&i| assert_shared(&row(&after, i), &rows, 0, 2));
-    let [history, _] = scene.moments.means.numbers();
+    let [history, _] = scene.moments[0][0].numbers();
     assert_eq!(history, [[1.0; 9].as_slice(), &[0.0; 6]].concat());
 }
 
@@ -247,8 +247,8 @@ fn penalties_are_those_of_the_paper_in_units_of_the_extent() {
     let found: f64 = penalty.clone().inner().into_scalar();
     assert!((found / expected - 1.0).abs() < 1e-5, "{found} instead of {expected}");
     let mut gradients = penalty.backward();
-    assert!(gaussians.log_scales.val().grad_remove(&mut gradients).is_some());
-    assert!(gaussians.logit_opacities.val().grad_remove(&mut gradients).is_some());
+    assert!(gaussians.log_scales().grad_remove(&mut gradients).is_some());
+    assert!(gaussians.gradient("logit_opacities", &gradients).is_some());
 }
 
 #[test]

@@ -1,26 +1,47 @@
-//! What a checkpoint keeps of a scene in training.
+//! What a checkpoint keeps of a scene in training: for each group its values and moments, each as one array.
 
-use burn::module::Param;
 use burn::tensor::{Device, Tensor};
 
-use super::harmonics::{first_and_more, put_harmonics, take_harmonics};
 use super::step::on;
-use super::{GaussianMoments, Trained};
-use crate::gaussians::{Gaussians, parameter};
+use super::{Trained, all_rows};
+use crate::gaussians::{Gaussians, Group, GroupOptions, OWN_GROUPS, SH, joined, parameter, row_blocks};
 use crate::optim::{MomentBits, Moments};
 use crate::state::{State, StateError};
 
+/// Entry of the names and options of the groups that are not in every scene.
+const FURTHER: &str = "groups";
+
 impl Trained {
     /// Saves parameters and moments.
-    pub fn save(&self) -> State {
-        let (g, m) = (&self.gaussians, &self.moments);
+    ///
+    /// # Errors
+    /// If the options of a group cannot be stored.
+    pub fn save(&self) -> Result<State, StateError> {
         let mut state = State::default();
-        put_parameter(&mut state, "means", &g.means, &m.means);
-        put_parameter(&mut state, "rotations", &g.rotations, &m.rotations);
-        put_parameter(&mut state, "log_scales", &g.log_scales, &m.log_scales);
-        put_parameter(&mut state, "logit_opacities", &g.logit_opacities, &m.logit_opacities);
-        put_harmonics(&mut state, g, m);
-        state
+        let (all, count) = (self.gaussians.groups(), self.gaussians.len());
+        let further: Vec<_> = all[OWN_GROUPS.len()..].iter().map(|group| (group.name(), group.options())).collect();
+        if !further.is_empty() {
+            state.tell(FURTHER, &further)?;
+        }
+        for (group, moments) in all.iter().zip(&self.moments) {
+            state.in_part(group.name(), |part| match &moments[..] {
+                [moments] => {
+                    part.put("values", untracked(group.blocks[0].val()));
+                    moments.save(part);
+                }
+                blocks => {
+                    // Only a host can hold them as one.
+                    let host = Device::flex();
+                    let values = group.blocks.iter().map(|block| untracked(block.val()).to_device(&host)).collect();
+                    let rows = group.blocks.iter().map(|block| block.val().dims()[0]);
+                    let parts: Vec<_> =
+                        blocks.iter().zip(rows).map(|(m, rows)| m.rows(0, rows, &host).take()).collect();
+                    part.put("values", joined(values));
+                    Moments::<2>::gathered(&parts, &all_rows(count, &host), count).save(part);
+                }
+            });
+        }
+        Ok(state)
     }
 
     /// Restores a scene with moments of so many bits. It can be trained if `device` is an autodiff device.
@@ -28,66 +49,56 @@ impl Trained {
     /// # Errors
     /// If a value is missing, or if parameters and moments are inconsistent.
     pub fn load(from: &mut State, bits: MomentBits, device: &Device) -> Result<Self, StateError> {
-        let (means, of_means) = take_parameter::<2>(from, "means", (bits, device), |shape| *shape == [shape[0], 3])?;
-        let count = means.val().dims()[0];
-        let (rotations, of_rotations) =
-            take_parameter::<2>(from, "rotations", (bits, device), |shape| *shape == [count, 4])?;
-        let (log_scales, of_log_scales) =
-            take_parameter::<2>(from, "log_scales", (bits, device), |shape| *shape == [count, 3])?;
-        let (logit_opacities, of_opacities) =
-            take_parameter::<1>(from, "logit_opacities", (bits, device), |shape| *shape == [count])?;
-        let is_sh = |&[rows, coefficients, channels]: &[usize; 3]| {
-            let largest = splat_op::sh::SH_DEGREE_MAX + 1;
-            let side = coefficients.isqrt();
-            rows == count && (1..=largest).contains(&side) && side * side == coefficients && channels == 3
-        };
-        let (sh, of_sh) = take_harmonics(from, (bits, device), is_sh)?;
-        let ((sh, sh_more), (of_sh, of_sh_more)) = (first_and_more(sh), first_and_more(of_sh));
-        Ok(Self {
-            gaussians: Gaussians { means, rotations, log_scales, logit_opacities, sh, sh_more },
-            moments: GaussianMoments {
-                means: of_means,
-                rotations: of_rotations,
-                log_scales: of_log_scales,
-                logit_opacities: of_opacities,
-                sh: of_sh,
-                sh_more: of_sh_more,
-            },
-            mark: None,
-        })
+        let further: Vec<(String, GroupOptions)> = if from.has(FURTHER) { from.told(FURTHER)? } else { Vec::new() };
+        let own = OWN_GROUPS.map(|name| (name.to_owned(), GroupOptions::default()));
+        let (mut groups, mut moments) = (Vec::new(), Vec::new());
+        let mut count = None;
+        for (name, options) in own.into_iter().chain(further) {
+            let (group, of_group) = load_group(from, &name, count, (bits, device))?;
+            count = Some(group.rows());
+            groups.push(group.with_options(options));
+            moments.push(of_group);
+        }
+        Ok(Self { gaussians: Gaussians { groups }, moments, mark: None })
     }
 }
 
-pub(super) fn untracked<const D: usize>(values: Tensor<D>) -> Tensor<D> {
-    if values.is_autodiff() { values.inner() } else { values }
-}
-
-pub(super) fn put_parameter<const D: usize>(
-    to: &mut State,
-    name: &str,
-    param: &Param<Tensor<D>>,
-    moments: &Moments<D>,
-) {
-    to.in_part(name, |part| {
-        part.put("values", untracked(param.val()));
-        moments.save(part);
-    });
-}
-
-/// A parameter on `device`, and its moments. Returns an error if `fits` rejects the shape.
-pub(super) fn take_parameter<const D: usize>(
+/// A group on `device`, and its moments. It must have `count` rows, if that is known.
+fn load_group(
     from: &mut State,
     name: &str,
+    count: Option<usize>,
     (bits, device): (MomentBits, &Device),
-    fits: impl Fn(&[usize; D]) -> bool,
-) -> Result<(Param<Tensor<D>>, Moments<D>), StateError> {
+) -> Result<(Group, Vec<Moments<2>>), StateError> {
     let plain = device.clone().inner();
-    from.load_part(name, |part| {
-        let values = part.take::<D>("values", &plain)?;
-        let shape = values.dims();
-        if !fits(&shape) {
+    // One array may be too large for the device.
+    let at_first = if name == OWN_GROUPS[SH] { Device::flex() } else { plain.clone() };
+    let (values, moments) = from.load_part(name, |part| {
+        let values = part.take::<2>("values", &at_first)?;
+        let shape @ [rows, width] = values.dims();
+        if count.is_some_and(|count| count != rows) || !fits(name, width) {
             return Err(part.shape_error("values", shape.to_vec(), "one that fits the other arrays"));
         }
-        Ok((parameter(on(device, values)), Moments::load_with_bits(part, shape, bits, &plain)?))
-    })
+        Ok((values, Moments::load_with_bits(part, shape, bits, &at_first)?))
+    })?;
+    let [count, width] = values.dims();
+    let block = |rows: std::ops::Range<usize>| {
+        let part = if rows.len() == count { values.clone() } else { values.clone().narrow(0, rows.start, rows.len()) };
+        (parameter(on(device, part.to_device(&plain))), moments.rows(rows.start, rows.len(), &plain))
+    };
+    let (blocks, moments) = row_blocks(name, count, width, device).into_iter().map(block).unzip();
+    Ok((Group::of_blocks(name, blocks, GroupOptions::default()), moments))
+}
+
+/// Whether rows of a group may have so many numbers.
+fn fits(name: &str, width: usize) -> bool {
+    match OWN_GROUPS.iter().position(|own| *own == name) {
+        Some(SH) => (1..=splat_op::sh::SH_DEGREE_MAX + 1).any(|side| 3 * side * side == width),
+        Some(own) => width == [3, 4, 3, 1][own],
+        None => width > 0,
+    }
+}
+
+fn untracked(values: Tensor<2>) -> Tensor<2> {
+    if values.is_autodiff() { values.inner() } else { values }
 }

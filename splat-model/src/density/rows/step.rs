@@ -2,50 +2,33 @@
 
 use burn::module::{Param, ParamId};
 use burn::tensor::{DType, Device, Int, Shape, Tensor};
-use splat_op::RawSplats;
-use splat_op::adam::{Factors, Raw, SceneStep, SteppedScene, has_kernel, step_scene};
+use splat_op::adam::{GroupStep, Stepped, has_kernel, step_groups};
 
 use super::{Gradients, Trained};
-use crate::gaussians::{Gaussians, parameter};
+use crate::gaussians::{Group, OWN_GROUPS, SH, parameter};
 use crate::optim::moments::{Moments, Stored};
 use crate::optim::{Adam, LearningRates, MomentBits, Rates};
-
-/// Adam moments of all parameters of a scene.
-#[derive(Clone, Debug)]
-pub(crate) struct GaussianMoments {
-    pub(crate) means: Moments<2>,
-    pub(crate) rotations: Moments<2>,
-    pub(crate) log_scales: Moments<2>,
-    pub(crate) logit_opacities: Moments<1>,
-    pub(crate) sh: Moments<3>,
-    pub(crate) sh_more: Vec<Moments<3>>,
-}
-
-impl GaussianMoments {
-    /// Zero moments.
-    pub fn new(gaussians: &Gaussians, bits: MomentBits) -> Self {
-        Self {
-            means: Moments::with_bits(&gaussians.means.val(), bits),
-            rotations: Moments::with_bits(&gaussians.rotations.val(), bits),
-            log_scales: Moments::with_bits(&gaussians.log_scales.val(), bits),
-            logit_opacities: Moments::with_bits(&gaussians.logit_opacities.val(), bits),
-            sh: Moments::with_bits(&gaussians.sh.val(), bits),
-            sh_more: gaussians.sh_more.iter().map(|block| Moments::with_bits(&block.val(), bits)).collect(),
-        }
-    }
-
-    pub(super) fn sh_blocks(&self) -> impl Iterator<Item = &Moments<3>> {
-        std::iter::once(&self.sh).chain(&self.sh_more)
-    }
-}
 
 /// Learning rates of one step.
 #[derive(Clone, Copy, Debug)]
 pub struct StepRates {
-    /// Rates of the parameters other than the centres.
+    /// Rates of the parameters of every scene other than the centres.
     pub rates: LearningRates,
     /// Rate of the centres, scene units.
     pub means: f64,
+    /// Share of the run that is done, 0 to 1. Rates of further groups fall with it.
+    pub done: f64,
+}
+
+impl StepRates {
+    fn of(&self, group: &Group) -> Rates {
+        let LearningRates { scales, rotations, sh_dc, sh_rest, opacities, .. } = self.rates;
+        match OWN_GROUPS.iter().position(|own| *own == group.name()) {
+            Some(SH) => Rates { first: sh_dc, others: sh_rest, width: 3 },
+            Some(own) => [self.means, rotations, scales, opacities][own].into(),
+            None => (group.options().rate * group.options().final_share.powf(self.done)).into(),
+        }
+    }
 }
 
 impl Trained {
@@ -59,84 +42,48 @@ impl Trained {
         step: usize,
         verdict: Option<&Tensor<1, Int>>,
     ) {
-        let LearningRates { scales, rotations, sh_dc, sh_rest, opacities, .. } = rates.rates;
-        let sh_rates = Rates { first: sh_dc, others: sh_rest };
-        let more = self.gaussians.sh_more.iter_mut().zip(&mut self.moments.sh_more);
-        for ((block, moments), gradient) in more.zip(gradients.sh_more.drain(..)) {
-            update(block, gradient, sh_rates, moments, (adam, step, verdict));
-        }
-        let gradients = match gradients {
-            // One operation takes all steps.
-            Gradients {
-                means: Some(means),
-                rotations: Some(of_rotations),
-                log_scales: Some(log_scales),
-                logit_opacities: Some(logit_opacities),
-                sh: Some(sh),
-                ..
-            } if has_kernel(&means) && self.moments.means.bits() == MomentBits::ThirtyTwo => {
-                let grads = RawSplats { means, rotations: of_rotations, log_scales, logit_opacities, sh };
-                let rates = [rates.means.into(), rotations.into(), scales.into(), opacities.into(), sh_rates];
-                let factors = Raw::from_array(rates.map(|rate| adam.factors(rate, step)));
-                return self.step_at_once(grads, factors, verdict);
+        let first = self.gaussians.sh_id();
+        let coefficients = self.mark.take().filter(|(id, _)| *id == first).map(|(_, mark)| mark);
+        let groups = self.gaussians.groups.iter_mut().zip(&mut self.moments).enumerate();
+        // One operation takes all steps where it can.
+        let (mut together, mut places, mut marked, mut tracked) = (Vec::new(), Vec::new(), None, None);
+        for (place, (group, moments)) in groups {
+            let rate = rates.of(group);
+            let found = gradients.0.iter().position(|found| found.name == group.name());
+            let Some(gradients) = found.map(|found| gradients.0.swap_remove(found)) else { continue };
+            if place >= OWN_GROUPS.len() && rate.others == 0.0 {
+                continue;
             }
-            gradients => gradients,
-        };
-        let (g, m) = (&mut self.gaussians, &mut self.moments);
-        let adam = (adam, step, verdict);
-        update(&mut g.means, gradients.means, rates.means, &mut m.means, adam);
-        update(&mut g.rotations, gradients.rotations, rotations, &mut m.rotations, adam);
-        update(&mut g.log_scales, gradients.log_scales, scales, &mut m.log_scales, adam);
-        update(&mut g.logit_opacities, gradients.logit_opacities, opacities, &mut m.logit_opacities, adam);
-        update(&mut g.sh, gradients.sh, sh_rates, &mut m.sh, adam);
-    }
-
-    /// Takes one Adam step on all parameters by [`step_scene`].
-    fn step_at_once(&mut self, grads: RawSplats, factors: Raw<Factors>, verdict: Option<&Tensor<1, Int>>) {
-        let (g, m) = (&mut self.gaussians, &mut self.moments);
-        let device = g.means.val().device();
-        let coefficients = g.sh.id;
-        let params = RawSplats {
-            means: take(&mut g.means),
-            rotations: take(&mut g.rotations),
-            log_scales: take(&mut g.log_scales),
-            logit_opacities: take(&mut g.logit_opacities),
-            sh: take(&mut g.sh),
-        };
-        let (means_m, means_v) = sums(&mut m.means);
-        let (rotations_m, rotations_v) = sums(&mut m.rotations);
-        let (log_scales_m, log_scales_v) = sums(&mut m.log_scales);
-        let (logit_opacities_m, logit_opacities_v) = sums(&mut m.logit_opacities);
-        let (sh_m, sh_v) = sums(&mut m.sh);
-        let of_m = RawSplats {
-            means: means_m,
-            rotations: rotations_m,
-            log_scales: log_scales_m,
-            logit_opacities: logit_opacities_m,
-            sh: sh_m,
-        };
-        let of_v = RawSplats {
-            means: means_v,
-            rotations: rotations_v,
-            log_scales: log_scales_v,
-            logit_opacities: logit_opacities_v,
-            sh: sh_v,
-        };
-        let mark = self.mark.take().filter(|(id, _)| *id == coefficients).map(|(_, mark)| mark);
-        let mark = mark.unwrap_or_else(|| Tensor::zeros([1], (&device.clone().inner(), DType::I32)));
-        let from = SceneStep { params, grads, m: of_m, v: of_v };
-        let SteppedScene { params, m: of_m, v: of_v, mark } = step_scene(from, verdict, mark, factors);
-        g.means = parameter(on(&device, params.means));
-        g.rotations = parameter(on(&device, params.rotations));
-        g.log_scales = parameter(on(&device, params.log_scales));
-        g.logit_opacities = parameter(on(&device, params.logit_opacities));
-        g.sh = parameter(on(&device, params.sh));
-        m.means = Moments::full(of_m.means, of_v.means);
-        m.rotations = Moments::full(of_m.rotations, of_v.rotations);
-        m.log_scales = Moments::full(of_m.log_scales, of_v.log_scales);
-        m.logit_opacities = Moments::full(of_m.logit_opacities, of_v.logit_opacities);
-        m.sh = Moments::full(of_m.sh, of_v.sh);
-        self.mark = Some((g.sh.id, mark));
+            for (block, gradient) in gradients.blocks.into_iter().enumerate() {
+                let Some(grad) = gradient else { continue };
+                let (param, moments) = (&mut group.blocks[block], &mut moments[block]);
+                let device = param.val().device();
+                if !has_kernel(&grad) || moments.bits() != MomentBits::ThirtyTwo {
+                    let values = adam.step_unless(take(param), grad, rate, moments, (step, verdict));
+                    *param = parameter(on(&device, values));
+                    continue;
+                }
+                tracked = Some(device);
+                if (place, block) == (SH, 0) {
+                    marked = Some(together.len());
+                }
+                let Stored::Full { m, v } = moments.take() else { unreachable!("moments of 32 bits are full") };
+                let from = Stepped { param: take(param), m, v };
+                together.push(GroupStep { from, grad, factors: adam.factors(rate, step) });
+                places.push((place, block));
+            }
+        }
+        let Some(device) = tracked.filter(|_| !together.is_empty()) else { return };
+        let mark = marked.map(|at| {
+            let none = || Tensor::zeros([1], (&device.clone().inner(), DType::I32));
+            (at, coefficients.unwrap_or_else(none))
+        });
+        let (stepped, mark) = step_groups(together, verdict, mark);
+        for ((place, block), Stepped { param, m, v }) in places.into_iter().zip(stepped) {
+            self.gaussians.groups[place].blocks[block] = parameter(on(&device, param));
+            self.moments[place][block] = Moments::full(m, v);
+        }
+        self.mark = mark.map(|mark| (self.gaussians.sh_id(), mark));
     }
 }
 
@@ -157,25 +104,4 @@ pub(super) fn take<const D: usize>(param: &mut Param<Tensor<D>>) -> Tensor<D> {
     let none = |device: &Device, _: bool| Tensor::zeros([0; D], device);
     let none = Param::uninitialized(ParamId::new(), none, device, false, Shape::from([0; D]));
     std::mem::replace(param, none).into_value().inner()
-}
-
-/// Moves the sums of a parameter out.
-fn sums<const D: usize>(moments: &mut Moments<D>) -> (Tensor<D>, Tensor<D>) {
-    match moments.take() {
-        Stored::Full { m, v } => (m, v),
-        Stored::Packed { .. } => unreachable!("the caller checked that all moments have 32 bits"),
-    }
-}
-
-fn update<const D: usize>(
-    param: &mut Param<Tensor<D>>,
-    gradient: Option<Tensor<D>>,
-    rate: impl Into<Rates>,
-    moments: &mut Moments<D>,
-    (adam, step, verdict): (&Adam, usize, Option<&Tensor<1, Int>>),
-) {
-    let Some(gradient) = gradient else { return };
-    let device = param.val().device();
-    let values = take(param);
-    *param = parameter(on(&device, adam.step_unless(values, gradient, rate, moments, (step, verdict))));
 }

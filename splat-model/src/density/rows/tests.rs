@@ -2,9 +2,9 @@ use burn::tensor::{Device, Distribution};
 
 use super::*;
 use crate::density::rows_on;
-use crate::gaussians::GaussianRows;
 use crate::gaussians::testing::{devices, random_rows};
 use crate::gaussians::values_of;
+use crate::gaussians::{GaussianRows, GroupOptions, NewRows};
 use crate::optim::{Adam, LearningRates};
 
 const RATES: LearningRates = LearningRates {
@@ -29,24 +29,17 @@ fn packed(rows: &GaussianRows, bits: MomentBits, device: &Device) -> Trained {
 
 const PACKED: [MomentBits; 2] = [MomentBits::Sixteen, MomentBits::Eight];
 
-/// Random numbers like `param`, without autodiff.
-fn noise<const D: usize>(param: &Param<Tensor<D>>) -> Option<Tensor<D>> {
-    Some(param.val().inner().random_like(Distribution::Uniform(-1.0, 1.0)))
+/// Random numbers like a group, without autodiff.
+fn noise(group: &Group) -> Tensor<2> {
+    group.raw().inner().random_like(Distribution::Uniform(-1.0, 1.0))
 }
 
 fn random_gradients(of: &Gaussians) -> Gradients {
-    Gradients {
-        means: noise(&of.means),
-        rotations: noise(&of.rotations),
-        log_scales: noise(&of.log_scales),
-        logit_opacities: noise(&of.logit_opacities),
-        sh: noise(&of.sh),
-        sh_more: of.sh_more.iter().map(noise).collect(),
-    }
+    of.groups().iter().fold(Gradients::default(), |all, group| all.with(group.name(), noise(group)))
 }
 
 fn step(scene: &mut Trained, gradients: Gradients, step: usize) {
-    scene.step(gradients, &Adam::default(), &StepRates { rates: RATES, means: 0.06 }, step, None);
+    scene.step(gradients, &Adam::default(), &StepRates { rates: RATES, means: 0.06, done: 0.0 }, step, None);
 }
 
 /// A scene whose moments are all non-zero.
@@ -62,38 +55,29 @@ fn walked(rows: &GaussianRows, device: &Device) -> Trained {
 /// Values, first and second moments of one parameter.
 type Numbers = [Vec<f32>; 3];
 
-fn numbers<const D: usize>(param: &Param<Tensor<D>>, moments: &Moments<D>) -> Numbers {
-    let [m, v] = moments.numbers();
-    [values_of(param.val()), m, v]
-}
-
-/// All values and moments of a scene, by parameter.
-fn all(scene: &Trained) -> Vec<(&'static str, Numbers)> {
-    let (g, m) = (&scene.gaussians, &scene.moments);
-    vec![
-        ("means", numbers(&g.means, &m.means)),
-        ("rotations", numbers(&g.rotations, &m.rotations)),
-        ("log_scales", numbers(&g.log_scales, &m.log_scales)),
-        ("logit_opacities", numbers(&g.logit_opacities, &m.logit_opacities)),
-        ("sh", numbers(&g.sh, &m.sh)),
-    ]
+/// All values and moments of a scene, by group.
+fn all(scene: &Trained) -> Vec<(String, Numbers)> {
+    let numbers = |(group, moments): (&Group, &Vec<Moments<2>>)| {
+        let [m, v] = moments[0].numbers();
+        (group.name().to_owned(), [values_of(group.raw()), m, v])
+    };
+    scene.gaussians.groups().iter().zip(&scene.moments).map(numbers).collect()
 }
 
 /// The edit that keeps rows and adds others, whatever they come from.
 fn edit_to(keep: &[u32], add: &GaussianRows, device: &Device) -> RowEdit {
     let added = Gaussians::from_rows(add, device).unwrap();
     let edit = RowEdit::new(rows_on(device, keep), rows_on(device, &vec![1; add.len()]));
-    edit.with("means", added.means.val())
-        .with("rotations", added.rotations.val())
-        .with("log_scales", added.log_scales.val())
-        .with("logit_opacities", added.logit_opacities.val())
-        .with("sh", added.sh.val())
+    edit.with("means", added.means())
+        .with("rotations", added.rotations())
+        .with("log_scales", added.log_scales())
+        .with("logit_opacities", added.logit_opacities())
+        .with("sh", added.sh_blocks().remove(0))
 }
 
 /// Whether each parameter is tracked.
 fn all_tracked(scene: &Gaussians) -> bool {
-    let two = [&scene.means, &scene.rotations, &scene.log_scales].iter().all(|param| param.val().is_require_grad());
-    two && scene.logit_opacities.val().is_require_grad() && scene.sh.val().is_require_grad()
+    scene.groups().iter().all(|group| group.raw().is_require_grad())
 }
 
 #[test]
@@ -145,26 +129,15 @@ fn packed_moments_move_grow_and_resume() {
             assert!(old[1].iter().any(|code| *code != 0.0), "{name}, {bits}");
         }
         scene.grow_sh(2);
-        let mut state = scene.save();
+        let mut state = scene.save().unwrap();
         let mut resumed = Trained::load(&mut state, bits, &device.clone().autodiff()).unwrap();
         state.finish().unwrap();
         let gradients = random_gradients(&scene.gaussians);
-        step(&mut resumed, copied(&gradients), 4);
+        step(&mut resumed, gradients.clone(), 4);
         step(&mut scene, gradients, 4);
         assert_eq!(all(&resumed), all(&scene), "{bits}");
-        let error = Trained::load(&mut scene.save(), MomentBits::ThirtyTwo, &device).unwrap_err().to_string();
+        let error = Trained::load(&mut scene.save().unwrap(), MomentBits::ThirtyTwo, &device).unwrap_err().to_string();
         assert!(error.contains("`means/m`"), "{error}");
-    }
-}
-
-fn copied(of: &Gradients) -> Gradients {
-    Gradients {
-        means: of.means.clone(),
-        rotations: of.rotations.clone(),
-        log_scales: of.log_scales.clone(),
-        logit_opacities: of.logit_opacities.clone(),
-        sh: of.sh.clone(),
-        sh_more: of.sh_more.clone(),
     }
 }
 
@@ -177,7 +150,7 @@ fn packed_moments_take_nearly_the_same_steps() {
         let start = all(&exact);
         for i in 1..=20 {
             let gradients = random_gradients(&exact.gaussians);
-            step(&mut exact, copied(&gradients), i);
+            step(&mut exact, gradients.clone(), i);
             step(&mut other, gradients, i);
         }
         let most = if bits == MomentBits::Eight { 0.15 } else { 0.01 };
@@ -242,8 +215,8 @@ fn a_refused_edit_changes_nothing() {
 }
 
 /// Sets the coefficients above `degree` to zero.
-fn cut(sh: Tensor<3>, degree: usize) -> Tensor<3> {
-    let (have, all) = ((degree + 1) * (degree + 1), sh.dims()[1]);
+fn cut(sh: Tensor<2>, degree: usize) -> Tensor<2> {
+    let (have, all) = (3 * (degree + 1) * (degree + 1), sh.dims()[1]);
     if have == all {
         return sh;
     }
@@ -262,16 +235,10 @@ fn harmonics_that_come_later_are_as_if_they_had_always_been_there() {
             grown.grow_sh(degree);
             assert_eq!(grown.gaussians.sh_degree(), degree);
             assert!(all_tracked(&grown.gaussians));
-            let mut gradients = random_gradients(&full.gaussians);
-            gradients.sh = gradients.sh.map(|sh| cut(sh, degree));
-            let own = Gradients {
-                means: gradients.means.clone(),
-                rotations: gradients.rotations.clone(),
-                log_scales: gradients.log_scales.clone(),
-                logit_opacities: gradients.logit_opacities.clone(),
-                sh: gradients.sh.clone().map(|sh| sh.narrow(1, 0, (degree + 1) * (degree + 1))),
-                sh_more: Vec::new(),
-            };
+            let gradients = random_gradients(&full.gaussians);
+            let sh = cut(gradients.get("sh").unwrap(), degree);
+            let own = gradients.clone().with("sh", sh.clone().narrow(1, 0, 3 * (degree + 1) * (degree + 1)));
+            let gradients = gradients.with("sh", sh);
             step(&mut grown, own, i);
             step(&mut full, gradients, i);
         }
@@ -329,7 +296,7 @@ fn parameters_without_a_gradient_stay() {
     for device in devices() {
         let before = walked(&random_rows(5, 1, 1), &device);
         let mut after = before.clone();
-        step(&mut after, Gradients { rotations: noise(&before.gaussians.rotations), ..Gradients::default() }, 4);
+        step(&mut after, Gradients::default().with("rotations", noise(&before.gaussians.groups()[1])), 4);
         let rotations = assert_only_changed(&before, &after, "rotations");
         for (new, old) in rotations.iter().zip(&all(&before)[1].1) {
             assert!(new.iter().zip(old).all(|(new, old)| new != old));
@@ -351,9 +318,75 @@ fn each_parameter_has_its_own_rate() {
         for (((name, new), (_, old)), rate) in all(&scene).iter().zip(&before).zip(rates) {
             let per_row = new[0].len() / 3;
             for (at, (new, old)) in new[0].iter().zip(&old[0]).enumerate() {
-                let rate = if *name == "sh" && at % per_row < 3 { RATES.sh_dc } else { rate };
+                let rate = if name == "sh" && at % per_row < 3 { RATES.sh_dc } else { rate };
                 assert!((f64::from((new - old).abs()) - rate).abs() < 1e-6, "{name} {at}: {}", new - old);
             }
         }
     }
+}
+
+/// A scene with a group of two numbers each, beginning at 1.
+fn with_features(rows: &GaussianRows, options: GroupOptions, bits: MomentBits, device: &Device) -> Trained {
+    let numbers = Tensor::arange(0..2 * rows.len() as i64, &device.clone().autodiff()).float() + 1.0;
+    let group = Group::new("features", numbers.reshape([rows.len(), 2]).inner(), options).unwrap();
+    let group = Group::new("features", Tensor::from_inner(group.raw()), options).unwrap();
+    packed(rows, bits, device).with_group(group).unwrap()
+}
+
+/// Everything that carries the five parameters carries a group of one's own.
+#[test]
+fn a_group_of_ones_own_is_carried_along() {
+    let all_bits = [MomentBits::ThirtyTwo, MomentBits::Sixteen, MomentBits::Eight];
+    for (device, bits) in devices().into_iter().flat_map(|device| all_bits.map(|bits| (device.clone(), bits))) {
+        let options = GroupOptions { rate: 0.5, final_share: 0.01, reset: Some(7.0), ..GroupOptions::default() };
+        let mut scene = with_features(&random_rows(4, 1, 1), options, bits, &device);
+        let features = |scene: &Trained| values_of(scene.gaussians.group("features").unwrap().raw());
+        // Adam's first step has the length of its rate, which has fallen to a tenth in the middle of the run.
+        let rates = StepRates { rates: RATES, means: 0.06, done: 0.5 };
+        scene.step(
+            Gradients::default().with("features", Tensor::<2>::ones([4, 2], &device)),
+            &Adam::default(),
+            &rates,
+            1,
+            None,
+        );
+        let moved = features(&scene);
+        assert!(moved.iter().enumerate().all(|(i, value)| (value - (i as f32 + 0.95)).abs() < 1e-3), "{moved:?}");
+        // New rows are copies without a history.
+        scene.edit(&RowEdit::new(rows_on(&device, &[3, 1]), rows_on(&device, &[1]))).unwrap();
+        assert_eq!(features(&scene), [&moved[6..8], &moved[2..4], &moved[2..4]].concat());
+        let [m, _] = scene.moments[5][0].numbers();
+        assert!(
+            m[..m.len() / 3].iter().any(|value| *value != 0.0)
+                && m[m.len() / 3 * 2..].iter().all(|value| *value == 0.0)
+        );
+        // A checkpoint has the group with its options and its moments.
+        let mut state = scene.save().unwrap();
+        let resumed = Trained::load(&mut state, bits, &device.clone().autodiff()).unwrap();
+        state.finish().unwrap();
+        assert_eq!(all(&resumed), all(&scene));
+        assert_eq!(resumed.gaussians.group("features").unwrap().options(), &options);
+        // A reset of opacities resets it too.
+        scene.reset_opacities(Tensor::zeros([3], &device));
+        assert_eq!(features(&scene), [7.0; 6]);
+        assert!(scene.moments[5][0].numbers()[0].iter().all(|value| *value == 0.0));
+        assert!(all_tracked(&scene.gaussians));
+    }
+}
+
+#[test]
+fn new_rows_of_a_group_may_have_a_value_of_their_own() {
+    let device = Device::flex();
+    let options = GroupOptions { new_rows: NewRows::Filled(-1.0), ..GroupOptions::default() };
+    let mut scene = with_features(&random_rows(3, 0, 1), options, MomentBits::ThirtyTwo, &device);
+    let edit = RowEdit::new(rows_on(&device, &[2]), rows_on(&device, &[0, 1]));
+    scene.edit(&edit).unwrap();
+    let features = |scene: &Trained| values_of(scene.gaussians.group("features").unwrap().raw());
+    assert_eq!(features(&scene), [5.0, 6.0, -1.0, -1.0, -1.0, -1.0]);
+    // An edit that names values has the last word, and a rate of 0 keeps them.
+    let edit = RowEdit::new(rows_on(&device, &[0]), rows_on(&device, &[0]));
+    scene.edit(&edit.with("features", Tensor::<2>::full([1, 2], 9.0, &device))).unwrap();
+    let gradients = random_gradients(&scene.gaussians);
+    step(&mut scene, gradients, 1);
+    assert_eq!(features(&scene), [5.0, 6.0, 9.0, 9.0]);
 }

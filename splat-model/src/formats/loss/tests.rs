@@ -11,6 +11,7 @@ fn each_difference_is_told_in_its_unit() {
         sh_dc: vec![[0.0; 3]; 2],
         sh_rest: vec![],
         sh_degree: 0,
+        groups: Vec::new(),
     };
     assert_eq!(QuantisationError::between(&written, &written), QuantisationError::default());
     let mut read = written.clone();

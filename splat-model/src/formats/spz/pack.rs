@@ -131,6 +131,7 @@ pub(super) fn unpack(layout: &Layout, sections: [&[u8]; SECTIONS]) -> GaussianRo
         sh_dc: three(colours.iter().map(|&level| ((f64::from(level) / 255.0 - 0.5) / COLOUR) as f32).collect()),
         sh_rest: harmonics.iter().enumerate().map(harmonic).collect(),
         sh_degree: layout.sh_degree,
+        groups: Vec::new(),
     }
 }
 

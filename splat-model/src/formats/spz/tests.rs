@@ -87,6 +87,7 @@ fn harmonics_have_the_bits_that_are_asked_for() {
         sh_dc: vec![[0.0; 3]; 200],
         sh_rest,
         sh_degree: 3,
+        groups: Vec::new(),
     };
     let scene = SceneFile { rows, ..SceneFile::default() };
     let mut bytes = 0;
@@ -117,6 +118,7 @@ fn the_frame_is_right_up_back() {
         sh_dc: vec![[0.0; 3]],
         sh_rest: vec![],
         sh_degree: 0,
+        groups: Vec::new(),
     };
     let [positions, _, _, _, rotations, _] = pack(&rows, 8, [5, 4]);
     assert_eq!(positions, [0, 1, 0, 0, 0xfe, 0xff, 0, 0xfd, 0xff]);
@@ -135,6 +137,7 @@ fn what_is_out_of_range_is_taken_to_its_edge() {
         sh_dc: vec![[40.0, -40.0, 0.0]],
         sh_rest: [3.0, -3.0, 0.0].repeat(3),
         sh_degree: 1,
+        groups: Vec::new(),
     };
     let folder = TempDir::new().unwrap();
     let path = folder.path().join("scene.spz");
@@ -256,6 +259,7 @@ fn assert_read(path: &Path, written: &GaussianRows) {
         sh_dc: theirs.colors.as_chunks().0.to_vec(),
         sh_rest: theirs.spherical_harmonics.clone(),
         sh_degree: written.sh_degree,
+        groups: Vec::new(),
     };
     assert_within_bits(written, &rows, 18, ONCE);
 }

@@ -65,7 +65,7 @@ fn host_memory_and_tensors_agree() {
     let count = 2 * 20_011;
     let mut rng = ChaCha8Rng::seed_from_u64(9);
     let mut random = || -> Vec<f64> { (0..count).map(|_| rng.random_range(-1.0..1.0)).collect() };
-    for rate in [Rates::from(0.03), Rates { first: 0.3, others: 0.01 }] {
+    for rate in [Rates::from(0.03), Rates { first: 0.3, others: 0.01, width: 1 }] {
         let start = tensor(&random(), &device, DType::F32);
         let none = || (start.zeros_like(), start.zeros_like());
         let mut moments = [none(), none()];

@@ -2,6 +2,7 @@ use super::super::testing::{photos, points};
 use super::super::{LossInputs, TrainConfig, TrainError, Trainer};
 use super::*;
 use crate::density::AdaptiveConfig;
+use crate::density::rows::GroupGradients;
 use crate::gaussians::GaussianRows;
 use crate::loss::{DEFAULT_LAMBDA, photometric};
 
@@ -10,7 +11,8 @@ fn number(value: f32) -> Tensor<1> {
 }
 
 fn gradients(logit: f32) -> Gradients {
-    Gradients { logit_opacities: Some(number(logit)), ..Gradients::default() }
+    let sound = Gradients::default().with("means", Tensor::<2>::zeros([1, 3], &Device::flex()));
+    sound.with("logit_opacities", number(logit))
 }
 
 /// A guard as on a GPU, which computes asynchronously.
@@ -89,7 +91,7 @@ fn a_step_that_is_not_finite_changes_nothing_and_is_named() {
     let cases: [(usize, Spoil, &str); 4] = [
         (1, |seen| seen.image.clone().mean() * f32::NAN, "the loss"),
         (7, |seen| seen.image.clone().mean() * f32::INFINITY, "the loss"),
-        (5, |seen| root_of_zero(seen.splats.scales.clone().sum()), "the gradient of `log_scales`"),
+        (5, |seen| root_of_zero(seen.input.splats.scales.clone().sum()), "the gradient of `log_scales`"),
         (8, |seen| root_of_zero(seen.image.clone().sum()), "`means`, `rotations`, `log_scales`, `logit_opacities`"),
     ];
     for (bad_step, spoil, what) in cases {
@@ -125,8 +127,9 @@ fn the_stage_that_goes_wrong_first_is_named() {
 #[test]
 fn further_blocks_of_coefficients_are_looked_at_too() {
     let blocks = |values: [f32; 2]| {
-        let block = |value: f32| Some(Tensor::full([2, 1, 3], value, &Device::flex()));
-        Gradients { sh: block(1.0), sh_more: values.map(block).to_vec(), ..Gradients::default() }
+        let block = |value: f32| Some(Tensor::full([2, 3], value, &Device::flex()));
+        let blocks = [1.0, values[0], values[1]].map(block).to_vec();
+        Gradients(vec![GroupGradients { name: "sh".into(), blocks }])
     };
     let expected = |step| Fault { step, view: 3, what: "the gradient of `sh`".into() };
     for (step, values) in [[f32::NAN, 1.0], [1.0, f32::INFINITY], [f32::NAN, f32::NAN]].into_iter().enumerate() {

@@ -8,7 +8,7 @@ use crate::testing::random::Random;
 const BOTH: [Packing; 2] = [Packing::Sixteen, Packing::Eight];
 
 pub(super) fn factors(packing: Packing, step: u32) -> PackedFactors {
-    let rate = Rates { first: 0.06, others: 3e-3 };
+    let rate = Rates { first: 0.06, others: 3e-3, width: 3 };
     let factors = Factors { beta1: 0.9, beta2: 0.999, rate, floor: 1e-15, largest: 1e17 };
     PackedFactors { factors, packing, step }
 }

@@ -128,14 +128,14 @@ fn seen(place: &TestDevice, offset: DVec3, scale: f64) -> Result<CaptureResult, 
     }
     let grads = loss.backward();
     const TRACKED: &str = "every parameter is tracked";
-    let means = gaussians.means.val().grad(&grads).expect(TRACKED) * scale;
+    let means = gaussians.gradient("means", &grads).expect(TRACKED) * scale;
     let Colour::SphericalHarmonics(_) = splats.colour else { return Err("a scene has harmonics".into()) };
     let gradients = vec![
         host(means),
-        host(gaussians.rotations.val().grad(&grads).expect(TRACKED)),
-        host(gaussians.log_scales.val().grad(&grads).expect(TRACKED)),
-        host(gaussians.logit_opacities.val().grad(&grads).expect(TRACKED)),
-        host(gaussians.sh.val().grad(&grads).expect(TRACKED)),
+        host(gaussians.gradient("rotations", &grads).expect(TRACKED)),
+        host(gaussians.gradient("log_scales", &grads).expect(TRACKED)),
+        host(gaussians.gradient("logit_opacities", &grads).expect(TRACKED)),
+        host(gaussians.gradient("sh", &grads).expect(TRACKED)),
     ];
     Ok(CaptureResult { pictures, gradients, origin })
 }

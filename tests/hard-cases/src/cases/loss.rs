@@ -3,7 +3,7 @@
 use burn::tensor::{DType, Device};
 use splat_model::density::rows::{Gradients, RowEdit, StepRates, Trained};
 use splat_model::density::rows_on;
-use splat_model::gaussians::{GaussianRows, Gaussians};
+use splat_model::gaussians::{GaussianRows, Gaussians, OWN_GROUPS};
 use splat_model::loss::{Truth, d_ssim, photometric, ssim};
 use splat_model::metrics::{LARGEST_PSNR_DB, psnr};
 use splat_model::optim::{Adam, LearningRates, Moments};
@@ -239,15 +239,13 @@ fn step(scene: &mut Trained, ids: &[usize], step: usize, device: &Device) {
     };
     let all = |kind: usize, columns: usize| ids.iter().flat_map(|id| of(kind, columns, *id)).collect::<Vec<f64>>();
     let count = ids.len();
-    let gradients = Gradients {
-        means: Some(tensor(&all(0, 3), [count, 3], device, DType::F32)),
-        rotations: Some(tensor(&all(1, 4), [count, 4], device, DType::F32)),
-        log_scales: Some(tensor(&all(2, 3), [count, 3], device, DType::F32)),
-        logit_opacities: Some(tensor(&all(3, 1), [count], device, DType::F32)),
-        sh: Some(tensor(&all(4, 3), [count, 1, 3], device, DType::F32)),
-        sh_more: Vec::new(),
-    };
-    let rates = StepRates { rates: LearningRates::default(), means: 0.01 };
+    let gradients = (OWN_GROUPS.into_iter().zip([3, 4, 3, 1, 3]).enumerate()).fold(
+        Gradients::default(),
+        |gradients, (kind, (name, width))| {
+            gradients.with(name, tensor(&all(kind, width), [count, width], device, DType::F32))
+        },
+    );
+    let rates = StepRates { rates: LearningRates::default(), means: 0.01, done: 0.0 };
     scene.step(gradients, &Adam::default(), &rates, step, None);
 }
 
@@ -266,11 +264,11 @@ fn surgery(place: &TestDevice) -> CaseOutcome {
     let mut outcome = CaseOutcome::default();
     let new = Gaussians::from_rows(&added, device).expect("rows of one length");
     let edit = RowEdit::new(rows_on(device, &[4, 1, 3]), rows_on(device, &[0, 0]))
-        .with("means", new.means.val())
-        .with("rotations", new.rotations.val())
-        .with("log_scales", new.log_scales.val())
-        .with("logit_opacities", new.logit_opacities.val())
-        .with("sh", new.sh.val());
+        .with("means", new.means())
+        .with("rotations", new.rotations())
+        .with("log_scales", new.log_scales())
+        .with("logit_opacities", new.logit_opacities())
+        .with("sh", new.sh_blocks().remove(0));
     if let Err(error) = edited.edit(&edit) {
         outcome.failures.push(error.to_string());
         return outcome;

@@ -71,6 +71,7 @@ fn scene() -> ShownScene {
         sh_dc: vec![[0.5; 3]; 3],
         sh_rest: Vec::new(),
         sh_degree: 0,
+        groups: Vec::new(),
     };
     ShownScene::new(&rows, SCENE_BYTES).unwrap()
 }

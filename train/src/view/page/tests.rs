@@ -13,6 +13,7 @@ fn scene() -> ShownScene {
         sh_dc: vec![[0.5; 3]; count],
         sh_rest: Vec::new(),
         sh_degree: 0,
+        groups: Vec::new(),
     };
     ShownScene::new(&rows, usize::MAX).unwrap()
 }

@@ -13,6 +13,7 @@ fn rows(count: usize, sh_degree: usize) -> GaussianRows {
         sh_dc: vec![[0.5; 3]; count],
         sh_rest: (0..count * rest).map(|i| i as f32).collect(),
         sh_degree,
+        groups: Vec::new(),
     }
 }
 

@@ -6,7 +6,7 @@ fn halves() -> [Bounds; 2] {
 }
 
 fn kept(cell: &Bounds, rows: &GaussianRows) -> GaussianRows {
-    let mut kept = GaussianRows { sh_degree: rows.sh_degree, ..GaussianRows::default() };
+    let mut kept = GaussianRows::like(rows);
     keep(cell, rows, &mut kept);
     kept
 }

@@ -1,0 +1,208 @@
+//! Named groups of parameters: one row of numbers for each Gaussian.
+
+use std::ops::Range;
+
+use burn::module::{Module, Param};
+use burn::tensor::kind::Basic;
+use burn::tensor::{Device, Tensor, activation};
+use serde::{Deserialize, Serialize};
+use splat_op::largest_tensor;
+
+use super::rows::{GroupRows, RowsError};
+
+/// The groups that every scene has, in this order, which are also the fields of [`RawSplats`](splat_op::RawSplats).
+pub const OWN_GROUPS: [&str; 5] = ["means", "rotations", "log_scales", "logit_opacities", "sh"];
+
+/// Place of the spherical harmonics in [`OWN_GROUPS`].
+pub(crate) const SH: usize = 4;
+
+/// How the numbers of a group become the values that are used.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Activation {
+    /// The numbers themselves.
+    #[default]
+    Identity,
+    /// `exp(x)`: positive values.
+    Exp,
+    /// `1 / (1 + exp(−x))`: values between 0 and 1.
+    Sigmoid,
+    /// `x / |x|`: rows of length 1. A row of zeros stays.
+    Normalise,
+}
+
+/// The values of a row that density control adds.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum NewRows {
+    /// Those of the row that it comes from.
+    #[default]
+    Copied,
+    /// This number throughout.
+    Filled(f32),
+}
+
+/// How a group is trained. Groups of [`OWN_GROUPS`] are trained by [`LearningRates`](crate::optim::LearningRates) and density control
+/// instead, and ignore these options.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct GroupOptions {
+    /// Learning rate at the first step: 0, which keeps the group as it is.
+    pub rate: f64,
+    /// Share of the rate that remains at the last step: 1. The rate falls exponentially.
+    pub final_share: f64,
+    /// How the numbers become values: unchanged.
+    pub activation: Activation,
+    /// The values of new rows: copies.
+    pub new_rows: NewRows,
+    /// The value that all rows get, with moments of zero, whenever density control resets opacities: none.
+    pub reset: Option<f32>,
+}
+
+impl Default for GroupOptions {
+    fn default() -> Self {
+        Self { rate: 0.0, final_share: 1.0, activation: Activation::Identity, new_rows: NewRows::Copied, reset: None }
+    }
+}
+
+/// A named parameter `[N, width]` with a row for each Gaussian.
+#[derive(Module, Debug)]
+pub struct Group {
+    /// `[n, width]`: consecutive rows. There is one block, except for coefficients of spherical harmonics that exceed
+    /// [`splat_op::largest_tensor`] (on wgpu from 11 million Gaussians of degree 3 on).
+    pub(crate) blocks: Vec<Param<Tensor<2>>>,
+    #[module(skip)]
+    name: String,
+    #[module(skip)]
+    options: GroupOptions,
+}
+
+impl Group {
+    /// A group of these values, `[N, width]`.
+    ///
+    /// # Errors
+    /// If the name is empty or contains white space, control characters or a slash, which files use, or if a row has no numbers.
+    pub fn new(name: &str, values: Tensor<2>, options: GroupOptions) -> Result<Self, RowsError> {
+        check_name(name)?;
+        if values.dims()[1] == 0 {
+            return Err(RowsError::Empty { name: name.to_owned() });
+        }
+        Ok(Self::of_blocks(name, vec![parameter(values)], options))
+    }
+
+    pub(crate) fn of_blocks(name: &str, blocks: Vec<Param<Tensor<2>>>, options: GroupOptions) -> Self {
+        Self { blocks, name: name.to_owned(), options }
+    }
+
+    /// A group of numbers on the host, row-major.
+    pub(super) fn of_numbers(name: &str, (count, width): (usize, usize), numbers: Vec<f32>, device: &Device) -> Self {
+        let mut blocks = row_blocks(name, count, width, device);
+        if blocks.len() == 1 {
+            let values = super::tensor(numbers, [count, width], device);
+            return Self::of_blocks(name, vec![parameter(values)], GroupOptions::default());
+        }
+        let of = |rows: Range<usize>| {
+            let part = numbers[width * rows.start..width * rows.end].to_vec();
+            parameter(super::tensor(part, [rows.len(), width], device))
+        };
+        Self::of_blocks(name, blocks.drain(..).map(of).collect(), GroupOptions::default())
+    }
+
+    /// The name.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// How the group is trained.
+    pub fn options(&self) -> &GroupOptions {
+        &self.options
+    }
+
+    pub(crate) fn with_options(self, options: GroupOptions) -> Self {
+        Self { options, ..self }
+    }
+
+    /// Numbers in a row.
+    pub fn width(&self) -> usize {
+        self.blocks[0].val().dims()[1]
+    }
+
+    /// Number of rows.
+    pub fn rows(&self) -> usize {
+        self.blocks.iter().map(|block| block.val().dims()[0]).sum()
+    }
+
+    /// `[N, width]`: the numbers that are trained, tracked on an autodiff device.
+    pub fn raw(&self) -> Tensor<2> {
+        joined(self.blocks.iter().map(Param::val).collect())
+    }
+
+    /// `[N, width]`: the values, activated, tracked on an autodiff device.
+    pub fn values(&self) -> Tensor<2> {
+        let raw = self.raw();
+        match self.options.activation {
+            Activation::Identity => raw,
+            Activation::Exp => raw.exp(),
+            Activation::Sigmoid => activation::sigmoid(raw),
+            Activation::Normalise => {
+                let length = raw.clone().square().sum_dim(1).sqrt().clamp_min(f32::MIN_POSITIVE);
+                raw / length
+            }
+        }
+    }
+
+    /// Some rows on the host, without their values.
+    pub(super) fn about(&self) -> GroupRows {
+        GroupRows { name: self.name.clone(), width: self.width(), values: Vec::new(), options: self.options }
+    }
+
+    /// Appends the numbers of some rows.
+    pub(super) fn copy(&self, which: &Range<usize>, to: &mut Vec<f32>) {
+        let mut first = 0;
+        for block in &self.blocks {
+            let block = block.val();
+            let end = first + block.dims()[0];
+            let (from, to_row) = (which.start.max(first), which.end.min(end));
+            if from < to_row {
+                to.extend(super::values_of(block.narrow(0, from - first, to_row - from)));
+            }
+            first = end;
+        }
+    }
+
+    /// The group without autodiff.
+    pub(super) fn untracked(&self) -> Self {
+        let plain = |block: &Param<Tensor<2>>| Param::from_tensor(block.val().inner());
+        Self { blocks: self.blocks.iter().map(plain).collect(), name: self.name.clone(), options: self.options }
+    }
+}
+
+/// Refuses names that files cannot hold.
+pub(crate) fn check_name(name: &str) -> Result<(), RowsError> {
+    let bad = |c: char| c.is_whitespace() || c.is_control() || c == '/';
+    match name.is_empty() || name.contains(bad) {
+        true => Err(RowsError::Name { name: name.to_owned() }),
+        false => Ok(()),
+    }
+}
+
+/// A parameter, tracked on an autodiff device and plain elsewhere.
+pub(crate) fn parameter<const D: usize>(values: Tensor<D>) -> Param<Tensor<D>> {
+    Param::from_tensor(values)
+}
+
+/// Divides the rows of a group into blocks that a device can hold; at least one. Only spherical harmonics have several: the render
+/// takes them in blocks.
+pub(crate) fn row_blocks(name: &str, count: usize, width: usize, device: &Device) -> Vec<Range<usize>> {
+    let room = match name == OWN_GROUPS[SH] {
+        true => largest_tensor(device) / (size_of::<f32>() * width) as u64,
+        false => u64::MAX,
+    };
+    let rows = usize::try_from(room).unwrap_or(usize::MAX).max(1);
+    (0..count.max(1)).step_by(rows).map(|first| first..first.saturating_add(rows).min(count)).collect()
+}
+
+/// Joins tensors of consecutive rows.
+pub(crate) fn joined<const D: usize, K: Basic>(mut blocks: Vec<Tensor<D, K>>) -> Tensor<D, K> {
+    if blocks.len() == 1 { blocks.swap_remove(0) } else { Tensor::cat(blocks, 0) }
+}

@@ -1,0 +1,113 @@
+//! Groups of one's own in a run: features that a loss renders and compares.
+
+use super::ranks::threads::together;
+use super::testing::{photos, points};
+use super::*;
+use crate::density::{AdaptiveConfig, DensityConfig, McmcConfig};
+use crate::gaussians::{GroupRows, values_of};
+
+/// Strategies that change rows in a few dozen steps.
+fn strategies() -> [DensityConfig; 2] {
+    let adaptive = AdaptiveConfig {
+        every: 5,
+        from: 5,
+        until_share: 0.9,
+        grad_threshold: 1e-5,
+        max_splats: 45,
+        ..AdaptiveConfig::default()
+    };
+    let mcmc = McmcConfig { every: 5, from: 5, growth: 1.2, max_splats: 60, ..McmcConfig::default() };
+    [adaptive.into(), mcmc.into()]
+}
+
+/// A run that also learns the photographs as features of a group.
+fn run(density: DensityConfig, batch: usize) -> Trainer {
+    let config = TrainConfig { steps: 24, batch, density, ..TrainConfig::default() };
+    let options = GroupOptions { rate: 0.05, final_share: 0.1, ..GroupOptions::default() };
+    let trainer = Trainer::new(photos([0.0; 3]), &points(), config, &Device::flex()).unwrap();
+    trainer.with_group("features", 3, options).unwrap().with_loss(|seen: &LossInputs| {
+        let features = seen.features(seen.group("features")).unwrap();
+        photometric(seen.image.clone(), seen.truth, 0.2) + (features - seen.truth.image()).abs().mean()
+    })
+}
+
+fn features(trainer: &Trainer) -> GroupRows {
+    trainer.gaussians().to_rows().groups.remove(0)
+}
+
+#[test]
+fn a_loss_trains_a_group_through_density_control() {
+    for density in strategies() {
+        let mut trainer = run(density, 1);
+        let losses: Vec<f32> = (0..24).map(|_| trainer.step().unwrap().loss.into_scalar::<f32>()).collect();
+        let [first, last] = [&losses[..4], &losses[20..]].map(|part| part.iter().sum::<f32>());
+        assert!(last < 0.95 * first, "{losses:?}");
+        let found = features(&trainer);
+        assert_ne!(trainer.gaussians().len(), 30, "density control changed rows");
+        assert_eq!(found.values.len(), 3 * trainer.gaussians().len());
+        assert!(found.values.iter().any(|value| *value > 0.1));
+        let values = trainer.gaussians().group("features").unwrap().values();
+        assert_eq!(values_of(values), found.values);
+    }
+}
+
+#[test]
+fn a_run_with_a_group_resumes() {
+    for density in strategies() {
+        let (mut whole, mut resumed) = (run(density, 1), run(density, 1));
+        (0..12).for_each(|_| drop(whole.step().unwrap()));
+        let state = whole.save().unwrap();
+        resumed.resume(state.clone()).unwrap();
+        while !whole.is_done() {
+            whole.step().unwrap();
+            resumed.step().unwrap();
+        }
+        assert_eq!(resumed.gaussians().to_rows(), whole.gaussians().to_rows());
+        let config = TrainConfig { steps: 24, density, ..TrainConfig::default() };
+        let mut without = Trainer::new(photos([0.0; 3]), &points(), config, &Device::flex()).unwrap();
+        let error = without.resume(state).unwrap_err().to_string();
+        assert!(error.contains("further groups") && error.contains("features [3]"), "{error}");
+    }
+}
+
+#[test]
+fn ranks_share_the_gradients_of_a_group() {
+    let density = strategies()[0];
+    let mut alone = run(density, 2);
+    while !alone.is_done() {
+        alone.step().unwrap();
+    }
+    let expected = alone.gaussians().to_rows();
+    let found = together(2, |ranks| {
+        let mut trainer = run(density, 2).with_ranks(ranks);
+        while !trainer.is_done() {
+            trainer.step().unwrap();
+        }
+        trainer.gaussians().to_rows()
+    });
+    assert!(found.into_iter().all(|rows| rows == expected));
+}
+
+#[test]
+fn a_strategy_of_ones_own_keeps_the_groups() {
+    let [density, mcmc] = strategies();
+    let strategy = mcmc.strategy(1.0, 24);
+    struct Boxed(Box<dyn Strategy>);
+    impl Strategy for Boxed {
+        fn acts_at(&self, step: usize) -> bool {
+            self.0.acts_at(step)
+        }
+        fn act(
+            &mut self,
+            scene: &mut Trained,
+            at: &StrategyContext,
+            rng: &mut dyn rand::Rng,
+        ) -> Result<Option<RefineReport>, crate::gaussians::RowsError> {
+            self.0.act(scene, at, rng)
+        }
+    }
+    let before = run(density, 1);
+    let options = *before.gaussians().group("features").unwrap().options();
+    let after = before.with_strategy(Boxed(strategy)).unwrap();
+    assert_eq!(after.gaussians().group("features").unwrap().options(), &options);
+}
