@@ -18,6 +18,7 @@ use splat_model::trainer::{TrainConfig, Trainer};
 
 use crate::background::{ENVIRONMENT_DEGREE, TrainBackground};
 use crate::progress;
+use crate::registry::{self, Part};
 
 /// The value of `--effects`: `auto`, `none`, a list of effects, or `+name` and `-name`, which adjust the base given
 /// first, by default `auto`.
@@ -27,12 +28,14 @@ pub struct EffectsArg {
     auto: bool,
     /// Effects switched on or off, in order; the last entry for an effect counts.
     adjustments: Vec<(EffectKind, bool)>,
+    /// Effects of the [`registry`] that are on.
+    pub(crate) registered: Vec<String>,
     text: String,
 }
 
 impl Default for EffectsArg {
     fn default() -> Self {
-        Self { auto: true, adjustments: Vec::new(), text: "auto".into() }
+        Self { auto: true, adjustments: Vec::new(), registered: Vec::new(), text: "auto".into() }
     }
 }
 
@@ -48,20 +51,25 @@ impl FromStr for EffectsArg {
     fn from_str(text: &str) -> Result<Self, String> {
         let mut words = text.split(',').map(str::trim).peekable();
         let base = words.next_if(|word| ["auto", "none"].contains(word));
-        let (mut adjustments, mut listed) = (Vec::new(), false);
+        let (mut adjustments, mut registered, mut listed) = (Vec::new(), Vec::new(), false);
         for word in words {
             let (name, on) = match word.strip_prefix('+') {
                 Some(name) => (name, true),
                 None => word.strip_prefix('-').map_or((word, true), |name| (name, false)),
             };
             listed |= name.len() == word.len();
-            adjustments.push((name.parse()?, on));
+            if registry::names(Part::Effect).contains(&name) {
+                registered.retain(|other| other != name);
+                registered.extend(on.then(|| name.to_owned()));
+            } else {
+                adjustments.push((name.parse()?, on));
+            }
         }
         if listed && base == Some("auto") {
             return Err("`auto` is adjusted with `+name` and `-name`; a list of names stands alone".into());
         }
         let auto = base.map_or(!listed, |base| base == "auto");
-        Ok(Self { auto, adjustments, text: text.into() })
+        Ok(Self { auto, adjustments, registered, text: text.into() })
     }
 }
 
@@ -103,7 +111,8 @@ impl EffectsArg {
              `environment`",
             self.text
         );
-        let names = on.iter().map(|effect| effect.name()).collect::<Vec<_>>();
+        let registered = self.registered.iter().map(|name| &**name);
+        let names = on.iter().map(|effect| effect.name()).chain(registered).collect::<Vec<_>>();
         let names = if names.is_empty() { "none".into() } else { names.join(", ") };
         let why = plan.as_ref().map(|_| format!(" (`splat inspect {}` says why)", capture.folder.display()));
         progress::note(&format!("effects: {names}{}", why.unwrap_or_default()));
@@ -112,7 +121,7 @@ impl EffectsArg {
                 "colours do not depend on the view: training with `--sh-degree 0`, unless that option is given",
             );
         }
-        Ok(Chosen { asked: self.text.clone(), on, plan, survey })
+        Ok(Chosen { asked: self.text.clone(), on, registered: self.registered.clone(), plan, survey })
     }
 }
 
@@ -123,6 +132,9 @@ pub struct Chosen {
     pub asked: String,
     /// The effects that are on.
     pub on: Vec<EffectKind>,
+    /// Effects of the [`registry`] that are on.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    registered: Vec<String>,
     /// The plan; null where nothing was left to decide.
     plan: Option<Plan>,
     /// The survey that the plan is based on.
@@ -137,7 +149,7 @@ impl Chosen {
     /// If a name is unknown.
     pub fn named(names: &[String]) -> Result<Self> {
         let on = names.iter().map(|name| name.parse()).collect::<Result<_, String>>().map_err(anyhow::Error::msg)?;
-        Ok(Self { asked: names.join(","), on, plan: None, survey: None })
+        Ok(Self { asked: names.join(","), on, registered: Vec::new(), plan: None, survey: None })
     }
 
     /// Whether an effect is on.
@@ -148,8 +160,9 @@ impl Chosen {
     /// The value of `--effects` that chooses them again.
     pub fn asked_again(&self) -> EffectsArg {
         let adjustments: Vec<_> = self.on.iter().map(|effect| (*effect, true)).collect();
-        let names = self.on.iter().map(|effect| effect.name()).collect::<Vec<_>>().join(",");
-        EffectsArg { auto: false, adjustments, text: if names.is_empty() { "none".into() } else { names } }
+        let (own, registered) = (self.on.iter().map(|effect| effect.name()), self.registered.clone());
+        let names = own.chain(registered.iter().map(|name| &**name)).collect::<Vec<_>>().join(",");
+        EffectsArg { auto: false, adjustments, registered, text: if names.is_empty() { "none".into() } else { names } }
     }
 
     /// Applies the effects to the configuration of a run; options given on the command line stay. `degree`: the degree

@@ -65,6 +65,7 @@ pub mod output;
 pub mod own;
 pub mod progress;
 pub mod ranks;
+pub mod registry;
 pub mod report;
 pub mod strategy;
 

@@ -14,11 +14,12 @@ mod time_limit;
 use std::path::PathBuf;
 
 use anyhow::{Result, bail};
-use clap::builder::RangedU64ValueParser;
+use clap::ValueEnum;
+use clap::builder::{PossibleValue, PossibleValuesParser, RangedU64ValueParser, TypedValueParser};
 use serde::{Deserialize, Serialize};
 use splat_model::density::DensityConfig;
 use splat_model::optim::{LearningRates, MomentBits, sh_every_for};
-use splat_model::trainer::{Resolution, TrainConfig, TrainError};
+use splat_model::trainer::{Resolution, TrainConfig, TrainError, Trainer};
 
 pub use self::checkpoints::{RunState, state_of};
 pub(crate) use self::run::{photographs, views_of};
@@ -36,6 +37,7 @@ use crate::lpips::LpipsArgs;
 use crate::options::PhotoArgs;
 use crate::progress::VoiceArgs;
 use crate::reconstruct::CameraArgs;
+use crate::registry::{self, Part, USUAL_LOSS};
 use crate::strategy::StrategyName;
 
 /// Default number of steps on the demo capture, chosen so that the whole run takes under 3 minutes on 2 CPU cores.
@@ -112,8 +114,13 @@ pub struct TrainArgs {
     )]
     pub max_splats: usize,
     /// Density strategy: how splats are added, moved and removed
-    #[arg(long, value_name = "NAME", value_enum, default_value_t, help_heading = DENSITY)]
+    #[arg(long, value_name = "NAME", default_value_t, value_parser = strategies(), help_heading = DENSITY)]
+    #[serde(with = "crate::as_text")]
     pub strategy: StrategyName,
+    /// Loss: l1-ssim (L1 + D-SSIM), l1, l2, or one of the program's registry
+    #[arg(long, value_name = "NAME", default_value = USUAL_LOSS, value_parser = PossibleValuesParser::new(registry::names(Part::Loss)), help_heading = OPTIMISER)]
+    #[serde(default = "usual_loss")]
+    pub loss: String,
     /// Gradient from which a splat is split or copied, in the strategy's own unit; a smaller one gives more splats [default: the
     /// strategy's]
     #[arg(long, value_name = "G", value_parser = positive, help_heading = DENSITY)]
@@ -282,7 +289,32 @@ pub struct ResumeArgs {
     pub live: LiveArgs,
 }
 
+fn usual_loss() -> String {
+    USUAL_LOSS.into()
+}
+
+/// Parses `--strategy`; the help lists those with settings.
+fn strategies() -> impl TypedValueParser<Value = StrategyName> {
+    let all = StrategyName::value_variants().iter().filter_map(ValueEnum::to_possible_value);
+    let registered = registry::names(Part::Strategy).into_iter().map(PossibleValue::new);
+    PossibleValuesParser::new(all.chain(registered)).try_map(|name| name.parse::<StrategyName>())
+}
+
 impl TrainArgs {
+    /// Gives a run the parts that its options take from the [`registry`].
+    ///
+    /// # Errors
+    /// If this program does not have them.
+    pub(crate) fn supply(&self, mut trainer: Trainer) -> Result<Trainer> {
+        if self.loss != USUAL_LOSS {
+            trainer = registry::supply(trainer, Part::Loss, &self.loss)?;
+        }
+        if let StrategyName::Registered(name) = &self.strategy {
+            trainer = registry::supply(trainer, Part::Strategy, name)?;
+        }
+        self.effects.registered.iter().try_fold(trainer, |trainer, name| registry::supply(trainer, Part::Effect, name))
+    }
+
     /// Returns the configuration of the run, before effects are decided on.
     ///
     /// # Errors

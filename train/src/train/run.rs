@@ -202,7 +202,7 @@ fn to_the_end(
     let points = start_points(&capture, &train, &args)?;
     let trainer = Trainer::of(train, &points, config.clone(), &device)?;
     let trainer = if kept.is_none() { started(trainer, &args, &capture)? } else { trainer };
-    let trainer = effects.supply(trainer, &capture, &train_views)?;
+    let trainer = args.supply(effects.supply(trainer, &capture, &train_views)?)?;
     let mut trainer = change(trainer).with_ranks(Rc::clone(&ranks));
     let load = seconds_since(start);
 

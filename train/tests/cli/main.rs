@@ -22,6 +22,7 @@ mod pareto;
 mod readers;
 #[cfg(unix)]
 mod reconstruct;
+mod registry;
 mod resume;
 mod run;
 mod scores;

@@ -56,7 +56,7 @@ impl Strategy for Halve {
         let count = scene.gaussians.len();
         let keep: Vec<u32> = (0..count as u32).step_by(2).collect();
         let pruned = count - keep.len();
-        let device = scene.gaussians.means.val().device().inner();
+        let device = scene.gaussians.means().device().inner();
         scene.edit(&RowEdit::new(rows_on(&device, &keep), rows_on(&device, &[])))?;
         Ok(Some(RefineReport { pruned, ..RefineReport::default() }))
     }
