@@ -60,7 +60,7 @@ pub(super) fn rasterize_forward_kernel(
     let met = Shared::<[Atomic<u32>]>::new_slice(comptime!(WORDS));
     let needed = Shared::<[Atomic<u32>]>::new_slice(comptime!(WORDS));
     let slowest = Shared::<[Atomic<u32>]>::new_slice(comptime!(if count_pairs { WORDS } else { 1 }));
-    let mut anybody = Shared::<[u32]>::new_slice(1usize);
+    let anybody = Shared::<[Atomic<u32>]>::new_slice(1usize);
     // What rounding took from each pixel's sums. A pixel needs it once per segment: it takes no register in between.
     let mut lost_sums = Shared::<[f32]>::new_slice(comptime!(if few { channels * TILE_PIXELS } else { 1 }));
 
@@ -134,7 +134,7 @@ pub(super) fn rasterize_forward_kernel(
                 }
             }
             if unit == 0 {
-                anybody[0] = 0u32;
+                anybody[0].store(0u32);
             }
             sync_cube();
 
@@ -213,7 +213,7 @@ pub(super) fn rasterize_forward_kernel(
                 }
             }
             if transmittance >= 0.0 {
-                anybody[0] = 1u32;
+                anybody[0].fetch_or(1u32);
                 let (sum, lost_sum) = add_compensated(transmittance, lost, 0.0f32);
                 transmittance = sum;
                 lost = lost_sum;
@@ -236,8 +236,9 @@ pub(super) fn rasterize_forward_kernel(
                 needed[unit as usize].store(0u32);
             }
             segment += 1;
-            running = anybody[0] != 0 && segment * comptime!(SEGMENT as u32) < places;
-            sync_cube();
+            // With barriers before and after the load.
+            let others = workgroup_uniform_load_atomic(&anybody[0]);
+            running = others != 0 && segment * comptime!(SEGMENT as u32) < places;
         }
 
         if comptime!(keep) {

@@ -133,7 +133,7 @@ pub(super) fn rasterize_rays_checkpoints_kernel(
     let mut near = Shared::<[f32]>::new_slice(comptime!(TOGETHER * BUCKET * shared_len(inputs.rays.is_some())));
     let mut gaussians = Shared::<[u32]>::new_slice(comptime!(TOGETHER * BUCKET));
     let needed = Shared::<[Atomic<u32>]>::new_slice(comptime!(TOGETHER * BLOCKS));
-    let mut anybody = Shared::<[u32]>::new_slice(1usize);
+    let anybody = Shared::<[Atomic<u32>]>::new_slice(1usize);
     let tile = view.first_tile + CUBE_POS as u32;
     if tile < view.end_tile {
         let unit = UNIT_POS;
@@ -160,7 +160,7 @@ pub(super) fn rasterize_rays_checkpoints_kernel(
                 needed[unit as usize].store(0u32);
             }
             if unit == 0 {
-                anybody[0usize] = 0u32;
+                anybody[0].store(0u32);
             }
             sync_cube();
 
@@ -198,7 +198,7 @@ pub(super) fn rasterize_rays_checkpoints_kernel(
                 }
             }
             if transmittance >= 0.0 {
-                anybody[0usize] = 1u32;
+                anybody[0].fetch_or(1u32);
             }
             sync_cube();
 
@@ -207,8 +207,9 @@ pub(super) fn rasterize_rays_checkpoints_kernel(
                 buckets.words[at as usize] = needed[unit as usize].load();
             }
             passed = min(passed + comptime!(TOGETHER as u32), count);
-            running = anybody[0usize] != 0 && passed < count;
-            sync_cube();
+            // With barriers before and after the load.
+            let others = workgroup_uniform_load_atomic(&anybody[0]);
+            running = others != 0 && passed < count;
         }
         // No pixel needs the buckets behind these.
         let mut word = passed * comptime!(BLOCKS as u32) + unit;

@@ -15,7 +15,7 @@ const NEAR: usize = 128;
 pub(super) fn rasterize_rays_forward_kernel(inputs: RayInputs, planes: &mut [f32], view: RayFrame) {
     let mut near = Shared::<[f32]>::new_slice(comptime!(NEAR * shared_len(inputs.rays.is_some())));
     let mut gaussians = Shared::<[u32]>::new_slice(comptime!(NEAR));
-    let mut anybody = Shared::<[u32]>::new_slice(1usize);
+    let anybody = Shared::<[Atomic<u32>]>::new_slice(1usize);
     let tile = CUBE_POS as u32;
     if tile < view.end_tile {
         let unit = UNIT_POS % comptime!(TILE_PIXELS as u32);
@@ -44,7 +44,7 @@ pub(super) fn rasterize_rays_forward_kernel(inputs: RayInputs, planes: &mut [f32
                 gaussians[UNIT_POS as usize] = gaussian;
             }
             if UNIT_POS == 0 {
-                anybody[0usize] = 0u32;
+                anybody[0].store(0u32);
             }
             sync_cube();
 
@@ -69,13 +69,12 @@ pub(super) fn rasterize_rays_forward_kernel(inputs: RayInputs, planes: &mut [f32
                 i += 1;
             }
             if open {
-                anybody[0usize] = 1u32;
+                anybody[0].fetch_or(1u32);
             }
-            sync_cube();
-
             start += here;
-            passing = anybody[0usize] != 0 && start < places;
-            sync_cube();
+            // With barriers before and after the load.
+            let others = workgroup_uniform_load_atomic(&anybody[0]);
+            passing = others != 0 && start < places;
         }
         if pixel.inside {
             let plane = (view.frame.width * view.frame.height) as usize;
