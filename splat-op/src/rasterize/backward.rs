@@ -236,20 +236,20 @@ pub(super) fn rasterize_backward_kernel<A: FloatCell>(
                             left ^= 1u32 << i;
                             let at = (i * comptime!(STRIDE as u32) + lane) as usize;
                             let alpha = alphas[at];
-                            if comptime!(few) {
-                                let all = colours[i as usize];
+                            // Where a layer does not show, its features may be infinite or undefined.
+                            if alpha > 0.0 {
                                 let mut along = 0.0f32;
-                                #[unroll]
-                                for channel in 0..channels {
-                                    along += gradient[channel] * all.extract(channel);
+                                if comptime!(few) {
+                                    let all = colours[i as usize];
+                                    #[unroll]
+                                    for channel in 0..channels {
+                                        along += gradient[channel] * all.extract(channel);
+                                    }
+                                } else {
+                                    let gaussian = gaussians[i as usize] as usize;
+                                    along =
+                                        along_channels(projected, features, grad, gaussian, pixel.index, plane, shape);
                                 }
-                                let ahead = along - behind;
-                                behind += alpha * ahead;
-                                alphas[at] = select(alpha < frame.alpha_max, weights[at] * ahead, 0.0);
-                            } else if alpha > 0.0 {
-                                let gaussian = gaussians[i as usize] as usize;
-                                let along =
-                                    along_channels(projected, features, grad, gaussian, pixel.index, plane, shape);
                                 let ahead = along - behind;
                                 behind += alpha * ahead;
                                 alphas[at] = select(alpha < frame.alpha_max, weights[at] * ahead, 0.0);

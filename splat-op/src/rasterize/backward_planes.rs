@@ -260,7 +260,8 @@ pub(super) fn rasterize_backward_planes_kernel<A: FloatCell>(
                                 for channel in 0..channels {
                                     along += gradient[channel] * all.extract(channel);
                                 }
-                                let ahead = along - behind;
+                                // Where the layer does not show, its features may be infinite or undefined.
+                                let ahead = select(alphas[k] > 0.0, along - behind, 0.0);
                                 behind += alphas[k] * ahead;
                                 let at = table + comptime!(k * (plane_units as usize + 1)) + lane as usize;
                                 heights[at] = select(alphas[k] < frame.alpha_max, weights[k] * ahead, 0.0);

@@ -225,7 +225,7 @@ fn tile_sums<F: Real>(
         return vec![F::ZERO; wanted];
     }
     let TilePlanes { planes, background_rho } = of_planes;
-    let tile_grad = TileGrad { planes, background_rho, trace, absolute: needs.mean2d_abs };
+    let tile_grad = TileGrad { planes, background_rho, trace, absolute: needs.mean2d_abs, finite: prepared.finite };
     let mut transmittance = [F::ZERO; TILE_PIXELS];
     specialised!(prepared, tile, simd, C, IS_LONG => {
         let thresholds = Thresholds::<_, F>::new(simd, prepared.thresholds);

@@ -172,16 +172,19 @@ pub(super) fn rasterize_forward_kernel(
                     if through < 0.0 {
                         word = 0u32;
                     }
-                    if comptime!(few) {
-                        let all = colours[place];
-                        #[unroll]
-                        for channel in 0..channels {
-                            own[channel] += weight * all.extract(channel);
-                        }
-                    } else if alpha > 0.0 {
-                        let gaussian = gaussians[place] as usize;
-                        for channel in 0..channels {
-                            own[channel] += weight * colour(projected, features, gaussian, channel, shape);
+                    // A feature may be infinite or undefined, and zero times it would be undefined.
+                    if alpha > 0.0 {
+                        if comptime!(few) {
+                            let all = colours[place];
+                            #[unroll]
+                            for channel in 0..channels {
+                                own[channel] += weight * all.extract(channel);
+                            }
+                        } else {
+                            let gaussian = gaussians[place] as usize;
+                            for channel in 0..channels {
+                                own[channel] += weight * colour(projected, features, gaussian, channel, shape);
+                            }
                         }
                     }
                     if comptime!(count_pairs) {

@@ -20,6 +20,8 @@ mod backward_planes;
 #[cfg(feature = "cube")]
 pub(crate) mod blocks;
 pub(crate) mod cpu;
+#[cfg(test)]
+mod features_tests;
 pub(crate) mod footprint;
 #[cfg(feature = "cube")]
 mod forward;

@@ -4,7 +4,7 @@ use std::borrow::Cow;
 
 use super::cpu::{CHUNK, Trace};
 use super::footprint::Footprint;
-use super::tile::{TileView, is_long};
+use super::tile::{TileView, is_finite, is_long};
 use super::{Layers, RasterizeSpec};
 use crate::intersect::{IntersectionLists, TILE, tile_grid};
 use crate::project::{COLUMNS, Ellipse};
@@ -17,6 +17,8 @@ pub(super) struct Prepared<'a, F: Real> {
     /// Features, followed by depth as one more channel if the render accumulates it.
     pub colours: Cow<'a, [F]>,
     pub channels: usize,
+    /// Whether all colours are finite.
+    pub finite: bool,
     pub grid: [usize; 2],
     pub size: [usize; 2],
     pub intersections: &'a IntersectionLists,
@@ -62,7 +64,7 @@ impl<'a, F: Real> Prepared<'a, F> {
             if ellipse.opacity > F::ZERO { Footprint::new(&ellipse, alpha_min) } else { Footprint::default() }
         };
         let features = inputs.background.len();
-        let colours = match trace {
+        let colours: Cow<[F]> = match trace {
             _ if !options.depth => inputs.features.into(),
             Some(trace) => trace.colours.as_slice().into(),
             None => with_depth(inputs, features).into(),
@@ -72,6 +74,7 @@ impl<'a, F: Real> Prepared<'a, F> {
                 Some(trace) => trace.footprints.as_slice().into(),
                 None => footprints(inputs.projected, footprint).into(),
             },
+            finite: is_finite(&colours),
             colours,
             channels: features + usize::from(options.depth),
             grid: tile_grid(spec.intrinsics.width, spec.intrinsics.height),
@@ -97,6 +100,7 @@ impl<'a, F: Real> Prepared<'a, F> {
             footprints: &self.footprints,
             colours: &self.colours,
             channels: self.channels,
+            finite: self.finite,
         }
     }
 }

@@ -242,6 +242,8 @@ pub(super) struct TileView<'a, F> {
     /// `[N, channels]`: colours of each Gaussian.
     pub colours: &'a [F],
     pub channels: usize,
+    /// Whether all colours of all Gaussians are finite.
+    pub finite: bool,
 }
 
 impl<F: Real> TileView<'_, F> {
@@ -325,6 +327,12 @@ pub(super) fn colour_lanes<S: Simd, F: Real, const C: usize>(simd: S, colour: &[
     lanes
 }
 
+/// Whether all channels are finite. Zero times any other value is undefined.
+pub(super) fn is_finite<F: Real>(colours: &[F]) -> bool {
+    // Within a chunk without branches, in vectors.
+    colours.chunks(256).all(|chunk| chunk.iter().fold(true, |all, value| all & value.finite()))
+}
+
 /// Adds `sums` to `totals`, each with what rounding took from it (Kahan 1965), and sets `sums` to zero.
 fn move_into<F: Real>(sums: &mut [F], totals: &mut [[F; 2]]) {
     for ([total, lost], sum) in totals.iter_mut().zip(sums) {
@@ -381,10 +389,18 @@ pub(super) fn rasterize_tile<S: Simd, F: Real, const C: usize, const LONG: bool>
         }
         let splat = FootprintSimd::new(simd, near.footprints[i % CHECKPOINT_EVERY], corner[1]);
         let colour = if C == 0 { view.colour(gaussian) } else { &near.colours[i % CHECKPOINT_EVERY] };
-        let colour_lanes = colour_lanes::<S, F, C>(simd, colour);
         let mut reached = 0;
         let footprint = &splat.footprint;
         let window = TileWindow::around(blocks.met(simd, footprint.mean_px, footprint.half));
+        let hidden;
+        let colour = if view.finite || is_finite(colour) {
+            colour
+        } else {
+            add_visible::<S, F, LONG>(thresholds, (&splat, &window, &x), colour, &transmittance, sums);
+            hidden = vec![F::ZERO; channels];
+            &hidden[..]
+        };
+        let colour_lanes = colour_lanes::<S, F, C>(simd, colour);
         for part in (window.first_column * BLOCK..window.end_column * BLOCK).step_by(len::<S, F>()) {
             let column = splat.column(lanes(simd, &x, part));
             for row in (window.first_row..window.end_row).step_by(ROWS) {
@@ -418,5 +434,32 @@ pub(super) fn rasterize_tile<S: Simd, F: Real, const C: usize, const LONG: bool>
     final_transmittance[0] = transmittance.kept.map(F::abs);
     for plane in planes.as_chunks_mut::<TILE_PIXELS>().0 {
         *plane = in_rows(plane);
+    }
+}
+
+/// Adds the colours of a Gaussian, not all of which are finite, to the `sums` of the pixels that see it.
+#[inline(always)]
+fn add_visible<S: Simd, F: Real, const LONG: bool>(
+    thresholds: &Thresholds<S, F>,
+    (splat, window, x): (&FootprintSimd<S, F>, &TileWindow, &[F; BLOCK_ROW]),
+    colour: &[F],
+    transmittance: &Transmittances<F>,
+    sums: &mut [Plane<F>],
+) {
+    let simd = thresholds.zero.token();
+    for part in (window.first_column * BLOCK..window.end_column * BLOCK).step_by(len::<S, F>()) {
+        let column = splat.column(lanes(simd, x, part));
+        for row in (window.first_row..window.end_row).step_by(ROWS) {
+            let place = row * TILE + part;
+            let before = transmittance.load::<S, LONG>(simd, place);
+            let layer = thresholds.layer::<LONG>(splat, &column, place, before);
+            let shows = layer.alpha.simd_gt(thresholds.zero);
+            for (sum, &colour) in sums.iter_mut().zip(colour) {
+                let colour = F::Block::<S>::splat(simd, colour);
+                let sum_before = lanes(simd, sum, place);
+                let sum_behind = (layer.alpha * before[0]).mul_add(colour, sum_before);
+                store(shows.select(sum_behind, sum_before), sum, place);
+            }
+        }
     }
 }

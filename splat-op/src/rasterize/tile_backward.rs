@@ -9,7 +9,7 @@ use fearless_simd::prelude::*;
 use super::footprint::{Footprint, FootprintSimd};
 use super::tile::{
     BLOCK, BLOCK_ROW, CHECKPOINT_EVERY, Near, Plane, Thresholds, TileTrace, TileView, Transmittances, centres,
-    colour_lanes, lanes, len, store,
+    colour_lanes, is_finite, lanes, len, store,
 };
 use crate::intersect::TILE_PIXELS;
 use crate::simd::real::Real;
@@ -27,6 +27,8 @@ pub(super) struct TileGrad<'a, F> {
     pub trace: &'a TileTrace<F>,
     /// Whether the sums of absolute values are wanted.
     pub absolute: bool,
+    /// Whether all colours of all Gaussians are finite.
+    pub finite: bool,
 }
 
 /// Buffers that one thread reuses from tile to tile, sized for a chunk whose Gaussians show in every pixel.
@@ -162,6 +164,7 @@ fn backwards<S: Simd, F: Real, const C: usize, const LONG: bool>(
     let mut absolute = [zero; 2];
     let mut features = [zero; C];
     let colour_lanes = colour_lanes::<S, F, C>(simd, colour);
+    let finite = grad.finite || is_finite(colour);
     let slope = splat.inverse_v * splat.footprint.shear;
     let layer_len = 2 * len::<S, F>();
     for (i, &place) in places.iter().enumerate() {
@@ -175,7 +178,10 @@ fn backwards<S: Simd, F: Real, const C: usize, const LONG: bool>(
             along = plane(channel, place).mul_add(colour, along);
         }
         let weight = alpha * before;
-        let ahead = along - behind;
+        let mut ahead = along - behind;
+        if !finite {
+            ahead = alpha.simd_gt(zero).select(ahead, zero);
+        }
         let change = if LONG { alpha.mul_add(ahead, (-alpha).mul_add(lost, lost)) } else { alpha * ahead };
         let stepped = if LONG { behind + change } else { alpha.mul_add(ahead, behind) };
         rho.store::<S, LONG>([stepped, change - (stepped - behind)], place);

@@ -253,8 +253,10 @@ fn sum<S: Simd, F: Real>(
         let shows = layer.shows & open.transmittance.simd_ge(rules.zero);
         seen[i as usize] |= u16::from(shows.any_true()) << (place / BLOCK);
         let ([weight, _], finished) = open.pass(layer.alpha, rules);
+        // A feature may be infinite or undefined, and zero times it would be undefined.
+        let shows = weight.simd_gt(rules.zero);
         for (sum, &value) in sums.iter_mut().zip(&tile.values[i as usize]) {
-            *sum = weight.mul_add(F::Block::<S>::splat(simd, value), *sum);
+            *sum = shows.select(weight.mul_add(F::Block::<S>::splat(simd, value), *sum), *sum);
         }
         if depth {
             sums[TOGETHER] = weight.mul_add(layer.depth, sums[TOGETHER]);

@@ -133,9 +133,10 @@ impl<S: Simd, F: Real> Behind<S, F> {
     /// Passes a layer with its alpha, its value along the gradient and its weight, from behind. Returns `h`.
     #[inline(always)]
     fn pass(&mut self, [alpha, along, weight]: [F::Block<S>; 3], rules: &RayRules<S, F>) -> F::Block<S> {
-        let ahead = along - self.rho;
+        // Where the layer does not show, its features may be infinite or undefined.
+        let ahead = alpha.simd_gt(rules.zero).select(along - self.rho, rules.zero);
         self.rho = alpha.mul_add(ahead, self.rho);
-        (alpha.simd_gt(rules.zero) & alpha.simd_lt(rules.alpha_max)).select(weight * ahead, rules.zero)
+        alpha.simd_lt(rules.alpha_max).select(weight * ahead, rules.zero)
     }
 }
 
