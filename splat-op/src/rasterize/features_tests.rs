@@ -7,8 +7,6 @@ use crate::intersect::Cut;
 use crate::intersect::cpu::intersect_cpu;
 use crate::options::{Projection, RenderOptions};
 use crate::project::COLUMNS;
-use crate::rasterize_rays::RayLayers;
-use crate::rasterize_rays::cpu::{rasterize_rays_backward_cpu, rasterize_rays_cpu};
 use crate::ray_space::bounds_cpu;
 use crate::simd::real::Real;
 use crate::testing::ellipses::ray_rows;
@@ -16,7 +14,7 @@ use crate::testing::random::Random;
 
 const SIZE: [usize; 2] = [20, 17];
 
-/// The first Gaussian has the features that are not finite. It shares a tile and blocks with all others, but no pixel.
+/// The first Gaussian has the features that are not finite. It shares a tile and blocks of pixels with all others, but no pixel.
 struct Scene {
     projected: Vec<f64>,
     rows: Vec<f64>,
@@ -29,10 +27,10 @@ struct Scene {
 impl Scene {
     fn new(count: usize, channels: usize, options: RenderOptions) -> Self {
         let mut random = Random::new((count + channels) as u64);
-        let mut projected = vec![3.5, 3.5, 0.8, 0.1, 0.7, 3.0, 0.9];
+        let mut projected = vec![1.5, 3.5, 0.4, 0.1, 0.7, 3.0, 0.9];
         for _ in 1..count {
             let opacity = random.between(0.6, 0.9) / if count > 100 { 40.0 } else { 1.0 };
-            projected.extend([random.between(10.5, 11.5), random.between(2.5, 6.5), 0.9, 0.2, 0.8]);
+            projected.extend([random.between(6.5, 7.5), random.between(2.5, 6.5), 0.7, 0.2, 0.8]);
             projected.extend([random.between(1.0, 9.0), opacity]);
         }
         let slopes: Vec<f64> = (0..count).flat_map(|_| [0.05, -0.03, 0.02]).collect();
@@ -106,51 +104,33 @@ fn widened<F: Real>(values: Vec<F>) -> Vec<f64> {
 }
 
 fn on_cpu<F: Real>(scene: &Scene) -> [Vec<f64>; 3] {
-    let [projected, features, background, grad] =
-        [&scene.projected, &scene.features, &scene.background, &scene.grad].map(|values| narrowed::<F>(values));
-    let inputs = Layers { projected: &projected[..], features: &features, background: &background, mean2d_abs: &[] };
-    let lists = intersect_cpu(&projected, &scene.spec.intrinsics, Cut::of(&scene.spec.options));
-    let (planes, trace) = rasterize_cpu(inputs, &scene.spec, &lists, true);
-    let needs = Layers { projected: true, features: true, background: false, mean2d_abs: false };
-    let grad = PlaneParts::split(&grad, &scene.spec, background.len());
-    let grads = rasterize_backward_cpu(inputs, grad, &scene.spec, (&lists, trace.as_ref()), needs);
-    [planes, grads.projected, grads.features].map(widened)
-}
-
-fn on_cpu_along_rays<F: Real>(scene: &Scene) -> [Vec<f64>; 3] {
     let [projected, ray_space, features, background, grad] =
-        [&scene.projected, &scene.rows, &scene.features, &scene.background, &scene.grad]
-            .map(|values| narrowed::<F>(values));
-    let inputs = RayLayers {
+        [&scene.projected, &scene.rows, &scene.features, &scene.background, &scene.grad].map(|v| narrowed::<F>(v));
+    let inputs = Layers {
         projected: &projected[..],
-        ray_space: &ray_space,
         features: &features,
         background: &background,
         mean2d_abs: &[],
+        ray_space: &ray_space,
     };
-    let bounds = bounds_cpu(&projected, &ray_space, &scene.spec);
-    let lists = intersect_cpu(&bounds, &scene.spec.intrinsics, Cut::of(&scene.spec.options));
-    let (planes, trace) = rasterize_rays_cpu(inputs, &scene.spec, &lists, true);
-    let needs = RayLayers { projected: true, ray_space: false, features: true, background: false, mean2d_abs: false };
-    let grad = PlaneParts::split(&grad, &scene.spec, background.len());
-    let grads = rasterize_rays_backward_cpu(inputs, grad, &scene.spec, (&lists, trace.as_ref()), needs);
+    let spec = &scene.spec;
+    let bounds = if spec.options.along_rays() { &bounds_cpu(&projected, &ray_space, spec) } else { &projected };
+    let lists = intersect_cpu(bounds, &spec.intrinsics, Cut::of(&spec.options));
+    let (planes, trace) = rasterize_cpu(inputs, spec, &lists, true);
+    let needs = Layers { projected: true, features: true, ..Layers::default() };
+    let grad = PlaneParts::split(&grad, spec, background.len());
+    let grads = rasterize_backward_cpu(inputs, grad, spec, (&lists, trace.as_ref()), needs);
     [planes, grads.projected, grads.features].map(widened)
 }
 
 #[test]
 fn features_that_are_not_finite_reach_no_other_pixel() {
-    for (name, scene) in scenes() {
-        scene.check(&format!("f32, {name}"), on_cpu::<f32>);
-        scene.check(&format!("f64, {name}"), on_cpu::<f64>);
-    }
-}
-
-#[test]
-fn features_that_are_not_finite_reach_no_other_pixel_along_rays() {
     for (name, mut scene) in scenes() {
-        scene.spec.options.projection = Projection::RayMax;
-        scene.check(&format!("f32, {name}"), on_cpu_along_rays::<f32>);
-        scene.check(&format!("f64, {name}"), on_cpu_along_rays::<f64>);
+        for projection in [Projection::Affine, Projection::RayMax] {
+            scene.spec.options.projection = projection;
+            scene.check(&format!("f32, {projection:?}, {name}"), on_cpu::<f32>);
+            scene.check(&format!("f64, {projection:?}, {name}"), on_cpu::<f64>);
+        }
     }
 }
 
@@ -161,7 +141,6 @@ mod kernels {
     use crate::intersect::launch::launch_intersect;
     use crate::options::Accumulation;
     use crate::rasterize::launch::{launch_rasterize, launch_rasterize_backward};
-    use crate::rasterize_rays::launch::{launch_rasterize_rays, launch_rasterize_rays_backward};
     use crate::ray_space::launch::launch_bounds;
     use crate::testing::ceiling::to_f32;
     use crate::testing::gpu::gpus;
@@ -173,32 +152,16 @@ mod kernels {
             features: buffer(&scene.features),
             background: buffer(&scene.background),
             mean2d_abs: Buffer::new(gpu, 0),
+            ray_space: buffer(&scene.rows),
         };
         let spec = &scene.spec;
-        let lists = launch_intersect(gpu, &inputs.projected, &spec.intrinsics, Cut::of(&spec.options));
+        let bounds = spec.options.along_rays().then(|| launch_bounds(gpu, &inputs.projected, &inputs.ray_space, spec));
+        let bounds = bounds.as_ref().unwrap_or(&inputs.projected);
+        let lists = launch_intersect(gpu, bounds, &spec.intrinsics, Cut::of(&spec.options));
         let (planes, trace) = launch_rasterize(gpu, &inputs, &lists, spec, true);
-        let needs = Layers { projected: true, features: true, background: false, mean2d_abs: false };
+        let needs = Layers { projected: true, features: true, ..Layers::default() };
         let (trace, grad) = (trace.expect("asked for"), buffer(&scene.grad));
         let grads = launch_rasterize_backward(gpu, &inputs, &grad, &lists, &trace, spec, needs);
-        let [ellipses, features] = [grads.projected, grads.features].map(|grad| grad.expect("asked for"));
-        [planes, ellipses, features].map(|found| widened(found.read(gpu)))
-    }
-
-    fn on_gpu_along_rays(scene: &Scene, gpu: &Gpu) -> [Vec<f64>; 3] {
-        let buffer = |values: &[f64]| Buffer::from_slice(gpu, &to_f32(values));
-        let inputs = RayLayers {
-            projected: buffer(&scene.projected),
-            ray_space: buffer(&scene.rows),
-            features: buffer(&scene.features),
-            background: buffer(&scene.background),
-            mean2d_abs: Buffer::new(gpu, 0),
-        };
-        let spec = &scene.spec;
-        let bounds = launch_bounds(gpu, &inputs.projected, &inputs.ray_space, spec);
-        let lists = launch_intersect(gpu, &bounds, &spec.intrinsics, Cut::of(&spec.options));
-        let planes = launch_rasterize_rays(gpu, &inputs, &lists, spec);
-        let needs = RayLayers { projected: true, features: true, ..RayLayers::default() };
-        let grads = launch_rasterize_rays_backward(gpu, &inputs, &buffer(&scene.grad), (&lists, 100), spec, needs);
         let [ellipses, features] = [grads.projected, grads.features].map(|grad| grad.expect("asked for"));
         [planes, ellipses, features].map(|found| widened(found.read(gpu)))
     }
@@ -209,9 +172,10 @@ mod kernels {
         for (form, gpu) in gpus() {
             for (name, mut scene) in scenes().filter(|(_, scene)| scene.projected.len() < 32 * COLUMNS) {
                 scene.spec.options.accumulation = Accumulation::Ordered;
-                scene.check(&format!("{form}, {name}"), |scene| on_gpu(scene, &gpu));
-                scene.spec.options.projection = Projection::RayMax;
-                scene.check(&format!("{form}, rays, {name}"), |scene| on_gpu_along_rays(scene, &gpu));
+                for projection in [Projection::Affine, Projection::RayMax] {
+                    scene.spec.options.projection = projection;
+                    scene.check(&format!("{form}, {projection:?}, {name}"), |scene| on_gpu(scene, &gpu));
+                }
             }
         }
     }
