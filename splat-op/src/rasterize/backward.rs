@@ -14,11 +14,9 @@ use cubecl::prelude::*;
 use super::backward_block::{add_block, pass_pixels};
 use super::blocks::{BLOCK, BLOCKS, pixel_of};
 use super::forward::WORDS;
-use super::layer::{
-    BUCKET, BUCKETS, Four, KernelShape, RasterFrame, TilePixel, layer, tile_origin, transmittance_after_bucket,
-};
+use super::layer::{BUCKET, BUCKETS, Four, KernelShape, RasterFrame, TilePixel, tile_origin};
 use super::segment::{KeptTrace, RowCells, Segment, SegmentRange, clear_rows};
-use super::splat::{Splat, SplatInputs, colours_of};
+use super::splat::{Splat, SplatInputs, behind_word, colours_of};
 use crate::gpu::atomic::FloatCell;
 use crate::intersect::TILE_PIXELS;
 
@@ -211,20 +209,8 @@ fn pass_bucket<S: Splat>(
         if before >= 0.0 {
             word = memory.words[(bucket * comptime!(BLOCKS as u32) + block) as usize];
         }
-        let mut through = 1.0f32;
-        let mut stopped = 0.0f32;
-        while word != 0 {
-            let i = word.trailing_zeros();
-            word &= word - 1;
-            let (value, _) = S::seen(&S::load(&memory.splats, i as usize, inputs), &pixel, frame);
-            let (_, next, stops) = layer(value, through, stopped, before, frame.transmittance_min);
-            through = next;
-            stopped = stops;
-            if through < 0.0 {
-                word = 0u32;
-            }
-        }
-        memory.checkpoints[at + comptime!(TILE_PIXELS)] = transmittance_after_bucket(before, through, stopped);
+        memory.checkpoints[at + comptime!(TILE_PIXELS)] =
+            behind_word::<S>(&memory.splats, 0, word, before, &pixel, inputs, frame);
     }
 }
 

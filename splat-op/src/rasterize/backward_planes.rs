@@ -10,11 +10,9 @@ use super::backward::{MOMENTS, row_len, store_cell};
 use super::blocks::{BLOCK, BLOCKS, WIDTH, pixel_of};
 use super::ellipse::LayerEllipse;
 use super::forward::WORDS;
-use super::layer::{
-    BUCKET, Four, KernelShape, RasterFrame, SEGMENT, TilePixel, layer, tile_origin, transmittance_after_bucket,
-};
+use super::layer::{BUCKET, Four, KernelShape, RasterFrame, SEGMENT, TilePixel, layer, tile_origin};
 use super::segment::{KeptTrace, Segment, SegmentRange, clear_rows};
-use super::splat::{Splat, SplatInputs, colours_of};
+use super::splat::{Splat, SplatInputs, behind_word, colours_of};
 use super::suffix::plane_of;
 use crate::gpu::atomic::FloatCell;
 use crate::intersect::TILE_PIXELS;
@@ -150,21 +148,8 @@ pub(super) fn rasterize_backward_planes_kernel<A: FloatCell>(
                 if current >= 0.0 {
                     word = words[(bucket * comptime!(BLOCKS as u32) + block) as usize];
                 }
-                let mut through = 1.0f32;
-                let mut stopped = 0.0f32;
-                while word != 0 {
-                    let i = word.trailing_zeros();
-                    word &= word - 1;
-                    let place = (bucket * comptime!(BUCKET as u32) + i) as usize;
-                    let value = LayerEllipse::load(&ellipses, place, &inputs).alpha(pixel.x, pixel.row, &frame);
-                    let (_, next, stops) = layer(value, through, stopped, current, frame.transmittance_min);
-                    through = next;
-                    stopped = stops;
-                    if through < 0.0 {
-                        word = 0u32;
-                    }
-                }
-                current = transmittance_after_bucket(current, through, stopped);
+                let first = bucket * comptime!(BUCKET as u32);
+                current = behind_word::<LayerEllipse>(&ellipses, first, word, current, &pixel, &inputs, &frame);
                 before_second = select(bucket == 0, current, before_second);
                 before_third = select(bucket == 1, current, before_third);
                 before_fourth = select(bucket == 2, current, before_fourth);

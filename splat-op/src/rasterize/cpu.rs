@@ -33,6 +33,8 @@ pub(crate) struct SplatTrace<F, P> {
     pub(super) footprints: Vec<P>,
     /// Features and depth of each Gaussian if depth is rendered; otherwise nothing.
     pub(super) colours: Vec<F>,
+    /// Whether all features are finite.
+    pub(super) finite: bool,
     pub(super) tiles: Vec<TileTrace<F>>,
 }
 
@@ -103,9 +105,9 @@ fn forward<F: Real, P: Footprint<F>>(
         });
         trace
     });
-    let Prepared { footprints, colours, .. } = prepared;
+    let Prepared { footprints, colours, finite, .. } = prepared;
     let colours = if let Cow::Owned(colours) = colours { colours } else { Vec::new() };
-    (planes, keep.then_some(SplatTrace { footprints: footprints.into_owned(), colours, tiles }))
+    (planes, keep.then_some(SplatTrace { footprints: footprints.into_owned(), colours, finite, tiles }))
 }
 
 /// Size of a picture and its numbers of planes.

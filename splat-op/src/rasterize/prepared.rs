@@ -80,7 +80,7 @@ impl<'a, F: Real, P: Footprint<F>> Prepared<'a, F, P> {
                     footprints(&inputs, &view).into()
                 }
             },
-            finite: is_finite(&colours),
+            finite: trace.map_or_else(|| is_finite(&colours), |trace| trace.finite),
             colours,
             channels: features + usize::from(options.depth),
             depth: options.depth,

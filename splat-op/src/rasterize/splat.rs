@@ -3,7 +3,7 @@
 
 use cubecl::prelude::*;
 
-use super::layer::{FEW, Four, KernelShape, RasterFrame, TilePixel};
+use super::layer::{FEW, Four, KernelShape, RasterFrame, TilePixel, layer, transmittance_after_bucket};
 use crate::intersect::forward::TileLists;
 use crate::project::COLUMNS;
 
@@ -125,4 +125,33 @@ pub(super) fn colours_of<S: Splat>(inputs: &SplatInputs, gaussian: usize, #[comp
         all.insert(channel, value);
     }
     all
+}
+
+/// Returns the transmittance of a pixel behind the places of a bucket's word, from that before the bucket. The bucket begins at entry
+/// `first` of the list of splats.
+#[cube]
+pub(super) fn behind_word<S: Splat>(
+    splats: &Shared<[Four]>,
+    first: u32,
+    word: u32,
+    before: f32,
+    pixel: &TilePixel,
+    inputs: &SplatInputs,
+    frame: &RasterFrame,
+) -> f32 {
+    let mut left = word;
+    let mut through = 1.0f32;
+    let mut stopped = 0.0f32;
+    while left != 0 {
+        let place = (first + left.trailing_zeros()) as usize;
+        left &= left - 1;
+        let (value, _) = S::seen(&S::load(splats, place, inputs), pixel, frame);
+        let (_, next, stops) = layer(value, through, stopped, before, frame.transmittance_min);
+        through = next;
+        stopped = stops;
+        if through < 0.0 {
+            left = 0u32;
+        }
+    }
+    transmittance_after_bucket(before, through, stopped)
 }

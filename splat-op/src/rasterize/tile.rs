@@ -252,8 +252,13 @@ pub(super) fn colour_lanes<S: Simd, F: Real, const C: usize>(simd: S, colour: &[
 
 /// Whether all channels are finite. Zero times any other value is undefined.
 pub(super) fn is_finite<F: Real>(colours: &[F]) -> bool {
-    // Within a chunk without branches, in vectors.
-    colours.chunks(256).all(|chunk| chunk.iter().fold(true, |all, value| all & value.finite()))
+    let mut zeros = [F::ZERO; 16];
+    let (chunks, rest) = colours.as_chunks::<16>();
+    for chunk in chunks {
+        zeros.iter_mut().zip(chunk).for_each(|(zero, value)| *zero += *value * F::ZERO);
+    }
+    zeros.iter_mut().zip(rest).for_each(|(zero, value)| *zero += *value * F::ZERO);
+    zeros.iter().all(|zero| *zero == F::ZERO)
 }
 
 /// Adds `sums` to `totals`, each with what rounding took from it (Kahan 1965), and sets `sums` to zero.
