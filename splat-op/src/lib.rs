@@ -125,7 +125,7 @@ pub mod intersect;
 
 pub mod rasterize;
 
-// Both replace `rasterize` for per-ray rasterization.
+// What `rasterize` takes in place of ellipses for Gaussians seen along rays.
 pub mod ray_space;
 
 pub mod rasterize_rays;

@@ -34,8 +34,7 @@ pub struct RenderOptions {
     /// Dial: a pixel is finished before the splat that would bring its transmittance to this or below; that splat and all behind
     /// it are skipped. Zero skips none.
     pub transmittance_min: f64,
-    /// Dial: how GPUs add the gradients of a Gaussian's intersections. CPU backends and per-ray rasterization
-    /// ([`Projection::RayMax`]) always add them in order.
+    /// Dial: how GPUs add the gradients of a Gaussian's intersections. CPU backends always add them in order.
     pub accumulation: Accumulation,
     /// Dial: storage of the spherical-harmonics coefficients from which colours are computed. With [`Storage::Half`], f32 and f64
     /// coefficients are rounded in every render, at the cost of a pass over them; [`Colour::stored`](crate::Colour::stored) does so
@@ -149,13 +148,13 @@ impl RenderOptions {
         Self { alpha_min: 1.0 / 67_108_864.0, transmittance_min: 0.0, ..Self::standard() }
     }
 
-    /// Whether the render uses per-ray rasterization: `ray_space` and `rasterize_rays` instead of `rasterize`.
+    /// Whether Gaussians are seen along rays: by `ray_space` and the splat of `rasterize_rays`.
     pub(crate) fn along_rays(&self) -> bool {
         self.projection == Projection::RayMax
     }
 
     /// Options for `project`. `RayMax` is exact wherever the Jacobian is taken. A pinhole's is taken at the point of the picture
-    /// next to the centre, whence `rasterize_rays` evaluates the Gaussian: f32 loses all digits where it is taken far outside. A
+    /// next to the centre, whence `rasterize` evaluates the Gaussian: f32 loses all digits where it is taken far outside. A
     /// lens's is taken at the centre, however far outside that lies; no f32 render has a slope of 1e20.
     pub(crate) fn of_project(&self, camera: &Intrinsics) -> Self {
         match self.projection {

@@ -3,7 +3,7 @@
 use burn::tensor::{Int, Tensor};
 
 use crate::abilities::check_fits;
-use crate::backend::apply;
+use crate::backend::{Slot, apply};
 use crate::camera::{Camera, Intrinsics};
 use crate::check::{Reference, check_positive};
 use crate::error::SplatError;
@@ -15,7 +15,6 @@ use crate::project::operation::Project;
 use crate::project::{COLUMNS, Geometry, ProjectSpec};
 use crate::rasterize::operation::Rasterize;
 use crate::rasterize::{RasterizeSpec, TraceCell};
-use crate::rasterize_rays::operation::RasterizeRays;
 use crate::ray_space::operation::{Bounds, RaySpace};
 use crate::splats::{Colour, Extras, Splats, sh_need};
 
@@ -278,17 +277,10 @@ fn rasterized(
     let spec = RasterizeSpec { intrinsics: projected.intrinsics, options: *options };
     intersections.check(count, &spec)?;
     let (counts, lists) = (&intersections.counts, intersections.cell.clone());
-    let (packed, features, background) = ((&projected.packed).into(), features.into(), background.into());
-    let mut planes = match &projected.ray_space {
-        None => {
-            let inputs = [packed, features, background, probe.into(), counts.into()];
-            apply(Rasterize { spec, lists, trace }, inputs)
-        }
-        Some(ray_space) => {
-            let inputs = [packed, ray_space.into(), features, background, probe.into(), counts.into()];
-            apply(RasterizeRays { spec, lists, trace }, inputs)
-        }
-    };
+    let ray_space = projected.ray_space.as_ref().map_or(Slot::Absent, Slot::from);
+    let inputs =
+        [(&projected.packed).into(), features.into(), background.into(), probe.into(), ray_space, counts.into()];
+    let mut planes = apply(Rasterize { spec, lists, trace }, inputs);
     let mut picture = |i: usize| planes.float::<3>(i).permute([1, 2, 0]);
     Ok(Rendered { colour: picture(0), alpha: picture(1), depth: options.depth.then(|| picture(2)) })
 }

@@ -44,6 +44,7 @@ fn both_passes_see_the_same_bits_of_alpha() {
             features: Buffer::from_slice(&gpu, &vec![1.0; TILES * TILES * channels]),
             background: Buffer::from_slice(&gpu, &vec![0.0; channels]),
             mean2d_abs: Buffer::new(&gpu, 0),
+            ray_space: Buffer::new(&gpu, 0),
         };
         let lists = launch_intersect(&gpu, &inputs.projected, &spec.intrinsics, Cut::of(&options));
         let (planes, trace) = launch_rasterize(&gpu, &inputs, &lists, &spec, true);

@@ -11,35 +11,74 @@
 
 use cubecl::prelude::*;
 
-use super::blocks::{BLOCK, BLOCKS, HEIGHT, WIDTH, pixel_of};
+use super::backward_block::{add_block, pass_pixels};
+use super::blocks::{BLOCK, BLOCKS, pixel_of};
 use super::forward::WORDS;
-use super::layer::{
-    BUCKET, BUCKETS, FOOTPRINT, Four, KernelShape, LayerEllipse, RasterFrame, SEGMENT, TilePixel, colour, colours_of,
-    first_slot, layer, tile_origin, transmittance_after_bucket,
-};
-use super::suffix::plane_of;
-use super::trace::TileRun;
+use super::layer::{BUCKET, BUCKETS, Four, KernelShape, RasterFrame, TilePixel, tile_origin};
+use super::segment::{KeptTrace, RowCells, Segment, SegmentRange, clear_rows};
+use super::splat::{Splat, SplatInputs, behind_word, colours_of};
 use crate::gpu::atomic::FloatCell;
 use crate::intersect::TILE_PIXELS;
-use crate::intersect::forward::TileLists;
 
 /// Number of units of a cube: of the pixels in a block and of the places in a bucket.
 pub(super) const LANES: usize = 32;
 const _: () = assert!(BLOCK == LANES && BUCKET == LANES && WORDS == LANES);
 
 /// Distance of the rows of a table of places and pixels. Neither direction of reading has bank conflicts.
-const STRIDE: usize = LANES + 1;
-
-/// Number of channels, of many, that are read together.
-const GROUP: usize = 8;
+pub(super) const STRIDE: usize = LANES + 1;
 
 /// Number of moments: the sums of `h, h u, h v, h u², h u v, h v²` with `h = α ∂L/∂α` where alpha is not at its limit.
-/// In a row the channels follow, then the two sums of absolute values if they are wanted.
 pub(crate) const MOMENTS: usize = 6;
 
-/// Number of values in a row.
-pub(crate) const fn row_len(shape: KernelShape, absolute: bool) -> usize {
-    MOMENTS + shape.channels() + if absolute { 2 } else { 0 }
+/// Number of values in a row: the moments, the channels, those of the splat, and the two sums of absolute values if they are wanted.
+pub(crate) const fn row_len<S: Splat>(shape: KernelShape, absolute: bool) -> usize {
+    MOMENTS + shape.channels() + S::COLUMNS + if absolute { 2 } else { 0 }
+}
+
+/// Whether the colours of a bucket and the gradients of a block's pixels go through shared memory. Along rays the Gaussians take
+/// their room.
+pub(super) const fn shares_colours<S: Splat>(shape: KernelShape) -> bool {
+    shape.few() && !S::ALONG_RAYS
+}
+
+/// Shared memory of a cube.
+#[derive(CubeType)]
+pub(super) struct SegmentMemory {
+    pub words: Shared<[u32]>,
+    /// `[bucket][unit]`: the transmittances before each bucket.
+    pub checkpoints: Shared<[f32]>,
+    /// `[unit]`: `ρ` behind the layers still to pass.
+    pub rho: Shared<[f32]>,
+    /// Of the bucket.
+    pub splats: Shared<[Four]>,
+    pub colours: Shared<[Four]>,
+    pub gaussians: Shared<[u32]>,
+    /// Rows that the sums are written or added to.
+    pub targets: Shared<[u32]>,
+    /// `[place][pixel]`: alphas at first, then `h`.
+    pub alphas: Shared<[f32]>,
+    pub weights: Shared<[f32]>,
+    /// Of the block: `g` of its pixels.
+    pub gradients: Shared<[f32]>,
+}
+
+#[cube]
+impl SegmentMemory {
+    fn new<S: Splat>(#[comptime] shape: KernelShape) -> SegmentMemory {
+        let shares = comptime!(shares_colours::<S>(shape));
+        SegmentMemory {
+            words: Shared::<[u32]>::new_slice(comptime!(WORDS)),
+            checkpoints: Shared::<[f32]>::new_slice(comptime!(BUCKETS * TILE_PIXELS)),
+            rho: Shared::<[f32]>::new_slice(comptime!(TILE_PIXELS)),
+            splats: Shared::<[Four]>::new_slice(comptime!(BUCKET * S::VECTORS)),
+            colours: Shared::<[Four]>::new_slice(comptime!(if shares { BUCKET } else { 1 })),
+            gaussians: Shared::<[u32]>::new_slice(comptime!(if shares { 1 } else { BUCKET })),
+            targets: Shared::<[u32]>::new_slice(comptime!(BUCKET)),
+            alphas: Shared::<[f32]>::new_slice(comptime!(BUCKET * STRIDE)),
+            weights: Shared::<[f32]>::new_slice(comptime!(BUCKET * STRIDE)),
+            gradients: Shared::<[f32]>::new_slice(comptime!(if shares { BLOCK * shape.channels() } else { 1 })),
+        }
+    }
 }
 
 /// Computes the rows of each segment's intersections. A cube goes forwards through the segment for the transmittances
@@ -50,360 +89,186 @@ pub(crate) const fn row_len(shape: KernelShape, absolute: bool) -> usize {
 /// they read the tables transposed, and each adds up its own row over the pixels. So a pair's exponential is computed
 /// once for its gradient and at most once for its transmittance, and sums need neither atomics nor shuffles.
 ///
-/// Without `add`, the rows of the intersections `first_row..end_row` are written to `rows`, and segments without any of
+/// Without `add`, the rows of the intersections of `range` are written to `rows`, and segments without any of
 /// them are skipped. With `add`, rows are added to `sums`, one row per Gaussian.
 #[cube(launch_unchecked)]
-pub(super) fn rasterize_backward_kernel<A: FloatCell>(
-    projected: &[f32],
-    features: &[f32],
+pub(super) fn rasterize_backward_kernel<S: Splat, A: FloatCell>(
+    inputs: SplatInputs,
     grad: &[f32],
-    lists: TileLists,
-    kept: &[f32],
-    kept_words: &[u32],
-    tile_of_slot: &[u32],
-    segment_count: &[u32],
-    suffix_rho: &[f32],
+    trace: KeptTrace,
     rows: &mut [f32],
     sums: &[A],
     frame: RasterFrame,
-    run: TileRun,
-    slots: u32,
-    first_row: u32,
-    end_row: u32,
+    range: SegmentRange,
     #[comptime] shape: KernelShape,
     #[comptime] absolute: bool,
     #[comptime] add: bool,
 ) {
-    let channels = comptime!(shape.channels());
-    let few = comptime!(shape.few());
-    let columns = comptime!(row_len(shape, absolute));
-    let mut words = Shared::<[u32]>::new_slice(comptime!(WORDS));
-    // The transmittances before each bucket, and `ρ` behind the layers still to pass.
-    let mut checkpoints = Shared::<[f32]>::new_slice(comptime!(BUCKETS * TILE_PIXELS));
-    let mut rho = Shared::<[f32]>::new_slice(comptime!(TILE_PIXELS));
-    // Of the bucket: `alphas` holds alphas at first, then `h`.
-    let mut ellipses = Shared::<[Four]>::new_slice(comptime!(BUCKET * FOOTPRINT));
-    let mut colours = Shared::<[Four]>::new_slice(comptime!(if few { BUCKET } else { 1 }));
-    let mut gaussians = Shared::<[u32]>::new_slice(comptime!(if few { 1 } else { BUCKET }));
-    // Rows that the sums are written or added to.
-    let mut targets = Shared::<[u32]>::new_slice(comptime!(BUCKET));
-    let mut alphas = Shared::<[f32]>::new_slice(comptime!(BUCKET * STRIDE));
-    let mut weights = Shared::<[f32]>::new_slice(comptime!(BUCKET * STRIDE));
-    // Of the block: `g` of its pixels.
-    let mut gradients = Shared::<[f32]>::new_slice(comptime!(if few { BLOCK * channels } else { 1 }));
-
+    let shares = comptime!(shares_colours::<S>(shape));
+    let columns = comptime!(row_len::<S>(shape, absolute));
+    let mut memory = SegmentMemory::new::<S>(shape);
     let slot = CUBE_POS as u32;
-    if slot < slots {
+    if slot < range.slots {
         let lane = UNIT_POS;
-        let tile = tile_of_slot[slot as usize];
-        let first = lists.start(tile);
-        let places = lists.start(tile + 1) - first;
-        let segment = slot - (first_slot(first, tile) - run.first_slot);
-        let start = segment * comptime!(SEGMENT as u32);
-        // The last slot of a tile may have no places.
-        let mut wanted = start < places;
-        if comptime!(!add) {
-            // Intersections ascend along a tile's list.
-            let begin = first + start;
-            if wanted {
-                let last = begin + min(places - start, comptime!(SEGMENT as u32)) - 1;
-                wanted = lists.intersection(begin) < end_row && lists.intersection(last) >= first_row;
-            }
-        }
-        let passed = wanted && segment < segment_count[tile as usize];
+        let segment = Segment::of(slot, &inputs.lists, &trace, &range, add);
         // DirectX wants a barrier between such readings and a branch with barriers.
         sync_cube();
-        if wanted && !passed && comptime!(!add) {
-            // All pixels were finished before.
-            let mut place = start + lane;
-            while place < min(places, start + comptime!(SEGMENT as u32)) {
-                let target = lists.intersection(first + place) - first_row;
-                if target < end_row - first_row {
-                    for column in 0..columns {
-                        rows[target as usize * columns + column] = 0.0f32;
-                    }
-                }
-                place += comptime!(LANES as u32);
-            }
+        if comptime!(!add) {
+            clear_rows(&segment, &inputs.lists, rows, &range, columns);
         }
-        if passed {
-            let count = min(places - start, comptime!(SEGMENT as u32));
-            let buckets = (count + comptime!(BUCKET as u32 - 1)) / comptime!(BUCKET as u32);
-            let origin = tile_origin(tile, &frame);
-            let (_, pixel_row) = origin;
-            let top = f32::cast_from(pixel_row) + 0.5;
-            let plane = (frame.width * frame.height) as usize;
-            words[lane as usize] = kept_words[(slot * comptime!(WORDS as u32) + lane) as usize];
+        if segment.passed {
+            let origin = tile_origin(segment.tile, &frame);
+            memory.words[lane as usize] = trace.words[(slot * comptime!(WORDS as u32) + lane) as usize];
             for block in 0..comptime!(BLOCKS as u32) {
                 let unit = (block * comptime!(BLOCK as u32) + lane) as usize;
-                checkpoints[unit] = kept[slot as usize * comptime!(shape.kept() * TILE_PIXELS) + unit];
-                rho[unit] = suffix_rho[slot as usize * comptime!(TILE_PIXELS) + unit];
+                memory.checkpoints[unit] = trace.kept[slot as usize * comptime!(shape.kept() * TILE_PIXELS) + unit];
+                memory.rho[unit] = trace.suffix_rho[slot as usize * comptime!(TILE_PIXELS) + unit];
             }
 
             // Forwards.
-            for bucket in 0..buckets - 1 {
+            for bucket in 0..segment.buckets - 1 {
                 // Every bucket but the last is full.
-                let gaussian = lists.gaussian(first + start + bucket * comptime!(BUCKET as u32) + lane) as usize;
-                LayerEllipse::of(projected, gaussian, top).store(&mut ellipses, lane as usize);
+                let place = segment.start + bucket * comptime!(BUCKET as u32) + lane;
+                let gaussian = inputs.lists.gaussian(segment.first + place) as usize;
+                let splat = S::of(&inputs, gaussian, first_row(origin), &frame);
+                S::store(&splat, &mut memory.splats, lane as usize);
                 sync_cube();
-                for block in 0..comptime!(BLOCKS as u32) {
-                    let unit = block * comptime!(BLOCK as u32) + lane;
-                    let pixel = TilePixel::of(origin, pixel_of(unit), &frame);
-                    let at = (bucket * comptime!(TILE_PIXELS as u32) + unit) as usize;
-                    let before = checkpoints[at];
-                    let mut word = 0u32;
-                    if before >= 0.0 {
-                        word = words[(bucket * comptime!(BLOCKS as u32) + block) as usize];
-                    }
-                    let mut through = 1.0f32;
-                    let mut stopped = 0.0f32;
-                    while word != 0 {
-                        let i = word.trailing_zeros();
-                        word &= word - 1;
-                        let value = LayerEllipse::load(&ellipses, i as usize).alpha(pixel.x, pixel.row, &frame);
-                        let (_, next, stops) = layer(value, through, stopped, before, frame.transmittance_min);
-                        through = next;
-                        stopped = stops;
-                        if through < 0.0 {
-                            word = 0u32;
-                        }
-                    }
-                    checkpoints[at + comptime!(TILE_PIXELS)] = transmittance_after_bucket(before, through, stopped);
-                }
+                pass_bucket::<S>(&mut memory, bucket, origin, &inputs, &frame);
                 sync_cube();
             }
 
             // Backwards.
-            for back in 0..buckets {
-                let bucket = buckets - 1 - back;
-                let bucket_start = start + bucket * comptime!(BUCKET as u32);
-                let here = min(places - bucket_start, comptime!(BUCKET as u32));
+            for back in 0..segment.buckets {
+                let bucket = segment.buckets - 1 - back;
+                let bucket_start = segment.start + bucket * comptime!(BUCKET as u32);
+                let here = min(segment.places - bucket_start, comptime!(BUCKET as u32));
                 if lane < here {
-                    let intersection = lists.intersection(first + bucket_start + lane);
-                    let gaussian = lists.gaussian_of_intersection[intersection as usize];
-                    LayerEllipse::of(projected, gaussian as usize, top).store(&mut ellipses, lane as usize);
-                    targets[lane as usize] = if comptime!(add) { gaussian } else { intersection - first_row };
-                    if comptime!(few) {
-                        colours[lane as usize] = colours_of(projected, features, gaussian as usize, shape);
+                    let intersection = inputs.lists.intersection(segment.first + bucket_start + lane);
+                    let gaussian = inputs.lists.gaussian_of_intersection[intersection as usize];
+                    let splat = S::of(&inputs, gaussian as usize, first_row(origin), &frame);
+                    S::store(&splat, &mut memory.splats, lane as usize);
+                    memory.targets[lane as usize] =
+                        if comptime!(add) { gaussian } else { intersection - range.first_row };
+                    if comptime!(shares) {
+                        memory.colours[lane as usize] = colours_of::<S>(&inputs, gaussian as usize, shape);
                     } else {
-                        gaussians[lane as usize] = gaussian;
+                        memory.gaussians[lane as usize] = gaussian;
                     }
                 }
                 let mut row = Array::<f32>::new(columns);
-                #[unroll(few)]
+                #[unroll(shares)]
                 for column in 0..columns {
                     row[column] = 0.0f32;
                 }
                 sync_cube();
 
                 for block in 0..comptime!(BLOCKS as u32) {
-                    let word = words[(bucket * comptime!(BLOCKS as u32) + block) as usize];
+                    let word = memory.words[(bucket * comptime!(BLOCKS as u32) + block) as usize];
                     if word != 0 {
-                        // The units are pixels.
-                        let unit = block * comptime!(BLOCK as u32) + lane;
-                        let pixel = TilePixel::of(origin, pixel_of(unit), &frame);
-                        let before = checkpoints[(bucket * comptime!(TILE_PIXELS as u32) + unit) as usize];
-                        let mut through = select(before >= 0.0, 1.0f32, -1.0f32);
-                        let mut stopped = 0.0f32;
-                        let mut left = word;
-                        while left != 0 {
-                            let i = left.trailing_zeros();
-                            left &= left - 1;
-                            let value = LayerEllipse::load(&ellipses, i as usize).alpha(pixel.x, pixel.row, &frame);
-                            let (alpha, next, stops) = layer(value, through, stopped, before, frame.transmittance_min);
-                            let at = (i * comptime!(STRIDE as u32) + lane) as usize;
-                            alphas[at] = alpha;
-                            weights[at] = alpha * (before * through);
-                            through = next;
-                            stopped = stops;
-                        }
-                        let mut gradient = Array::<f32>::new(comptime!(if few { channels } else { 1 }));
-                        if comptime!(few) {
-                            #[unroll]
-                            for channel in 0..channels {
-                                let mut value = 0.0f32;
-                                if pixel.inside {
-                                    value = grad[plane_of(channel, shape) * plane + pixel.index];
-                                }
-                                gradient[channel] = value;
-                                gradients[channel * comptime!(BLOCK) + lane as usize] = value;
-                            }
-                        }
-                        let mut behind = rho[unit as usize];
-                        let mut left = word;
-                        while left != 0 {
-                            let i = 31u32 - left.leading_zeros();
-                            left ^= 1u32 << i;
-                            let at = (i * comptime!(STRIDE as u32) + lane) as usize;
-                            let alpha = alphas[at];
-                            if comptime!(few) {
-                                let all = colours[i as usize];
-                                let mut along = 0.0f32;
-                                #[unroll]
-                                for channel in 0..channels {
-                                    along += gradient[channel] * all.extract(channel);
-                                }
-                                let ahead = along - behind;
-                                behind += alpha * ahead;
-                                alphas[at] = select(alpha < frame.alpha_max, weights[at] * ahead, 0.0);
-                            } else if alpha > 0.0 {
-                                let gaussian = gaussians[i as usize] as usize;
-                                let along =
-                                    along_channels(projected, features, grad, gaussian, pixel.index, plane, shape);
-                                let ahead = along - behind;
-                                behind += alpha * ahead;
-                                alphas[at] = select(alpha < frame.alpha_max, weights[at] * ahead, 0.0);
-                            }
-                        }
-                        rho[unit as usize] = behind;
+                        pass_pixels::<S>(&mut memory, word, bucket, block, origin, grad, &inputs, &frame, shape);
                     }
                     // Outside the branch: DirectX refuses barriers in branches on what was read.
                     sync_cube();
 
-                    // The units are places.
                     if ((word >> lane) & 1) != 0 {
-                        let ellipse = LayerEllipse::load(&ellipses, lane as usize);
-                        let corner = TilePixel::of(origin, pixel_of(block * comptime!(BLOCK as u32)), &frame);
-                        let at = lane as usize * comptime!(STRIDE);
-                        add_moments(&mut row, &alphas, at, ellipse, corner, shape, absolute);
-                        if comptime!(few) {
-                            #[unroll]
-                            for channel in 0..channels {
-                                let mut sum = 0.0f32;
-                                for other in 0..comptime!(BLOCK) {
-                                    sum += weights[at + other] * gradients[channel * comptime!(BLOCK) + other];
-                                }
-                                row[comptime!(MOMENTS) + channel] += sum;
-                            }
-                        } else {
-                            for channel in 0..channels {
-                                let first = plane_of(channel, shape) * plane + corner.index;
-                                let mut sum = 0.0f32;
-                                for step in 0..comptime!(HEIGHT) {
-                                    #[unroll]
-                                    for column in 0..comptime!(WIDTH) {
-                                        let weight = weights[at + step * comptime!(WIDTH) + column];
-                                        // A pixel outside the picture has no weight.
-                                        if weight > 0.0 {
-                                            sum += weight * grad[first + step * frame.width as usize + column];
-                                        }
-                                    }
-                                }
-                                row[comptime!(MOMENTS) + channel] += sum;
-                            }
-                        }
+                        add_block::<S>(&mut row, &memory, block, origin, grad, &inputs, &frame, shape, absolute);
                     }
                     sync_cube();
                 }
 
-                if comptime!(few) {
-                    // Through shared memory, so that neighbouring units write neighbouring values.
-                    #[unroll]
-                    for column in 0..columns {
-                        alphas[lane as usize * comptime!(STRIDE) + column] = row[column];
-                    }
-                    sync_cube();
-                    let mut i = lane;
-                    while i < here * comptime!(columns as u32) {
-                        let place = i / comptime!(columns as u32);
-                        let column = i % comptime!(columns as u32);
-                        let sum = alphas[(place * comptime!(STRIDE as u32) + column) as usize];
-                        let target = targets[place as usize];
-                        let cell = target as usize * columns + column as usize;
-                        if comptime!(add) {
-                            if sum != 0.0 {
-                                A::add(&sums[cell], sum);
-                            }
-                        } else if target < end_row - first_row {
-                            rows[cell] = sum;
-                        }
-                        i += comptime!(LANES as u32);
-                    }
-                } else if lane < here {
-                    let target = targets[lane as usize];
-                    for column in 0..columns {
-                        let cell = target as usize * columns + column;
-                        if comptime!(add) {
-                            if row[column] != 0.0 {
-                                A::add(&sums[cell], row[column]);
-                            }
-                        } else if target < end_row - first_row {
-                            rows[cell] = row[column];
-                        }
-                    }
-                }
+                let cells = RowCells { here, rows: range.end_row - range.first_row };
+                store_rows::<A>(&row, &mut memory, cells, rows, sums, columns, shares, add);
                 sync_cube();
             }
         }
     }
 }
 
-/// Returns `Σ g c` over the channels of a Gaussian at pixel `index` of the picture, whose planes have `plane` pixels.
+/// Returns the centre of a tile's first row, px.
 #[cube]
-fn along_channels(
-    projected: &[f32],
-    features: &[f32],
-    grad: &[f32],
-    gaussian: usize,
-    index: usize,
-    plane: usize,
-    #[comptime] shape: KernelShape,
-) -> f32 {
-    let groups = comptime!(shape.channels() / GROUP);
-    let mut sum = 0.0f32;
-    for group in 0..groups {
-        #[unroll]
-        for k in 0..comptime!(GROUP) {
-            let channel = group * comptime!(GROUP) + k;
-            let gradient = grad[plane_of(channel, shape) * plane + index];
-            sum += gradient * colour(projected, features, gaussian, channel, shape);
-        }
-    }
-    #[unroll]
-    for k in 0..comptime!(shape.channels() % GROUP) {
-        let channel = comptime!(groups * GROUP + k);
-        sum += grad[plane_of(channel, shape) * plane + index] * colour(projected, features, gaussian, channel, shape);
-    }
-    sum
+fn first_row(origin: (u32, u32)) -> f32 {
+    let (_, row) = origin;
+    f32::cast_from(row) + 0.5
 }
 
-/// Adds the moments over a block's pixels, and the sums of absolute values, to the row of a place. Its values of `h` lie
-/// from `at` on. `corner` is the block's first pixel.
+/// Computes the transmittances behind a bucket. The units are the pixels of one block after another.
 #[cube]
-fn add_moments(
-    row: &mut Array<f32>,
-    h: &Shared<[f32]>,
-    at: usize,
-    ellipse: LayerEllipse,
-    corner: TilePixel,
-    #[comptime] shape: KernelShape,
-    #[comptime] absolute: bool,
+fn pass_bucket<S: Splat>(
+    memory: &mut SegmentMemory,
+    bucket: u32,
+    origin: (u32, u32),
+    inputs: &SplatInputs,
+    frame: &RasterFrame,
 ) {
-    let slope = ellipse.inverse_v * ellipse.shear;
-    for column in 0..comptime!(WIDTH as u32) {
-        let (u, below) = ellipse.along_column(corner.x + f32::cast_from(column));
-        // Down the column `u` is the same.
-        let mut h_sum = 0.0f32;
-        let mut hv_sum = 0.0f32;
-        let mut hvv_sum = 0.0f32;
-        #[unroll]
-        for step in 0..comptime!(HEIGHT) {
-            let h = h[at + column as usize + comptime!(step * WIDTH)];
-            let v = (below + (corner.row + comptime!(step as f32))) * ellipse.inverse_v;
-            let hv = h * v;
-            h_sum += h;
-            hv_sum += hv;
-            hvv_sum += hv * v;
-            if comptime!(absolute) {
-                row[comptime!(MOMENTS + shape.channels())] += (h * u * ellipse.inverse_u - hv * slope).abs();
-                row[comptime!(MOMENTS + shape.channels() + 1)] += (hv * ellipse.inverse_v).abs();
-            }
+    for block in 0..comptime!(BLOCKS as u32) {
+        let unit = block * comptime!(BLOCK as u32) + UNIT_POS;
+        let pixel = TilePixel::of(origin, pixel_of(unit), inputs, frame);
+        let at = (bucket * comptime!(TILE_PIXELS as u32) + unit) as usize;
+        let before = memory.checkpoints[at];
+        let mut word = 0u32;
+        if before >= 0.0 {
+            word = memory.words[(bucket * comptime!(BLOCKS as u32) + block) as usize];
         }
-        row[0] += h_sum;
-        row[1] += h_sum * u;
-        row[2] += hv_sum;
-        row[3] += h_sum * u * u;
-        row[4] += hv_sum * u;
-        row[5] += hvv_sum;
+        memory.checkpoints[at + comptime!(TILE_PIXELS)] =
+            behind_word::<S>(&memory.splats, 0, word, before, &pixel, inputs, frame);
+    }
+}
+
+/// Writes or adds the rows of a bucket. A unit holds the row of a place.
+#[cube]
+fn store_rows<A: FloatCell>(
+    row: &Array<f32>,
+    memory: &mut SegmentMemory,
+    cells: RowCells,
+    rows: &mut [f32],
+    sums: &[A],
+    #[comptime] columns: usize,
+    #[comptime] few: bool,
+    #[comptime] add: bool,
+) {
+    let lane = UNIT_POS;
+    if comptime!(few) {
+        // Through shared memory, so that neighbouring units write neighbouring values.
+        #[unroll]
+        for column in 0..columns {
+            memory.alphas[lane as usize * comptime!(STRIDE) + column] = row[column];
+        }
+        sync_cube();
+        let mut i = lane;
+        while i < cells.here * comptime!(columns as u32) {
+            let place = i / comptime!(columns as u32);
+            let column = i % comptime!(columns as u32);
+            let sum = memory.alphas[(place * comptime!(STRIDE as u32) + column) as usize];
+            let target = memory.targets[place as usize];
+            store_cell::<A>(sum, target, column as usize, rows, sums, cells.rows, columns, add);
+            i += comptime!(LANES as u32);
+        }
+    } else if lane < cells.here {
+        let target = memory.targets[lane as usize];
+        for column in 0..columns {
+            store_cell::<A>(row[column], target, column, rows, sums, cells.rows, columns, add);
+        }
+    }
+}
+
+/// Writes one sum to row `target` of `count`, or adds it.
+#[cube]
+pub(super) fn store_cell<A: FloatCell>(
+    sum: f32,
+    target: u32,
+    column: usize,
+    rows: &mut [f32],
+    sums: &[A],
+    count: u32,
+    #[comptime] columns: usize,
+    #[comptime] add: bool,
+) {
+    let cell = target as usize * columns + column;
+    if comptime!(add) {
+        if sum != 0.0 {
+            A::add(&sums[cell], sum);
+        }
+    } else if target < count {
+        rows[cell] = sum;
     }
 }

@@ -6,18 +6,16 @@
 
 use cubecl::prelude::*;
 
-use super::backward::{MOMENTS, row_len};
+use super::backward::{MOMENTS, row_len, store_cell};
 use super::blocks::{BLOCK, BLOCKS, WIDTH, pixel_of};
+use super::ellipse::LayerEllipse;
 use super::forward::WORDS;
-use super::layer::{
-    BUCKET, FOOTPRINT, Four, KernelShape, LayerEllipse, RasterFrame, SEGMENT, TilePixel, colours_of, first_slot, layer,
-    tile_origin, transmittance_after_bucket,
-};
+use super::layer::{BUCKET, Four, KernelShape, RasterFrame, SEGMENT, TilePixel, layer, tile_origin};
+use super::segment::{KeptTrace, Segment, SegmentRange, clear_rows};
+use super::splat::{Splat, SplatInputs, behind_word, colours_of};
 use super::suffix::plane_of;
-use super::trace::TileRun;
 use crate::gpu::atomic::FloatCell;
 use crate::intersect::TILE_PIXELS;
-use crate::intersect::forward::TileLists;
 
 /// Number of layers that a plane sums at a time. A unit keeps their alphas in registers on its way forwards.
 const TOGETHER: usize = 8;
@@ -41,7 +39,7 @@ const fn table_len(plane_units: usize) -> usize {
 
 /// Bytes of shared memory that the kernel takes.
 pub(super) const fn shared_bytes(shape: KernelShape, columns: usize, plane_units: usize, direct: bool) -> usize {
-    let of_segment = SEGMENT * (4 * FOOTPRINT + 4 + 1) + WORDS;
+    let of_segment = SEGMENT * (4 * LayerEllipse::VECTORS + 4 + 1) + WORDS;
     let of_planes = 2 * table_len(plane_units) + TILE_PIXELS / plane_units * TOGETHER;
     4 * (of_segment + of_planes + TILE_PIXELS * shape.channels() + partial_len(columns, direct))
 }
@@ -56,22 +54,13 @@ pub(super) const fn shared_bytes(shape: KernelShape, columns: usize, plane_units
 /// add up their sums in a fixed order first: where the order matters, or an addition is dear.
 #[cube(launch_unchecked)]
 pub(super) fn rasterize_backward_planes_kernel<A: FloatCell>(
-    projected: &[f32],
-    features: &[f32],
+    inputs: SplatInputs,
     grad: &[f32],
-    lists: TileLists,
-    kept: &[f32],
-    kept_words: &[u32],
-    tile_of_slot: &[u32],
-    segment_count: &[u32],
-    suffix_rho: &[f32],
+    trace: KeptTrace,
     rows: &mut [f32],
     sums: &[A],
     frame: RasterFrame,
-    run: TileRun,
-    slots: u32,
-    first_row: u32,
-    end_row: u32,
+    range: SegmentRange,
     #[comptime] shape: KernelShape,
     #[comptime] absolute: bool,
     #[comptime] add: bool,
@@ -79,11 +68,11 @@ pub(super) fn rasterize_backward_planes_kernel<A: FloatCell>(
     #[comptime] direct: bool,
 ) {
     let channels = comptime!(shape.channels());
-    let columns = comptime!(row_len(shape, absolute));
+    let columns = comptime!(row_len::<LayerEllipse>(shape, absolute));
     // Places whose sums are in shared memory at a time: a row for each plane and place, 256 rows.
     let part_places = comptime!(if direct { BUCKET as u32 } else { plane_units });
     let mut words = Shared::<[u32]>::new_slice(comptime!(WORDS));
-    let mut ellipses = Shared::<[Four]>::new_slice(comptime!(SEGMENT * FOOTPRINT));
+    let mut ellipses = Shared::<[Four]>::new_slice(comptime!(SEGMENT * LayerEllipse::VECTORS));
     let mut colours = Shared::<[Four]>::new_slice(comptime!(SEGMENT));
     let mut targets = Shared::<[u32]>::new_slice(comptime!(SEGMENT));
     let mut gradients = Shared::<[f32]>::new_slice(comptime!(TILE_PIXELS * channels));
@@ -94,60 +83,38 @@ pub(super) fn rasterize_backward_planes_kernel<A: FloatCell>(
     let mut partial = Shared::<[f32]>::new_slice(comptime!(partial_len(columns, direct)));
 
     let slot = CUBE_POS as u32;
-    if slot < slots {
+    if slot < range.slots {
         let unit = UNIT_POS;
         let block = unit / comptime!(BLOCK as u32);
         let plane_index = unit / plane_units;
         let lane = unit % plane_units;
-        let tile = tile_of_slot[slot as usize];
-        let first = lists.start(tile);
-        let places = lists.start(tile + 1) - first;
-        let segment = slot - (first_slot(first, tile) - run.first_slot);
-        let start = segment * comptime!(SEGMENT as u32);
-        // The last slot of a tile may have no places.
-        let mut wanted = start < places;
-        if comptime!(!add) {
-            // Intersections ascend along a tile's list.
-            let begin = first + start;
-            if wanted {
-                let last = begin + min(places - start, comptime!(SEGMENT as u32)) - 1;
-                wanted = lists.intersection(begin) < end_row && lists.intersection(last) >= first_row;
-            }
-        }
-        let passed = wanted && segment < segment_count[tile as usize];
+        let segment = Segment::of(slot, &inputs.lists, &trace, &range, add);
         // DirectX wants a barrier between such readings and a branch with barriers.
         sync_cube();
-        if wanted && !passed && comptime!(!add) {
-            // All pixels were finished before.
-            let place = start + unit;
-            if unit < comptime!(SEGMENT as u32) && place < places {
-                let target = lists.intersection(first + place) - first_row;
-                if target < end_row - first_row {
-                    for column in 0..columns {
-                        rows[target as usize * columns + column] = 0.0f32;
-                    }
-                }
-            }
+        if comptime!(!add) {
+            clear_rows(&segment, &inputs.lists, rows, &range, columns);
         }
-        if passed {
-            let count = min(places - start, comptime!(SEGMENT as u32));
-            let buckets = (count + comptime!(BUCKET as u32 - 1)) / comptime!(BUCKET as u32);
-            let pixel = TilePixel::of(tile_origin(tile, &frame), pixel_of(unit), &frame);
+        if segment.passed {
+            let count = segment.count;
+            let buckets = segment.buckets;
+            let origin = tile_origin(segment.tile, &frame);
+            let pixel = TilePixel::of(origin, pixel_of(unit), &inputs, &frame);
             let plane = (frame.width * frame.height) as usize;
             // Two units load a Gaussian.
             let i = unit % comptime!(SEGMENT as u32);
             if i < count {
-                let intersection = lists.intersection(first + start + i);
-                let gaussian = lists.gaussian_of_intersection[intersection as usize];
+                let intersection = inputs.lists.intersection(segment.first + segment.start + i);
+                let gaussian = inputs.lists.gaussian_of_intersection[intersection as usize];
                 if unit < comptime!(SEGMENT as u32) {
-                    LayerEllipse::of(projected, gaussian as usize, pixel.top).store(&mut ellipses, i as usize);
+                    let ellipse = LayerEllipse::of(&inputs, gaussian as usize, pixel.top, &frame);
+                    LayerEllipse::store(&ellipse, &mut ellipses, i as usize);
                 } else {
-                    colours[i as usize] = colours_of(projected, features, gaussian as usize, shape);
-                    targets[i as usize] = if comptime!(add) { gaussian } else { intersection - first_row };
+                    colours[i as usize] = colours_of::<LayerEllipse>(&inputs, gaussian as usize, shape);
+                    targets[i as usize] = if comptime!(add) { gaussian } else { intersection - range.first_row };
                 }
             }
             if unit < comptime!(WORDS as u32) {
-                words[unit as usize] = kept_words[(slot * comptime!(WORDS as u32) + unit) as usize];
+                words[unit as usize] = trace.words[(slot * comptime!(WORDS as u32) + unit) as usize];
             }
             let mut gradient = Array::<f32>::new(channels);
             #[unroll]
@@ -162,13 +129,13 @@ pub(super) fn rasterize_backward_planes_kernel<A: FloatCell>(
             let own_layer = lane / comptime!(plane_units / RUN as u32);
             let run_in_plane = lane % comptime!(plane_units / RUN as u32) * comptime!(RUN as u32);
             let run_start = plane_index * plane_units + run_in_plane;
-            let first_of_run = TilePixel::of(tile_origin(tile, &frame), pixel_of(run_start), &frame);
+            let first_of_run = TilePixel::of(origin, pixel_of(run_start), &inputs, &frame);
             let run_x = first_of_run.x;
             let run_row = first_of_run.row;
             let table_row = comptime!(plane_units as usize + 1);
             let table = plane_index as usize * comptime!(TOGETHER * (plane_units as usize + 1));
-            let mut behind = suffix_rho[slot as usize * comptime!(TILE_PIXELS) + unit as usize];
-            let at_start = kept[slot as usize * comptime!(shape.kept() * TILE_PIXELS) + unit as usize];
+            let mut behind = trace.suffix_rho[slot as usize * comptime!(TILE_PIXELS) + unit as usize];
+            let at_start = trace.kept[slot as usize * comptime!(shape.kept() * TILE_PIXELS) + unit as usize];
             sync_cube();
 
             // Forwards: the transmittances before the buckets.
@@ -181,21 +148,8 @@ pub(super) fn rasterize_backward_planes_kernel<A: FloatCell>(
                 if current >= 0.0 {
                     word = words[(bucket * comptime!(BLOCKS as u32) + block) as usize];
                 }
-                let mut through = 1.0f32;
-                let mut stopped = 0.0f32;
-                while word != 0 {
-                    let i = word.trailing_zeros();
-                    word &= word - 1;
-                    let place = (bucket * comptime!(BUCKET as u32) + i) as usize;
-                    let value = LayerEllipse::load(&ellipses, place).alpha(pixel.x, pixel.row, &frame);
-                    let (_, next, stops) = layer(value, through, stopped, current, frame.transmittance_min);
-                    through = next;
-                    stopped = stops;
-                    if through < 0.0 {
-                        word = 0u32;
-                    }
-                }
-                current = transmittance_after_bucket(current, through, stopped);
+                let first = bucket * comptime!(BUCKET as u32);
+                current = behind_word::<LayerEllipse>(&ellipses, first, word, current, &pixel, &inputs, &frame);
                 before_second = select(bucket == 0, current, before_second);
                 before_third = select(bucket == 1, current, before_third);
                 before_fourth = select(bucket == 2, current, before_fourth);
@@ -222,7 +176,8 @@ pub(super) fn rasterize_backward_planes_kernel<A: FloatCell>(
                         for _ in 0..earlier + in_part {
                             let i = bucket_start + left.trailing_zeros();
                             left &= left - 1;
-                            let value = LayerEllipse::load(&ellipses, i as usize).alpha(pixel.x, pixel.row, &frame);
+                            let value =
+                                LayerEllipse::load(&ellipses, i as usize, &inputs).alpha(pixel.x, pixel.row, &frame);
                             let (_, next, stops) = layer(value, through, stopped, before, frame.transmittance_min);
                             through = next;
                             stopped = stops;
@@ -241,7 +196,8 @@ pub(super) fn rasterize_backward_planes_kernel<A: FloatCell>(
                                 left &= left - 1;
                                 group_places[k] = i;
                                 let place = (bucket_start + i) as usize;
-                                let value = LayerEllipse::load(&ellipses, place).alpha(pixel.x, pixel.row, &frame);
+                                let value =
+                                    LayerEllipse::load(&ellipses, place, &inputs).alpha(pixel.x, pixel.row, &frame);
                                 let (alpha, next, stops) =
                                     layer(value, through, stopped, before, frame.transmittance_min);
                                 alphas[k] = alpha;
@@ -260,7 +216,8 @@ pub(super) fn rasterize_backward_planes_kernel<A: FloatCell>(
                                 for channel in 0..channels {
                                     along += gradient[channel] * all.extract(channel);
                                 }
-                                let ahead = along - behind;
+                                // Where the layer does not show, its features may be infinite or undefined.
+                                let ahead = select(alphas[k] > 0.0, along - behind, 0.0);
                                 behind += alphas[k] * ahead;
                                 let at = table + comptime!(k * (plane_units as usize + 1)) + lane as usize;
                                 heights[at] = select(alphas[k] < frame.alpha_max, weights[k] * ahead, 0.0);
@@ -284,7 +241,7 @@ pub(super) fn rasterize_backward_planes_kernel<A: FloatCell>(
                             if comptime!(direct) {
                                 row = targets[place] as usize;
                             }
-                            let ellipse = LayerEllipse::load(&ellipses, place);
+                            let ellipse = LayerEllipse::load(&ellipses, place, &inputs);
                             let at = table + own_layer as usize * table_row + run_in_plane as usize;
                             #[unroll]
                             for i in 0..comptime!(RUN) {
@@ -341,14 +298,8 @@ pub(super) fn rasterize_backward_planes_kernel<A: FloatCell>(
                                 }
                             }
                             let target = targets[(bucket_start + first_place + in_order) as usize];
-                            let to = target as usize * columns + column as usize;
-                            if comptime!(add) {
-                                if sum != 0.0 {
-                                    A::add(&sums[to], sum);
-                                }
-                            } else if target < end_row - first_row {
-                                rows[to] = sum;
-                            }
+                            let count = range.end_row - range.first_row;
+                            store_cell::<A>(sum, target, column as usize, rows, sums, count, columns, add);
                             cell += comptime!(TILE_PIXELS as u32);
                         }
                         sync_cube();

@@ -3,13 +3,14 @@
 
 use cubecl::prelude::*;
 
-use super::layer::{LayerEllipse, RasterFrame};
+use super::ellipse::LayerEllipse;
+use super::layer::RasterFrame;
 use crate::gpu::math::{finite, within};
 use crate::intersect::TILE;
 
 /// Width and height of a block, px.
-pub(super) const WIDTH: usize = 8;
-pub(super) const HEIGHT: usize = 4;
+pub(crate) const WIDTH: usize = 8;
+pub(crate) const HEIGHT: usize = 4;
 
 /// Number of pixels in a block, one unit each.
 pub(crate) const BLOCK: usize = WIDTH * HEIGHT;
@@ -21,7 +22,7 @@ const ACROSS: usize = TILE / WIDTH;
 pub(crate) const BLOCKS: usize = ACROSS * (TILE / HEIGHT);
 
 /// Number of blocks in a half of a tile, the upper or the lower.
-pub(super) const HALF: usize = BLOCKS / 2;
+pub(crate) const HALF: usize = BLOCKS / 2;
 
 /// Bound of the rounding error of a coordinate, relative to the largest coordinate in its formula: 16 roundings of f32.
 const SLIP: f32 = 1e-6;
@@ -43,7 +44,7 @@ pub(crate) fn pixel_of(unit: u32) -> u32 {
 /// centre. On a side it is the minimum of a parabola. Both sides nearest to the centre are tried, whether they face it
 /// or not: a point of the rectangle has no less than the least.
 #[cube]
-pub(super) fn blocks_met(ellipse: LayerEllipse, left: f32, half: u32, frame: &RasterFrame) -> u32 {
+pub(super) fn blocks_met(ellipse: &LayerEllipse, left: f32, half: u32, frame: &RasterFrame) -> u32 {
     let last = comptime!((TILE - 1) as f32);
     let dx = left - ellipse.x;
     let dy = ellipse.rise;
@@ -74,8 +75,8 @@ pub(super) fn blocks_met(ellipse: LayerEllipse, left: f32, half: u32, frame: &Ra
         let high_y = low_y + comptime!((HEIGHT - 1) as f32);
         let near_x = within(0.0, low_x, high_x);
         let near_y = within(0.0, low_y, high_y);
-        let beside = whitened(&ellipse, near_x, within(ellipse.shear * near_x, low_y, high_y));
-        let above = whitened(&ellipse, within(slope * near_y, low_x, high_x), near_y);
+        let beside = whitened(ellipse, near_x, within(ellipse.shear * near_x, low_y, high_y));
+        let above = whitened(ellipse, within(slope * near_y, low_x, high_x), near_y);
         if !sound || beside <= bound || above <= bound {
             met |= comptime!(1u32 << block);
         }
@@ -94,10 +95,12 @@ fn whitened(ellipse: &LayerEllipse, dx: f32, dy: f32) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::super::layer::{RasterFrame, TilePixel, tile_origin};
+    use super::super::splat::{Splat, SplatInputs, SplatInputsLaunch};
     use super::*;
     use crate::camera::Intrinsics;
     use crate::gpu::{Buffer, cubes};
-    use crate::intersect::TILE_PIXELS;
+    use crate::intersect::launch::launch_intersect;
+    use crate::intersect::{Cut, TILE_PIXELS};
     use crate::options::RenderOptions;
     use crate::project::{COLUMNS, Ellipse};
     use crate::rasterize::RasterizeSpec;
@@ -108,15 +111,15 @@ mod tests {
 
     /// For each ellipse, at the tile of its number, writes whether each pixel sees an alpha and whether its block is met.
     #[cube(launch_unchecked)]
-    fn pixels_kernel(projected: &[f32], tiles: &[u32], sees: &mut [u32], frame: RasterFrame, count: u32) {
+    fn pixels_kernel(inputs: SplatInputs, tiles: &[u32], sees: &mut [u32], frame: RasterFrame, count: u32) {
         if CUBE_POS < count as usize {
             let tile = tiles[CUBE_POS];
-            let pixel = TilePixel::of(tile_origin(tile, &frame), pixel_of(UNIT_POS), &frame);
+            let pixel = TilePixel::of(tile_origin(tile, &frame), pixel_of(UNIT_POS), &inputs, &frame);
             let left = f32::cast_from(tile % frame.tiles_x * comptime!(TILE as u32)) + 0.5;
-            let ellipse = LayerEllipse::of(projected, CUBE_POS, pixel.top);
+            let ellipse = LayerEllipse::of(&inputs, CUBE_POS, pixel.top, &frame);
             let block = UNIT_POS / comptime!(BLOCK as u32);
             let half = block / comptime!(HALF as u32);
-            let met = (blocks_met(ellipse, left, half, &frame) >> (block % comptime!(HALF as u32))) & 1;
+            let met = (blocks_met(&ellipse, left, half, &frame) >> (block % comptime!(HALF as u32))) & 1;
             let alpha = ellipse.alpha(pixel.x, pixel.row, &frame);
             sees[CUBE_POS * comptime!(TILE_PIXELS) + UNIT_POS as usize] = met * 2 + select(alpha > 0.0, 1u32, 0u32);
         }
@@ -172,7 +175,13 @@ mod tests {
                 &gpu.client,
                 cubes(COUNT),
                 CubeDim::new_1d(TILE_PIXELS as u32),
-                Buffer::from_slice(&gpu, &rows).arg(),
+                SplatInputsLaunch::new(
+                    Buffer::from_slice(&gpu, &rows).arg(),
+                    Buffer::<f32>::new(&gpu, 0).arg(),
+                    None.into(),
+                    None.into(),
+                    launch_intersect(&gpu, &Buffer::new(&gpu, 0), &spec.intrinsics, Cut::of(&options)).arg(),
+                ),
                 Buffer::from_slice(&gpu, &tiles).arg(),
                 sees.arg(),
                 frame(&spec),

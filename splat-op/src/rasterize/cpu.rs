@@ -3,15 +3,18 @@
 
 use std::borrow::Cow;
 
-use super::footprint::{Footprint, UNWHITEN, WIDTH};
+use super::footprint::EllipseFootprint;
+use super::gather_cpu::{RowSums, gather};
+use super::pixels::{Plane, in_block_order};
 use super::prepared::Prepared;
-use super::tile::{Plane, Thresholds, TileTrace, in_block_order, rasterize_tile};
-pub(crate) use super::tile_backward::MOMENTS;
-use super::tile_backward::{TileGrad, TileScratch, rasterize_tile_backward};
+use super::splat_cpu::Footprint;
+use super::tile::{Thresholds, TileTrace, rasterize_tile};
+use super::tile_backward::{MOMENTS, TileGrad, TileScratch, rasterize_tile_backward};
+use super::tile_blocks::WIDTH;
 use super::{Layers, PlaneParts, RasterizeSpec};
 use crate::intersect::{IntersectionLists, TILE, TILE_PIXELS, tile_grid};
-use crate::project::{COLUMNS, Ellipse, OPACITY};
-use crate::ray_space::{SHAPE, SLOPES};
+use crate::rasterize_rays::footprint::RayFootprint;
+use crate::ray_space;
 use crate::simd::real::Real;
 use crate::simd::{dispatch, is_f32};
 use crate::tasks;
@@ -20,11 +23,31 @@ use crate::tasks;
 pub(super) const CHUNK: usize = 1024;
 
 /// Values that the forward pass keeps for the backward pass.
-pub(crate) struct Trace<F> {
-    pub(super) footprints: Vec<Footprint<F>>,
+pub(crate) enum Trace<F> {
+    Ellipses(SplatTrace<F, EllipseFootprint<F>>),
+    Rays(SplatTrace<F, RayFootprint<F>>),
+}
+
+/// A trace of one kind of splats.
+pub(crate) struct SplatTrace<F, P> {
+    pub(super) footprints: Vec<P>,
     /// Features and depth of each Gaussian if depth is rendered; otherwise nothing.
     pub(super) colours: Vec<F>,
-    tiles: Vec<TileTrace<F>>,
+    /// Whether all features are finite.
+    pub(super) finite: bool,
+    pub(super) tiles: Vec<TileTrace<F>>,
+}
+
+#[cfg(test)]
+impl<F> Trace<F> {
+    /// For each Gaussian of each tile, a bit for each block that the backward pass evaluates.
+    pub fn reached(&mut self) -> impl Iterator<Item = &mut u16> {
+        let tiles = match self {
+            Self::Ellipses(trace) => &mut trace.tiles,
+            Self::Rays(trace) => &mut trace.tiles,
+        };
+        tiles.iter_mut().flat_map(|tile| &mut tile.reached)
+    }
 }
 
 /// Runs `$body` with the SIMD level of this processor as `$simd` and the number of channels as the constant `$c`, or
@@ -40,7 +63,7 @@ macro_rules! specialised {
             }};
         }
         match ($prepared.channels, $prepared.is_long($tile)) {
-            (1, false) if const { is_f32::<F>() } => with!(1, false),
+            (1, false) if const { is_f32::<F>() && !P::ALONG_RAYS } => with!(1, false),
             (3, false) if const { is_f32::<F>() } => with!(3, false),
             (4, false) if const { is_f32::<F>() } => with!(4, false),
             (_, false) => with!(0, false),
@@ -56,30 +79,40 @@ pub(crate) fn rasterize_cpu<F: Real>(
     intersections: &IntersectionLists,
     keep: bool,
 ) -> (Vec<F>, Option<Trace<F>>) {
-    let prepared = Prepared::new(inputs, spec, intersections, None);
-    let size = PictureSize { pixels: prepared.size, features: inputs.background.len(), depth: spec.options.depth };
-    let (planes, traces) = picture(
-        &size,
-        inputs.background,
-        || (),
-        |(), tile, planes| {
-            let view = prepared.view(tile);
-            let mut trace = TileTrace::default();
-            specialised!(prepared, tile, simd, C, IS_LONG => {
-                let thresholds = Thresholds::<_, F>::new(simd, prepared.thresholds);
-                rasterize_tile::<_, F, C, IS_LONG>(simd, &view, &thresholds, planes, keep.then_some(&mut trace));
-            });
-            trace
-        },
-    );
-    let Prepared { footprints, colours, .. } = prepared;
+    if spec.options.along_rays() {
+        let (planes, trace) = forward(inputs, spec, intersections, keep);
+        (planes, trace.map(Trace::Rays))
+    } else {
+        let (planes, trace) = forward(inputs, spec, intersections, keep);
+        (planes, trace.map(Trace::Ellipses))
+    }
+}
+
+fn forward<F: Real, P: Footprint<F>>(
+    inputs: Layers<&[F]>,
+    spec: &RasterizeSpec,
+    intersections: &IntersectionLists,
+    keep: bool,
+) -> (Vec<F>, Option<SplatTrace<F, P>>) {
+    let prepared = Prepared::<F, P>::new(inputs, spec, intersections, None);
+    let size = PictureSize { pixels: prepared.size, features: inputs.background.len(), depth: prepared.depth };
+    let (planes, tiles) = picture(&size, inputs.background, |tile, planes| {
+        let view = prepared.view(tile);
+        let mut trace = TileTrace::default();
+        specialised!(prepared, tile, simd, C, IS_LONG => {
+            let thresholds = Thresholds::<_, F>::new(simd, prepared.thresholds);
+            rasterize_tile::<_, F, P, C, IS_LONG>(simd, &view, &thresholds, planes, keep.then_some(&mut trace));
+        });
+        trace
+    });
+    let Prepared { footprints, colours, finite, .. } = prepared;
     let colours = if let Cow::Owned(colours) = colours { colours } else { Vec::new() };
-    (planes, keep.then_some(Trace { footprints: footprints.into_owned(), colours, tiles: traces }))
+    (planes, keep.then_some(SplatTrace { footprints: footprints.into_owned(), colours, finite, tiles }))
 }
 
 /// Size of a picture and its numbers of planes.
 #[derive(Clone, Copy)]
-pub(crate) struct PictureSize {
+struct PictureSize {
     /// Width and height, px.
     pub pixels: [usize; 2],
     pub features: usize,
@@ -94,13 +127,12 @@ impl PictureSize {
     }
 }
 
-/// Runs `tile` on all tiles in parallel, each time with the `buffers` of its thread. It writes a tile's sums and, last, its transmittance, `[channels + 1, 256]`. Returns
+/// Runs `tile` on all tiles in parallel. It writes a tile's sums and, last, its transmittance, `[channels + 1, 256]`. Returns
 /// the picture's planes `[C + 1 (+ 1), H, W]` over the background, and the results of `tile`.
-pub(crate) fn picture<F: Real, B: Send, T: Send>(
+fn picture<F: Real, T: Send>(
     size: &PictureSize,
     background: &[F],
-    buffers: impl Fn() -> B + Sync,
-    tile: impl Fn(&mut B, usize, &mut [F]) -> T + Sync,
+    tile: impl Fn(usize, &mut [F]) -> T + Sync,
 ) -> (Vec<F>, Vec<T>) {
     let plane_count = size.channels() + 1;
     let [width, height] = size.pixels;
@@ -114,7 +146,7 @@ pub(crate) fn picture<F: Real, B: Send, T: Send>(
     let rasterize_strip = |y: usize, mut strip: Vec<&mut [F]>| {
         let mut by_tile = vec![F::ZERO; grid[0] * plane_count * TILE_PIXELS];
         let tiles = by_tile.chunks_mut(plane_count * TILE_PIXELS);
-        let results = tasks::map_with(tiles, &buffers, |buffers, x, planes| tile(buffers, y * grid[0] + x, planes));
+        let results = tasks::map_with(tiles, || (), |(), x, planes| tile(y * grid[0] + x, planes));
         compose(&by_tile, background, size, &mut strip);
         results
     };
@@ -168,30 +200,43 @@ pub(crate) fn rasterize_backward_cpu<F: Real>(
             &rebuilt
         }
     };
+    match trace {
+        Trace::Ellipses(trace) => backward(inputs, grad, spec, (intersections, trace), needs),
+        Trace::Rays(trace) => backward(inputs, grad, spec, (intersections, trace), needs),
+    }
+}
+
+fn backward<F: Real, P: Footprint<F>>(
+    inputs: Layers<&[F]>,
+    grad: PlaneParts<&[F]>,
+    spec: &RasterizeSpec,
+    (intersections, trace): (&IntersectionLists, &SplatTrace<F, P>),
+    needs: Layers<bool>,
+) -> Layers<Vec<F>> {
     let prepared = Prepared::new(inputs, spec, intersections, Some(trace));
-    let columns = MOMENTS + prepared.channels + if needs.mean2d_abs { 2 } else { 0 };
+    let columns = MOMENTS + prepared.channels + P::COLUMNS + if needs.mean2d_abs { 2 } else { 0 };
     let features = inputs.background.len();
-    let (rows, background) = tile_rows(intersections, [columns, features], Buffers::default, |buffers, tile, sums| {
+    let (rows, background) = tile_rows(intersections, [columns, features], |buffers, tile, sums| {
         tile_sums(&prepared, inputs.background, grad, &trace.tiles[tile], (tile, sums, needs), buffers)
     });
-    let sums = RowSums { rows: &rows, columns, channels: prepared.channels, unscale: UNWHITEN };
-    let (grads, _) = gather(inputs.projected, features, intersections, &sums, (needs, 0));
+    let ray_columns = if P::ALONG_RAYS { ray_space::columns(&spec.intrinsics) } else { 0 };
+    let sums = RowSums { rows: &rows, columns, channels: prepared.channels, unscale: P::UNSCALE };
+    let grads = gather(inputs.projected, features, intersections, &sums, (needs, ray_columns));
     Layers { background: if needs.background { background } else { Vec::new() }, ..grads }
 }
 
 /// Runs `tile` on each tile's rows, `columns` values per intersection, in parallel. Returns all rows, and the sums of
 /// the `features` values, or none, that `tile` returns.
-pub(crate) fn tile_rows<F: Real, B: Send>(
+fn tile_rows<F: Real>(
     intersections: &IntersectionLists,
     [columns, features]: [usize; 2],
-    buffers: impl Fn() -> B + Sync,
-    tile: impl Fn(&mut B, usize, &mut [F]) -> Vec<F> + Sync,
+    tile: impl Fn(&mut Buffers<F>, usize, &mut [F]) -> Vec<F> + Sync,
 ) -> (Vec<F>, Vec<F>) {
     let mut rows = vec![F::ZERO; intersections.gaussian.len() * columns];
     let mut rest = rows.as_mut_slice();
     let counts = intersections.tile_start.windows(2).map(|ends| ends[1] - ends[0]);
     let of_tile = |count: usize| rest.split_off_mut(..count * columns).expect("as many intersections as their lists");
-    let parts = tasks::map_with(counts.map(of_tile), buffers, tile);
+    let parts = tasks::map_with(counts.map(of_tile), Buffers::default, tile);
     let mut sums = vec![F::ZERO; features];
     for part in parts {
         sums.iter_mut().zip(part).for_each(|(sum, value)| *sum += value);
@@ -207,8 +252,8 @@ struct Buffers<F: Real> {
 }
 
 /// Fills one tile's sums per intersection and returns its share of the background's gradient if it is needed.
-fn tile_sums<F: Real>(
-    prepared: &Prepared<F>,
+fn tile_sums<F: Real, P: Footprint<F>>(
+    prepared: &Prepared<F, P>,
     background: &[F],
     grad: PlaneParts<&[F]>,
     trace: &TileTrace<F>,
@@ -217,7 +262,7 @@ fn tile_sums<F: Real>(
 ) -> Vec<F> {
     let view = prepared.view(tile);
     let features = background.len();
-    let size = PictureSize { pixels: prepared.size, features, depth: prepared.channels > features };
+    let size = PictureSize { pixels: prepared.size, features, depth: prepared.depth };
     let Buffers { grad: of_planes, scratch } = buffers;
     of_planes.read(grad, &size, view.origin, background);
     let wanted = if needs.background { features } else { 0 };
@@ -225,19 +270,20 @@ fn tile_sums<F: Real>(
         return vec![F::ZERO; wanted];
     }
     let TilePlanes { planes, background_rho } = of_planes;
-    let tile_grad = TileGrad { planes, background_rho, trace, absolute: needs.mean2d_abs };
+    let (absolute, finite, depth) = (needs.mean2d_abs, prepared.finite, prepared.depth);
+    let tile_grad = TileGrad { planes, background_rho, trace, absolute, finite, depth };
     let mut transmittance = [F::ZERO; TILE_PIXELS];
     specialised!(prepared, tile, simd, C, IS_LONG => {
         let thresholds = Thresholds::<_, F>::new(simd, prepared.thresholds);
         let out = (sums, &mut transmittance);
-        rasterize_tile_backward::<_, F, C, IS_LONG>(simd, &view, &tile_grad, &thresholds, out, scratch);
+        rasterize_tile_backward::<_, F, P, C, IS_LONG>(simd, &view, &tile_grad, &thresholds, out, scratch);
     });
     of_planes.background_gradient(&transmittance, wanted)
 }
 
 /// Gradients of a tile's planes.
 #[derive(Default)]
-pub(crate) struct TilePlanes<F> {
+struct TilePlanes<F> {
     /// `[channels + 1, 256]`: gradients of the sums `Σ w c` and of alpha; zero outside the picture.
     pub planes: Vec<Plane<F>>,
     /// `[256]`: `g · background`, behind all layers.
@@ -292,140 +338,5 @@ impl<F: Real> TilePlanes<F> {
     pub fn background_gradient(&self, transmittance: &Plane<F>, features: usize) -> Vec<F> {
         let through = |plane: &Plane<F>| plane.iter().zip(transmittance).map(|(&g, t)| g * t.abs()).sum();
         self.planes.iter().take(features).map(through).collect()
-    }
-}
-
-/// Sums over each tile, a row per intersection: the moments, the channels (depth is the last), along rays the gradient of the depth
-/// slope and of the centre's relative depth, and in the last two columns the sums of absolute values if they are wanted.
-pub(crate) struct RowSums<'a, F> {
-    pub rows: &'a [F],
-    pub columns: usize,
-    pub channels: usize,
-    /// The inverse of the factor in `u` and `v`.
-    pub unscale: f64,
-}
-
-/// Adds the sums of each Gaussian's intersections in order and turns them into gradients of its ellipse and `features`
-/// features. With `ray_columns` above zero the Gaussian was seen along rays: the gradient of its shape goes to its row of `ray_space`,
-/// which has as many columns, and the ellipse keeps that of its opacity.
-pub(crate) fn gather<F: Real>(
-    ellipses: &[F],
-    features: usize,
-    intersections: &IntersectionLists,
-    sums: &RowSums<F>,
-    (needs, ray_columns): (Layers<bool>, usize),
-) -> (Layers<Vec<F>>, Vec<F>) {
-    let RowSums { rows, columns, channels, unscale } = *sums;
-    let (count, lists) = (ellipses.len() / COLUMNS, intersections);
-    let zeros = |needed: bool, columns: usize| vec![F::ZERO; if needed { count * columns } else { 0 }];
-    let mut grads = Layers {
-        projected: zeros(needs.projected, COLUMNS),
-        features: zeros(needs.features, features),
-        background: Vec::new(),
-        mean2d_abs: zeros(needs.mean2d_abs, 2),
-    };
-    let mut grad_rays = zeros(true, ray_columns);
-    let of_ellipses = chunks(&mut grads.projected, COLUMNS, count).into_iter();
-    let of_features = chunks(&mut grads.features, features, count);
-    let others = chunks(&mut grads.mean2d_abs, 2, count).into_iter().zip(chunks(&mut grad_rays, ray_columns, count));
-    let parts = of_ellipses.zip(of_features).zip(others);
-    tasks::for_each(parts, |chunk, ((projected, feature), (absolute, ray))| {
-        let mut sum = vec![F::ZERO; columns];
-        let first = chunk * CHUNK;
-        let place = |gaussian: usize| lists.visible.partition_point(|&visible| (visible as usize) < gaussian);
-        for place in place(first)..place(first + CHUNK) {
-            let i = lists.visible[place] as usize - first;
-            let range = lists.visible_start[place] as usize..lists.visible_start[place + 1] as usize;
-            let own = &lists.intersection_of_visible[range];
-            sum.fill(F::ZERO);
-            match columns {
-                RGB_COLUMNS => add_rows_of::<F, RGB_COLUMNS>(rows, own, &mut sum),
-                RGBD_COLUMNS => add_rows_of::<F, RGBD_COLUMNS>(rows, own, &mut sum),
-                RAY_RGB_COLUMNS => add_rows_of::<F, RAY_RGB_COLUMNS>(rows, own, &mut sum),
-                _ => add_rows(rows, own, &mut sum),
-            }
-            let (moments, colours) = sum.split_at(MOMENTS);
-            if needs.projected || ray_columns > 0 {
-                let ellipse = Ellipse::from_row(&ellipses[(first + i) * COLUMNS..]);
-                let depth = if channels > features { colours[features] } else { F::ZERO };
-                let mut grad = ellipse_gradient(&ellipse, moments, depth, unscale).to_row();
-                if ray_columns > 0 {
-                    let ray = &mut ray[i * ray_columns..][..ray_columns];
-                    ray[..SLOPES].copy_from_slice(&colours[channels..channels + SLOPES]);
-                    ray[SLOPES..SLOPES + SHAPE].copy_from_slice(&grad[..SHAPE]);
-                    grad[..OPACITY].fill(F::ZERO);
-                }
-                if needs.projected {
-                    projected[i * COLUMNS..(i + 1) * COLUMNS].copy_from_slice(&grad);
-                }
-            }
-            if needs.features {
-                feature[i * features..(i + 1) * features].copy_from_slice(&colours[..features]);
-            }
-            if needs.mean2d_abs {
-                // Two factors are scaled: a whitened coordinate and an inverse.
-                let unscaled = F::of(unscale * unscale);
-                let sums = absolute[2 * i..2 * i + 2].iter_mut().zip(&sum[columns - 2..]);
-                sums.for_each(|(out, sum)| *out = *sum * unscaled);
-            }
-        }
-    });
-    (grads, grad_rays)
-}
-
-/// Splits a gradient by chunks of Gaussians; a gradient that is not wanted has empty parts.
-fn chunks<F>(grad: &mut [F], columns: usize, count: usize) -> Vec<&mut [F]> {
-    let mut parts: Vec<&mut [F]> = grad.chunks_mut(CHUNK * columns.max(1)).collect();
-    parts.resize_with(count.div_ceil(CHUNK), Default::default);
-    parts
-}
-
-/// Number of columns of the sums for three channels.
-const RGB_COLUMNS: usize = MOMENTS + 3;
-
-/// Number of columns of the sums for three channels and depth.
-const RGBD_COLUMNS: usize = RGB_COLUMNS + 1;
-
-/// Number of columns of the sums for three channels along rays.
-const RAY_RGB_COLUMNS: usize = RGB_COLUMNS + SLOPES;
-
-/// Adds rows of `intersection_sums` to `sum`.
-#[inline(always)]
-fn add_rows<F: Real>(intersection_sums: &[F], rows: &[u32], sum: &mut [F]) {
-    let columns = sum.len();
-    for &row in rows {
-        let row = &intersection_sums[row as usize * columns..(row as usize + 1) * columns];
-        sum.iter_mut().zip(row).for_each(|(sum, &value)| *sum += value);
-    }
-}
-
-/// [`add_rows`] for a length known at compile time: the fewer instructions a row takes, the more rows are fetched at a
-/// time.
-#[inline(always)]
-fn add_rows_of<F: Real, const COLUMNS: usize>(intersection_sums: &[F], rows: &[u32], sum: &mut [F]) {
-    let table = intersection_sums.as_chunks::<COLUMNS>().0;
-    let mut total = [F::ZERO; COLUMNS];
-    for &row in rows {
-        total.iter_mut().zip(&table[row as usize]).for_each(|(sum, &value)| *sum += value);
-    }
-    sum.copy_from_slice(&total);
-}
-
-/// Turns the sums of `h, h u, h v, h u², h u v, h v²` into the gradient of the ellipse. With `e = −(u² + v²)/2`:
-/// `∂e/∂sigma_u = u²/sigma_u`, `∂e/∂sigma_v = v²/sigma_v`, `∂e/∂shear = u v sigma_u/sigma_v`,
-/// `∂e/∂mean = (u/sigma_u − v shear/sigma_v, v/sigma_v)`; and `∂α/∂opacity = α/opacity`.
-fn ellipse_gradient<F: Real>(e: &Ellipse<F>, moments: &[F], grad_depth: F, unscale: f64) -> Ellipse<F> {
-    // `u` and `v` are scaled; a sum has them once or twice as factors.
-    let (once, twice) = (F::of(unscale), F::of(unscale * unscale));
-    let (h, hu, hv) = (moments[0], moments[1] * once, moments[2] * once);
-    let [huu, huv, hvv] = [3, 4, 5].map(|i| moments[i] * twice);
-    let per_v = hv / e.sigma_v;
-    Ellipse {
-        mean_px: [hu / e.sigma_u - e.shear * per_v, per_v],
-        sigma_u: huu / e.sigma_u,
-        shear: huv * (e.sigma_u / e.sigma_v),
-        sigma_v: hvv / e.sigma_v,
-        depth: grad_depth,
-        opacity: h / e.opacity,
     }
 }

@@ -1,50 +1,48 @@
-//! Footprint of a Gaussian in the CPU twin's loops over a tile's pixels: its extent and its whitened coordinates.
+//! The affine ellipse in the CPU twin.
 
 use fearless_simd::prelude::*;
 
-use super::tile::{lanes, len};
-use crate::intersect::TILE;
+use super::Layers;
+use super::pixels::TilePixels;
+use super::splat_cpu::{Footprint, FootprintLanes, FootprintView, PairSums, SplatAt};
 use crate::intersect::extent::{half_extent, widened_limit};
-use crate::project::Ellipse;
+use crate::project::{self, Ellipse};
 use crate::simd::real::Real;
-
-/// Number of pixels along a row of a block.
-pub(crate) const WIDTH: usize = 8;
-
-/// Number of rows of a block. The widest SIMD vectors hold a block's 16 pixels; narrower ones hold a part of it.
-pub(crate) const ROWS: usize = 2;
-
-/// Number of blocks along a row of a tile.
-const COLUMNS: usize = TILE / WIDTH;
-
-/// Number of blocks in a tile.
-pub(crate) const BLOCKS: usize = COLUMNS * (TILE / ROWS);
-const _: () = assert!(COLUMNS == 2 && BLOCKS == u16::BITS as usize);
 
 /// `√(log₂e / 2)`. In whitened coordinates scaled by it, a Gaussian is `2^−(u² + v²)`.
 pub(crate) const WHITEN: f64 = 0.849_321_800_288_019_1;
 
 /// Inverse of [`WHITEN`]. It takes the scale out of a sum again, once for each scaled factor of its terms.
-pub(super) const UNWHITEN: f64 = 1.0 / WHITEN;
+const UNWHITEN: f64 = 1.0 / WHITEN;
 
 /// An ellipse in the form that the loop over pixels multiplies by.
 #[derive(Clone, Copy, Default)]
-pub(super) struct Footprint<F> {
-    pub mean_px: [F; 2],
+pub(crate) struct EllipseFootprint<F> {
+    mean_px: [F; 2],
     /// Scaled by [`WHITEN`], like `inverse_v`.
-    pub inverse_u: F,
-    pub inverse_v: F,
-    pub shear: F,
-    pub opacity: F,
+    inverse_u: F,
+    inverse_v: F,
+    shear: F,
+    opacity: F,
     /// Largest `u² + v²`: beyond it the alpha is certainly below `alpha_min`, or not a number.
-    pub extent: F,
+    extent: F,
     /// Half the width and height of the bounding box, px.
-    pub half: [F; 2],
+    half: [F; 2],
 }
 
-impl<F: Real> Footprint<F> {
-    pub fn new(ellipse: &Ellipse<F>, alpha_min: F) -> Self {
-        let limit = widened_limit(ellipse.opacity, alpha_min);
+impl<F: Real> Footprint<F> for EllipseFootprint<F> {
+    const COLUMNS: usize = 0;
+    const ALONG_RAYS: bool = false;
+    const UNSCALE: f64 = UNWHITEN;
+    type Lanes<S: Simd> = EllipseLanes<S, F>;
+
+    fn read(inputs: &Layers<&[F]>, i: usize, view: &FootprintView<F>) -> Self {
+        let ellipse = Ellipse::from_row(&inputs.projected[i * project::COLUMNS..][..project::COLUMNS]);
+        // Only Gaussians in the lists are read, and those have a positive opacity.
+        if !(ellipse.opacity > F::ZERO) {
+            return Self::default();
+        }
+        let limit = widened_limit(ellipse.opacity, F::of(view.spec.options.alpha_min));
         Self {
             mean_px: ellipse.mean_px,
             inverse_u: F::of(WHITEN) / ellipse.sigma_u,
@@ -52,177 +50,101 @@ impl<F: Real> Footprint<F> {
             shear: ellipse.shear,
             opacity: ellipse.opacity,
             extent: (limit * F::of(WHITEN * WHITEN)).min_of(F::EXP2_MAX),
-            half: half_extent(ellipse, limit),
+            half: half_extent(&ellipse, limit),
         }
     }
-}
 
-/// The blocks of a tile, to be compared with boxes.
-pub(crate) struct TileBlocks<F> {
-    /// For each block the centres of its first and last pixels along x and y, px.
-    first: [[F; BLOCKS]; 2],
-    last: [[F; BLOCKS]; 2],
-}
-
-impl<F: Real> TileBlocks<F> {
-    /// The blocks of the tile whose first pixel is at `corner`, px.
-    pub fn new(corner: [F; 2]) -> Self {
-        let (mut first, mut last) = ([[F::ZERO; BLOCKS]; 2], [[F::ZERO; BLOCKS]; 2]);
-        for block in 0..BLOCKS {
-            let place = [block % COLUMNS * WIDTH, block / COLUMNS * ROWS];
-            for (axis, size) in [WIDTH, ROWS].into_iter().enumerate() {
-                first[axis][block] = corner[axis] + F::of(place[axis] as f64 + 0.5);
-                last[axis][block] = first[axis][block] + F::of((size - 1) as f64);
-            }
-        }
-        Self { first, last }
-    }
-
-    /// Returns a bit for each block whose rectangle of pixels' centres meets the box around `middle`, px, of half the size `half`. A box
-    /// that is not a number meets all.
     #[inline(always)]
-    pub fn met<S: Simd>(&self, simd: S, middle: [F; 2], half: [F; 2]) -> u16 {
-        let (mut low, mut high) = ([F::ZERO; 2], [F::ZERO; 2]);
-        for axis in 0..2 {
-            // The margin covers rounding.
-            let reach = half[axis] + F::of(0.01) + F::of(8.0) * F::EPSILON * (middle[axis].abs() + half[axis]);
-            (low[axis], high[axis]) = (middle[axis] - reach, middle[axis] + reach);
-        }
-        let mut met = 0;
-        for block in (0..BLOCKS).step_by(len::<S, F>()) {
-            let mut apart = lanes(simd, &self.last[0], block).simd_lt(F::Block::<S>::splat(simd, low[0]));
-            apart |= lanes(simd, &self.first[0], block).simd_gt(F::Block::<S>::splat(simd, high[0]));
-            apart |= lanes(simd, &self.last[1], block).simd_lt(F::Block::<S>::splat(simd, low[1]));
-            apart |= lanes(simd, &self.first[1], block).simd_gt(F::Block::<S>::splat(simd, high[1]));
-            met |= ((!apart).to_bitmask() as u16) << block;
-        }
-        met
+    fn bounds(&self) -> [[F; 2]; 2] {
+        [self.mean_px, self.half]
     }
-}
 
-/// Rectangle within a tile, in rows and columns of blocks.
-#[derive(Clone, Copy)]
-pub(super) struct TileWindow {
-    pub first_row: usize,
-    pub end_row: usize,
-    pub first_column: usize,
-    pub end_column: usize,
-}
-
-impl TileWindow {
-    /// Returns the smallest rectangle that holds the blocks with a bit.
     #[inline(always)]
-    pub fn around(blocks: u16) -> Self {
-        const FIRST_COLUMN: u16 = 0x5555;
-        let rows_before = |bits: u32| bits as usize / COLUMNS * ROWS;
-        Self {
-            first_row: rows_before(blocks.trailing_zeros()),
-            end_row: rows_before(u16::BITS - blocks.leading_zeros() + COLUMNS as u32 - 1),
-            first_column: usize::from(blocks & FIRST_COLUMN == 0),
-            end_column: if blocks & !FIRST_COLUMN == 0 { 1 } else { COLUMNS },
+    fn lanes<S: Simd>(&self, simd: S, top: F) -> EllipseLanes<S, F> {
+        let lanes = |value| F::Block::<S>::splat(simd, value);
+        EllipseLanes {
+            mean_x: lanes(self.mean_px[0]),
+            rise: lanes(top + F::of(0.5) - self.mean_px[1]),
+            inverse_u: lanes(self.inverse_u),
+            inverse_v: lanes(self.inverse_v),
+            shear: lanes(self.shear),
+            slope: lanes(self.inverse_v * self.shear),
+            opacity: lanes(self.opacity),
+            extent: lanes(self.extent),
         }
     }
 }
 
-/// A Gaussian's constants, one copy in each lane.
-#[derive(Clone, Copy)]
-pub(super) struct FootprintSimd<S: Simd, F: Real> {
-    pub footprint: Footprint<F>,
+/// An ellipse's constants for a tile.
+pub(crate) struct EllipseLanes<S: Simd, F: Real> {
     mean_x: F::Block<S>,
     /// Offset along y of the centres of the tile's first row from the mean, px.
     rise: F::Block<S>,
-    pub inverse_u: F::Block<S>,
-    pub inverse_v: F::Block<S>,
+    inverse_u: F::Block<S>,
+    inverse_v: F::Block<S>,
     shear: F::Block<S>,
-    pub opacity: F::Block<S>,
-    pub extent: F::Block<S>,
+    /// `inverse_v` times the shear.
+    slope: F::Block<S>,
+    opacity: F::Block<S>,
+    extent: F::Block<S>,
 }
 
-impl<S: Simd, F: Real> FootprintSimd<S, F> {
-    /// Constants of a Gaussian for the tile whose upper border is at `top` px.
-    #[inline(always)]
-    pub fn new(simd: S, footprint: Footprint<F>, top: F) -> Self {
-        let lanes = |value| F::Block::<S>::splat(simd, value);
-        Self {
-            footprint,
-            mean_x: lanes(footprint.mean_px[0]),
-            rise: lanes(top + F::of(0.5) - footprint.mean_px[1]),
-            inverse_u: lanes(footprint.inverse_u),
-            inverse_v: lanes(footprint.inverse_v),
-            shear: lanes(footprint.shear),
-            opacity: lanes(footprint.opacity),
-            extent: lanes(footprint.extent),
-        }
-    }
-
-    /// Returns the values of the pixels with centres `x`, px, that do not depend on their rows.
-    #[inline(always)]
-    pub fn column(&self, x: F::Block<S>) -> Column<S, F> {
-        let dx = x - self.mean_x;
-        let u = dx * self.inverse_u;
-        Column { dx, u, square: u * u }
-    }
-
-    /// Returns `v`, scaled by [`WHITEN`], of the pixels of `column` on the rows `row` of the tile.
-    #[inline(always)]
-    pub fn v(&self, column: &Column<S, F>, row: F::Block<S>) -> F::Block<S> {
-        // The sum comes before the scaling, so that `v` is exactly zero at the mean.
-        (-self.shear).mul_add(column.dx, self.rise + row) * self.inverse_v
-    }
-}
-
-/// Values of a Gaussian at a vector of pixels that do not depend on their rows.
-#[derive(Clone, Copy)]
-pub(super) struct Column<S: Simd, F: Real> {
+/// Values of an ellipse at a vector of pixels that do not depend on their rows.
+pub(crate) struct EllipseColumn<S: Simd, F: Real> {
     /// Scaled by [`WHITEN`].
-    pub u: F::Block<S>,
+    u: F::Block<S>,
     /// `u²`
-    pub square: F::Block<S>,
+    square: F::Block<S>,
     dx: F::Block<S>,
 }
 
-#[cfg(test)]
-mod tests {
+impl<S: Simd, F: Real> FootprintLanes<S, F> for EllipseLanes<S, F> {
+    type Column = EllipseColumn<S, F>;
+    /// `u` and `v`, scaled by [`WHITEN`].
+    type Point = [F::Block<S>; 2];
 
-    use super::*;
-    use crate::rasterize::tile::BLOCK;
-    use crate::simd::dispatch;
-    use crate::testing::random::Random;
-
-    fn met<F: Real>(corner: [f64; 2], middle: [f64; 2], half: [f64; 2]) -> u16 {
-        let [corner, middle, half] = [corner, middle, half].map(|pair| pair.map(F::of));
-        dispatch!(F, simd => TileBlocks::new(corner).met(simd, middle, half))
+    #[inline(always)]
+    fn opacity(&self) -> F::Block<S> {
+        self.opacity
     }
 
-    /// Boxes in, around and beside a tile against its pixels.
-    #[test]
-    fn a_box_meets_the_blocks_whose_pixels_it_holds() {
-        let mut random = Random::new(5);
-        let corner = [32.0, 64.0];
-        for _ in 0..2_000 {
-            let mut pair = |low, high| [random.between(low, high), random.between(low, high)];
-            let (at, half) = (pair(-12.0, 28.0), pair(0.0, 12.0));
-            let middle = [corner[0] + at[0], corner[1] + at[1]];
-            let holds = |pixel: [usize; 2], margin: f64| {
-                (0..2).all(|axis| (corner[axis] + pixel[axis] as f64 + 0.5 - middle[axis]).abs() <= half[axis] + margin)
-            };
-            for found in [met::<f32>(corner, middle, half), met::<f64>(corner, middle, half)] {
-                let (window, mut expected) = (TileWindow::around(found), 0);
-                for block in 0..BLOCKS {
-                    let [x, y] = [block % COLUMNS * WIDTH, block / COLUMNS * ROWS];
-                    let any = |margin| (0..BLOCK).any(|i| holds([x + i % WIDTH, y + i / WIDTH], margin));
-                    let is_met = found >> block & 1 == 1;
-                    assert!(is_met || !any(0.0), "{middle:?} ± {half:?} misses block {block}");
-                    // A box may lie between the centres of two pixels.
-                    assert!(!is_met || any(0.52), "{middle:?} ± {half:?} meets block {block}");
-                    let column = (window.first_column..window.end_column).contains(&(block % COLUMNS));
-                    let row = (window.first_row..window.end_row).contains(&y);
-                    expected |= u16::from(column && row) << block;
-                }
-                assert_eq!(found, expected, "the blocks of a box are a rectangle");
-            }
+    #[inline(always)]
+    fn column(&self, x: F::Block<S>) -> EllipseColumn<S, F> {
+        let dx = x - self.mean_x;
+        let u = dx * self.inverse_u;
+        EllipseColumn { dx, u, square: u * u }
+    }
+
+    #[inline(always)]
+    fn at(&self, column: &EllipseColumn<S, F>, pixels: &TilePixels<F>, place: usize) -> SplatAt<S, F, Self::Point> {
+        let row = pixels.rows(self.mean_x.token(), place);
+        // The sum comes before the scaling, so that `v` is exactly zero at the mean.
+        let v = (-self.shear).mul_add(column.dx, self.rise + row) * self.inverse_v;
+        let exponent = v.mul_add(v, column.square);
+        SplatAt { exponent, near: exponent.simd_le(self.extent), depth_factor: exponent, point: [column.u, v] }
+    }
+
+    #[inline(always)]
+    fn add(
+        &self,
+        sums: &mut PairSums<S, F>,
+        [u, v]: &[F::Block<S>; 2],
+        h: F::Block<S>,
+        _: Option<F::Block<S>>,
+        absolute: bool,
+    ) {
+        let (u, v) = (*u, *v);
+        let (hu, hv) = (h * u, h * v);
+        let moments = &mut sums.moments;
+        moments[0] += h;
+        moments[1] += hu;
+        moments[2] += hv;
+        moments[3] = hu.mul_add(u, moments[3]);
+        moments[4] = hu.mul_add(v, moments[4]);
+        moments[5] = hv.mul_add(v, moments[5]);
+        if absolute {
+            sums.absolute[0] += (hu * self.inverse_u - hv * self.slope).abs();
+            sums.absolute[1] += (hv * self.inverse_v).abs();
         }
-        assert_eq!(met::<f32>(corner, [f64::NAN; 2], [1.0; 2]), u16::MAX);
-        assert_eq!(met::<f32>(corner, [0.0; 2], [1e30; 2]), u16::MAX);
     }
 }

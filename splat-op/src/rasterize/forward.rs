@@ -1,18 +1,18 @@
 //! Forward kernel of `rasterize`: a cube per tile, a unit per pixel.
 //!
 //! The places of a tile are passed in segments of four buckets. Two units load each Gaussian of a segment and find the
-//! blocks of pixels that its ellipse meets. These are bits of a word per bucket and block. The units of a block then go
+//! blocks of pixels that may see it. These are bits of a word per bucket and block. The units of a block then go
 //! through the bits of their word alone, so a block evaluates no Gaussian that passes by it, in the order of the places.
 
 use cubecl::prelude::*;
 
-use super::blocks::{BLOCK, BLOCKS, HALF, blocks_met, pixel_of};
+use super::blocks::{BLOCK, BLOCKS, HALF, pixel_of};
 use super::layer::{
-    BUCKET, BUCKETS, FOOTPRINT, Four, KernelShape, LayerEllipse, RasterFrame, SEGMENT, TilePixel, add_compensated,
-    colour, colours_of, first_slot, layer, lost_after_bucket, tile_origin, transmittance_after_bucket,
+    BUCKET, BUCKETS, Four, KernelShape, RasterFrame, SEGMENT, TilePixel, add_compensated, first_slot, layer,
+    lost_after_bucket, tile_origin, transmittance_after_bucket,
 };
+use super::splat::{Splat, SplatInputs, colour, colours_of};
 use super::trace::TileRun;
-use crate::intersect::forward::TileLists;
 use crate::intersect::{TILE, TILE_PIXELS};
 
 /// Number of words of a segment.
@@ -31,11 +31,9 @@ pub(super) const PAIR_COUNTS: usize = 3;
 ///
 /// The transmittance of a finished pixel is negated. A pixel outside the picture is finished from the start.
 #[cube(launch_unchecked)]
-pub(super) fn rasterize_forward_kernel(
-    projected: &[f32],
-    features: &[f32],
+pub(super) fn rasterize_forward_kernel<S: Splat>(
+    inputs: SplatInputs,
     background: &[f32],
-    lists: TileLists,
     planes: &mut [f32],
     kept: &mut [f32],
     kept_words: &mut [u32],
@@ -52,25 +50,25 @@ pub(super) fn rasterize_forward_kernel(
     let channels = comptime!(shape.channels());
     let few = comptime!(shape.few());
     let tile = run.first_tile + CUBE_POS as u32;
-    let mut ellipses = Shared::<[Four]>::new_slice(comptime!(SEGMENT * FOOTPRINT));
+    let mut splats = Shared::<[Four]>::new_slice(comptime!(SEGMENT * S::VECTORS));
     let mut colours = Shared::<[Four]>::new_slice(comptime!(if few { SEGMENT } else { 1 }));
     let mut gaussians = Shared::<[u32]>::new_slice(comptime!(if few { 1 } else { SEGMENT }));
-    // Places whose ellipse meets the block, places that some pixel of the block needs, and evaluations of a block's
+    // Places that the block may see, places that some pixel of the block needs, and evaluations of a block's
     // slowest pixel.
     let met = Shared::<[Atomic<u32>]>::new_slice(comptime!(WORDS));
     let needed = Shared::<[Atomic<u32>]>::new_slice(comptime!(WORDS));
     let slowest = Shared::<[Atomic<u32>]>::new_slice(comptime!(if count_pairs { WORDS } else { 1 }));
-    let mut anybody = Shared::<[u32]>::new_slice(1usize);
+    let anybody = Shared::<[Atomic<u32>]>::new_slice(1usize);
     // What rounding took from each pixel's sums. A pixel needs it once per segment: it takes no register in between.
     let mut lost_sums = Shared::<[f32]>::new_slice(comptime!(if few { channels * TILE_PIXELS } else { 1 }));
 
     if tile < run.end_tile {
         let unit = UNIT_POS;
         let block = unit / comptime!(BLOCK as u32);
-        let pixel = TilePixel::of(tile_origin(tile, &frame), pixel_of(unit), &frame);
+        let pixel = TilePixel::of(tile_origin(tile, &frame), pixel_of(unit), &inputs, &frame);
         let left = f32::cast_from(tile % frame.tiles_x * comptime!(TILE as u32)) + 0.5;
-        let first = lists.start(tile);
-        let end = lists.start(tile + 1);
+        let first = inputs.lists.start(tile);
+        let end = inputs.lists.start(tile + 1);
         let places = end - first;
         let slot = first_slot(first, tile) - run.first_slot;
         if comptime!(keep) {
@@ -113,17 +111,17 @@ pub(super) fn rasterize_forward_kernel(
             let half = unit / comptime!(SEGMENT as u32);
             let place = segment * comptime!(SEGMENT as u32) + i;
             if place < places {
-                let gaussian = lists.gaussian(first + place);
-                let ellipse = LayerEllipse::of(projected, gaussian as usize, pixel.top);
+                let gaussian = inputs.lists.gaussian(first + place);
+                let splat = S::of(&inputs, gaussian as usize, pixel.top, &frame);
                 if half == 0 {
-                    ellipse.store(&mut ellipses, i as usize);
+                    S::store(&splat, &mut splats, i as usize);
                     if comptime!(!few) {
                         gaussians[i as usize] = gaussian;
                     }
                 } else if comptime!(few) {
-                    colours[i as usize] = colours_of(projected, features, gaussian as usize, shape);
+                    colours[i as usize] = colours_of::<S>(&inputs, gaussian as usize, shape);
                 }
-                let bits = blocks_met(ellipse, left, half, &frame);
+                let bits = S::blocks_met(&splat, left, half, &frame);
                 let word = i / comptime!(BUCKET as u32) * comptime!(BLOCKS as u32) + half * comptime!(HALF as u32);
                 let bit = 1u32 << (i % comptime!(BUCKET as u32));
                 #[unroll]
@@ -134,7 +132,7 @@ pub(super) fn rasterize_forward_kernel(
                 }
             }
             if unit == 0 {
-                anybody[0] = 0u32;
+                anybody[0].store(0u32);
             }
             sync_cube();
 
@@ -162,7 +160,7 @@ pub(super) fn rasterize_forward_kernel(
                     word &= word - 1;
                     passed += 1;
                     let place = (bucket * comptime!(BUCKET as u32) + i) as usize;
-                    let value = LayerEllipse::load(&ellipses, place).alpha(pixel.x, pixel.row, &frame);
+                    let (value, depth) = S::seen(&S::load(&splats, place, &inputs), &pixel, &frame);
                     let (alpha, next, stops) = layer(value, through, stopped, before, frame.transmittance_min);
                     let weight = alpha * (before * through);
                     through = next;
@@ -172,16 +170,20 @@ pub(super) fn rasterize_forward_kernel(
                     if through < 0.0 {
                         word = 0u32;
                     }
-                    if comptime!(few) {
-                        let all = colours[place];
-                        #[unroll]
-                        for channel in 0..channels {
-                            own[channel] += weight * all.extract(channel);
-                        }
-                    } else if alpha > 0.0 {
-                        let gaussian = gaussians[place] as usize;
-                        for channel in 0..channels {
-                            own[channel] += weight * colour(projected, features, gaussian, channel, shape);
+                    // A feature may be infinite or undefined, and zero times it would be undefined.
+                    if alpha > 0.0 {
+                        if comptime!(few) {
+                            let all = colours[place];
+                            #[unroll]
+                            for channel in 0..channels {
+                                let along_ray = comptime!(S::ALONG_RAYS && channel == shape.features);
+                                own[channel] += weight * if along_ray { depth } else { all.extract(channel) };
+                            }
+                        } else {
+                            let gaussian = gaussians[place] as usize;
+                            for channel in 0..channels {
+                                own[channel] += weight * colour::<S>(&inputs, gaussian, channel, depth, shape);
+                            }
                         }
                     }
                     if comptime!(count_pairs) {
@@ -213,7 +215,7 @@ pub(super) fn rasterize_forward_kernel(
                 }
             }
             if transmittance >= 0.0 {
-                anybody[0] = 1u32;
+                anybody[0].fetch_or(1u32);
                 let (sum, lost_sum) = add_compensated(transmittance, lost, 0.0f32);
                 transmittance = sum;
                 lost = lost_sum;
@@ -236,8 +238,9 @@ pub(super) fn rasterize_forward_kernel(
                 needed[unit as usize].store(0u32);
             }
             segment += 1;
-            running = anybody[0] != 0 && segment * comptime!(SEGMENT as u32) < places;
-            sync_cube();
+            // With barriers before and after the load.
+            let others = workgroup_uniform_load_atomic(&anybody[0]);
+            running = others != 0 && segment * comptime!(SEGMENT as u32) < places;
         }
 
         if comptime!(keep) {

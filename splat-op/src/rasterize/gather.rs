@@ -1,4 +1,4 @@
-//! Last kernel of the backward pass: rows of sums to gradients. `rasterize_rays` shares it.
+//! Last kernel of the backward pass: rows of sums to gradients.
 
 use cubecl::prelude::*;
 

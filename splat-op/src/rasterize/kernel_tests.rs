@@ -1,8 +1,7 @@
 //! Tests of the kernels of `rasterize` against the CPU twin in f64, within the rounding of f32.
 
-use super::backward::row_len;
 use super::cpu::{rasterize_backward_cpu, rasterize_cpu};
-use super::launch::{launch_rasterize, launch_rasterize_backward};
+use super::launch::{columns_of, launch_rasterize, launch_rasterize_backward};
 use super::layer::KernelShape;
 use super::rows::Rows;
 use super::{Layers, PlaneParts, RasterizeSpec};
@@ -18,7 +17,8 @@ use crate::testing::ellipses::ellipses;
 use crate::testing::gpu::{gpu, gpus};
 use crate::testing::random::Random;
 
-pub(super) const ALL: Layers<bool> = Layers { projected: true, features: true, background: true, mean2d_abs: true };
+pub(super) const ALL: Layers<bool> =
+    Layers { projected: true, features: true, background: true, mean2d_abs: true, ray_space: false };
 
 #[derive(Clone)]
 pub(super) struct StageInputs {
@@ -60,7 +60,8 @@ impl StageInputs {
     }
 
     fn inputs(&self) -> Layers<&'_ [f64]> {
-        Layers { projected: &self.projected, features: &self.features, background: &self.background, mean2d_abs: &[] }
+        let Self { projected, features, background, .. } = self;
+        Layers { projected, features, background, ..Layers::default() }
     }
 
     fn planes(&self) -> Vec<f64> {
@@ -107,6 +108,7 @@ impl StageInputs {
             features: buffer(&self.features),
             background: buffer(&self.background),
             mean2d_abs: Buffer::new(gpu, 0),
+            ray_space: Buffer::new(gpu, 0),
         }
     }
 
@@ -225,7 +227,8 @@ fn only_what_is_needed() {
     let all = [all.projected, all.features, all.background, all.mean2d_abs].map(|b| b.expect("asked for").read(&gpu));
     for mask in 0..16_usize {
         let bit = |i: usize| mask >> i & 1 == 1;
-        let needs = Layers { projected: bit(0), features: bit(1), background: bit(2), mean2d_abs: bit(3) };
+        let needs =
+            Layers { projected: bit(0), features: bit(1), background: bit(2), mean2d_abs: bit(3), ray_space: false };
         let some = scene.on(&gpu, &grad, needs).1;
         let some = [some.projected, some.features, some.background, some.mean2d_abs];
         for (i, some) in some.into_iter().enumerate() {
@@ -296,8 +299,11 @@ fn buffers_in_several_parts_change_nothing() {
             let trace = trace.expect("asked for");
             let grads = launch_rasterize_backward(&limited, &inputs, &grad, &lists, &trace, spec, ALL);
             let grads = [grads.projected, grads.features, grads.background, grads.mean2d_abs];
-            let parts =
-                Rows::of_intersections(&limited, &lists, row_len(KernelShape::of(channels, &spec.options), true));
+            let parts = Rows::of_intersections(
+                &limited,
+                &lists,
+                columns_of(KernelShape::of(channels, &spec.options), spec, true),
+            );
             let grads = grads.map(|grad| grad.expect("asked for").read(&gpu));
             ([trace.runs(), parts.len()], planes.read(&gpu), grads)
         };

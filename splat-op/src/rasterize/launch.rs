@@ -4,13 +4,17 @@ use cubecl::prelude::*;
 
 use super::backward::{LANES, rasterize_backward_kernel, row_len};
 use super::backward_planes::{PLANES, rasterize_backward_planes_kernel, shared_bytes};
+use super::ellipse::LayerEllipse;
 use super::forward::{PAIR_COUNTS, rasterize_forward_kernel};
 use super::gather::rasterize_gather_kernel;
 use super::layer::{KernelShape, RasterFrameLaunch};
 use super::rows::Rows;
+use super::segment::{KeptTraceLaunch, SegmentRangeLaunch};
+use super::splat::{Splat, SplatInputsLaunch};
 use super::suffix::rasterize_suffix_kernel;
 use super::trace::{DeviceTrace, TraceRun, runs_of};
 use super::{Layers, RasterizeSpec};
+use crate::camera::{Intrinsics, PictureRays};
 use crate::counters::pairs_are_counted;
 use crate::gpu::reduce::launch_column_sums;
 use crate::gpu::{Buffer, Gpu, cubes, elementwise};
@@ -18,12 +22,14 @@ use crate::intersect::launch::DeviceIntersections;
 use crate::intersect::{TILE_PIXELS, tile_grid};
 use crate::options::Accumulation;
 use crate::project::COLUMNS;
+use crate::rasterize_rays::layer::RayGaussian;
+use crate::ray_space;
 
 /// Natural logarithm below that of the least positive f32, half of which rounds to zero.
 const LOG_SMALLEST: f32 = -104.0;
 
 /// Returns the picture and the thresholds as a kernel argument.
-pub(crate) fn frame(spec: &RasterizeSpec) -> RasterFrameLaunch {
+pub(super) fn frame(spec: &RasterizeSpec) -> RasterFrameLaunch {
     let (camera, options) = (&spec.intrinsics, &spec.options);
     let [tiles_x, _] = tile_grid(camera.width, camera.height);
     let [width, height, tiles_x] = [camera.width, camera.height, tiles_x].map(|size| size as u32);
@@ -34,6 +40,45 @@ pub(crate) fn frame(spec: &RasterizeSpec) -> RasterFrameLaunch {
     RasterFrameLaunch::new(width, height, tiles_x, alpha_min, options.alpha_max as f32, least, log_least)
 }
 
+/// The Gaussians of a view on the device.
+struct DeviceSplats<'a> {
+    inputs: &'a Layers<Buffer<f32>>,
+    lists: &'a DeviceIntersections,
+    /// Whether they are seen along rays, and the slopes of the rays of a camera with a lens, `[H, W, 2]`.
+    along_rays: bool,
+    slopes: Option<Buffer<f32>>,
+}
+
+impl<'a> DeviceSplats<'a> {
+    fn new(gpu: &Gpu, inputs: &'a Layers<Buffer<f32>>, lists: &'a DeviceIntersections, spec: &RasterizeSpec) -> Self {
+        let along_rays = spec.options.along_rays();
+        let slopes = if along_rays { slopes(gpu, &spec.intrinsics) } else { None };
+        Self { inputs, lists, along_rays, slopes }
+    }
+
+    fn arg(&self) -> SplatInputsLaunch {
+        let Layers { projected, features, ray_space, .. } = self.inputs;
+        let ray_space = self.along_rays.then(|| ray_space.arg());
+        let slopes = self.slopes.as_ref().map(Buffer::arg);
+        SplatInputsLaunch::new(projected.arg(), features.arg(), ray_space.into(), slopes.into(), self.lists.arg())
+    }
+}
+
+/// Uploads the slopes of the rays of a camera with a lens.
+fn slopes(gpu: &Gpu, camera: &Intrinsics) -> Option<Buffer<f32>> {
+    let rays = PictureRays::of(camera)?;
+    let slopes: Vec<f32> = rays.slopes.as_flattened().iter().map(|slope| *slope as f32).collect();
+    Some(Buffer::from_slice(gpu, &slopes))
+}
+
+/// Number of values of an intersection's row of sums.
+pub(crate) fn columns_of(shape: KernelShape, spec: &RasterizeSpec, absolute: bool) -> usize {
+    match spec.options.along_rays() {
+        true => row_len::<RayGaussian>(shape, absolute),
+        false => row_len::<LayerEllipse>(shape, absolute),
+    }
+}
+
 /// Runs the forward pass. Returns the planes `[C + 1 (+ 1), H, W]`, and the trace if `keep` is set.
 pub(crate) fn launch_rasterize(
     gpu: &Gpu,
@@ -42,7 +87,21 @@ pub(crate) fn launch_rasterize(
     spec: &RasterizeSpec,
     keep: bool,
 ) -> (Buffer<f32>, Option<DeviceTrace>) {
+    match spec.options.along_rays() {
+        true => launch_forward::<RayGaussian>(gpu, inputs, lists, spec, keep),
+        false => launch_forward::<LayerEllipse>(gpu, inputs, lists, spec, keep),
+    }
+}
+
+fn launch_forward<S: Splat>(
+    gpu: &Gpu,
+    inputs: &Layers<Buffer<f32>>,
+    lists: &DeviceIntersections,
+    spec: &RasterizeSpec,
+    keep: bool,
+) -> (Buffer<f32>, Option<DeviceTrace>) {
     let (shape, tiles) = (KernelShape::of(inputs.background.len, &spec.options), lists.counts.len);
+    let splats = DeviceSplats::new(gpu, inputs, lists, spec);
     let planes = Buffer::new(gpu, spec.planes(shape.features) * spec.intrinsics.width * spec.intrinsics.height);
     let kept_tiles = if keep { tiles } else { 0 };
     let count_pairs = keep && pairs_are_counted();
@@ -57,14 +116,12 @@ pub(crate) fn launch_rasterize(
         // SAFETY: places, intersections and Gaussians come from the lists, which hold none out of range; pixels are
         // guarded; a run has the slots of all its tiles.
         unsafe {
-            rasterize_forward_kernel::launch_unchecked(
+            rasterize_forward_kernel::launch_unchecked::<S>(
                 &gpu.client,
                 cubes(run.slots.tiles.len()),
                 CubeDim::new_1d(TILE_PIXELS as u32),
-                inputs.projected.arg(),
-                inputs.features.arg(),
+                splats.arg(),
                 inputs.background.arg(),
-                lists.arg(),
                 planes.arg(),
                 run.kept.arg(),
                 run.words.arg(),
@@ -99,11 +156,9 @@ pub(crate) fn launch_rasterize_backward(
     let shape = KernelShape::of(inputs.background.len, &spec.options);
     let alone = grad.len == shape.features * camera.width * camera.height;
     debug_assert!(!(alone && shape.depth), "where depth is rendered, the gradient has all planes");
-    // Only what lies behind the segments depends on the gradient of alpha.
-    let suffix_shape = KernelShape { grad_alpha: !alone, ..shape };
     let background = Buffer::if_needed(gpu, needs.background, lists.counts.len * shape.features);
-    let rows_needed = needs.projected || needs.features || needs.mean2d_abs;
-    let columns = row_len(shape, needs.mean2d_abs);
+    let rows_needed = needs.projected || needs.ray_space || needs.features || needs.mean2d_abs;
+    let columns = columns_of(shape, spec, needs.mean2d_abs);
     let ordered = spec.options.accumulation == Accumulation::Ordered;
     let rows = match (rows_needed, ordered) {
         (false, _) => Vec::new(),
@@ -113,112 +168,151 @@ pub(crate) fn launch_rasterize_backward(
             vec![Rows::of_gaussians(lists, count, Buffer::zeros(gpu, count * columns))]
         }
     };
-    let unused: Buffer<f32> = Buffer::new(gpu, 0);
-    for run in &trace.runs {
-        let slots = run.slots.slots.len();
-        let suffix_rho: Buffer<f32> = Buffer::with_headroom(gpu, slots * TILE_PIXELS);
-        // SAFETY: as in the forward pass; slots are those that the forward pass wrote.
-        unsafe {
-            rasterize_suffix_kernel::launch_unchecked(
-                &gpu.client,
-                cubes(run.slots.tiles.len()),
-                CubeDim::new_1d(TILE_PIXELS as u32),
-                inputs.projected.arg(),
-                inputs.features.arg(),
-                inputs.background.arg(),
-                grad.arg(),
-                lists.arg(),
-                run.kept.arg(),
-                run.words.arg(),
-                trace.final_transmittance.arg(),
-                trace.segment_count.arg(),
-                suffix_rho.arg(),
-                background.as_ref().map(Buffer::arg).into(),
-                frame(spec),
-                run.slots.arg(),
-                suffix_shape,
-            );
+    let splats = DeviceSplats::new(gpu, inputs, lists, spec);
+    let absolute = needs.mean2d_abs;
+    let task = LayersTask { gpu, splats, grad, trace, spec, shape, alone, rows: &rows, columns, absolute, ordered };
+    match spec.options.along_rays() {
+        true => task.launch::<RayGaussian>(&background),
+        false => task.launch::<LayerEllipse>(&background),
+    }
+    let background = background.map(|rows| launch_column_sums(gpu, &rows, shape.features));
+    match rows_needed {
+        true => Layers { background, ..launch_gather(gpu, inputs, lists, (&rows, columns), spec, needs) },
+        false => Layers { background, ..Layers::default() },
+    }
+}
+
+/// What the launches over the layers share.
+struct LayersTask<'a> {
+    gpu: &'a Gpu,
+    splats: DeviceSplats<'a>,
+    grad: &'a Buffer<f32>,
+    trace: &'a DeviceTrace,
+    spec: &'a RasterizeSpec,
+    shape: KernelShape,
+    /// Whether the planes of the features alone have a gradient.
+    alone: bool,
+    rows: &'a [Rows],
+    columns: usize,
+    /// Whether the sums of absolute values are wanted.
+    absolute: bool,
+    ordered: bool,
+}
+
+impl LayersTask<'_> {
+    /// Fills the rows, and each tile's share of the gradient of the background.
+    fn launch<S: Splat>(&self, background: &Option<Buffer<f32>>) {
+        let Self { gpu, splats, trace, shape, .. } = self;
+        // Only what lies behind the segments depends on the gradient of alpha.
+        let suffix_shape = KernelShape { grad_alpha: !self.alone, ..*shape };
+        for run in &trace.runs {
+            let suffix_rho: Buffer<f32> = Buffer::with_headroom(gpu, run.slots.slots.len() * TILE_PIXELS);
+            // SAFETY: as in the forward pass; slots are those that the forward pass wrote.
+            unsafe {
+                rasterize_suffix_kernel::launch_unchecked::<S>(
+                    &gpu.client,
+                    cubes(run.slots.tiles.len()),
+                    CubeDim::new_1d(TILE_PIXELS as u32),
+                    splats.arg(),
+                    splats.inputs.background.arg(),
+                    self.grad.arg(),
+                    run.kept.arg(),
+                    run.words.arg(),
+                    trace.final_transmittance.arg(),
+                    trace.segment_count.arg(),
+                    suffix_rho.arg(),
+                    background.as_ref().map(Buffer::arg).into(),
+                    frame(self.spec),
+                    run.slots.arg(),
+                    suffix_shape,
+                );
+            }
+            self.rows.iter().for_each(|rows| self.launch_layers::<S>(run, &suffix_rho, rows));
         }
-        for Rows { intersections, sums, .. } in &rows {
-            let (written, added) = if ordered { (sums, &unused) } else { (&unused, sums) };
-            // SAFETY: as above; a row belongs to an intersection or a Gaussian of the lists.
-            macro_rules! launch {
-                ($kernel:ident, $cell:ty, $dim:expr $(, $planes:expr, $direct:expr)?) => {
-                    unsafe {
-                        $kernel::launch_unchecked::<$cell>(
-                            &gpu.client,
-                            cubes(slots),
-                            CubeDim::new_1d($dim as u32),
-                            inputs.projected.arg(),
-                            inputs.features.arg(),
-                            grad.arg(),
-                            lists.arg(),
+    }
+
+    /// Fills those of the rows that a run has.
+    fn launch_layers<S: Splat>(&self, run: &TraceRun, suffix_rho: &Buffer<f32>, rows: &Rows) {
+        let Self { gpu, ref splats, trace, shape, columns, absolute, ordered, .. } = *self;
+        let (slots, add) = (run.slots.slots.len(), !ordered);
+        let unused: Buffer<f32> = Buffer::new(gpu, 0);
+        let (written, added) = if ordered { (&rows.sums, &unused) } else { (&unused, &rows.sums) };
+        // SAFETY: as above; a row belongs to an intersection or a Gaussian of the lists.
+        macro_rules! launch {
+            ($kernel:ident::<$($cell:ty),+>, $dim:expr $(, $planes:expr, $direct:expr)?) => {
+                unsafe {
+                    $kernel::launch_unchecked::<$($cell),+>(
+                        &gpu.client,
+                        cubes(slots),
+                        CubeDim::new_1d($dim as u32),
+                        splats.arg(),
+                        self.grad.arg(),
+                        KeptTraceLaunch::new(
                             run.kept.arg(),
                             run.words.arg(),
                             run.tile_of_slot.arg(),
                             trace.segment_count.arg(),
                             suffix_rho.arg(),
-                            written.arg(),
-                            added.arg(),
-                            frame(spec),
+                        ),
+                        written.arg(),
+                        added.arg(),
+                        frame(self.spec),
+                        SegmentRangeLaunch::new(
                             run.slots.arg(),
                             slots as u32,
-                            intersections.start as u32,
-                            intersections.end as u32,
-                            shape,
-                            needs.mean2d_abs,
-                            !ordered,
-                            $($planes, $direct)?
-                        )
-                    }
-                };
-            }
-            let direct = !ordered && gpu.float_atomics;
-            let fits = |units: u32| shared_bytes(shape, columns, units as usize, direct) <= gpu.shared_bytes;
-            let planes = gpu.plane_units.filter(|&units| shape.few() && PLANES.contains(&units) && fits(units));
-            match (planes, gpu.float_atomics) {
-                (Some(units), true) => {
-                    launch!(rasterize_backward_planes_kernel, Atomic<f32>, TILE_PIXELS, units, direct)
+                            rows.intersections.start as u32,
+                            rows.intersections.end as u32,
+                        ),
+                        shape,
+                        absolute,
+                        add,
+                        $($planes, $direct)?
+                    )
                 }
-                (Some(units), false) => {
-                    launch!(rasterize_backward_planes_kernel, Atomic<u32>, TILE_PIXELS, units, false)
-                }
-                (None, true) => launch!(rasterize_backward_kernel, Atomic<f32>, LANES),
-                (None, false) => launch!(rasterize_backward_kernel, Atomic<u32>, LANES),
+            };
+        }
+        let direct = add && gpu.float_atomics;
+        let fits = |units: u32| shared_bytes(shape, columns, units as usize, direct) <= gpu.shared_bytes;
+        let usable = |units: &u32| !S::ALONG_RAYS && shape.few() && PLANES.contains(units) && fits(*units);
+        match (gpu.plane_units.filter(usable), gpu.float_atomics) {
+            (Some(units), true) => {
+                launch!(rasterize_backward_planes_kernel::<Atomic<f32>>, TILE_PIXELS, units, direct)
             }
+            (Some(units), false) => {
+                launch!(rasterize_backward_planes_kernel::<Atomic<u32>>, TILE_PIXELS, units, false)
+            }
+            (None, true) => launch!(rasterize_backward_kernel::<S, Atomic<f32>>, LANES),
+            (None, false) => launch!(rasterize_backward_kernel::<S, Atomic<u32>>, LANES),
         }
     }
-    let background = background.map(|rows| launch_column_sums(gpu, &rows, shape.features));
-    if !rows_needed {
-        return Layers { background, ..Layers::default() };
-    }
-    let (found, _) = launch_gather(gpu, &inputs.projected, lists, (&rows, columns, ordered), shape, (needs, 0));
-    Layers { background, ..found }
 }
 
-/// Turns rows of `columns` sums, one per intersection if `ordered` is set, else one per Gaussian, into the gradients of
-/// the inputs but the background. With `ray_columns` above zero the gradient of the shape goes to rows of `ray_space` with as many
-/// columns. A launch per part of the rows.
-pub(crate) fn launch_gather(
+/// Turns rows of `columns` sums, one per intersection or one per Gaussian as [`Accumulation`] says, into the gradients of
+/// the inputs but the background. A launch per part of the rows.
+fn launch_gather(
     gpu: &Gpu,
-    projected: &Buffer<f32>,
+    inputs: &Layers<Buffer<f32>>,
     lists: &DeviceIntersections,
-    (rows, columns, ordered): (&[Rows], usize, bool),
-    shape: KernelShape,
-    (needs, ray_columns): (Layers<bool>, usize),
-) -> (Layers<Option<Buffer<f32>>>, Option<Buffer<f32>>) {
-    let len = |needed: bool, columns: usize| needed.then_some(projected.len / COLUMNS * columns);
+    (rows, columns): (&[Rows], usize),
+    spec: &RasterizeSpec,
+    needs: Layers<bool>,
+) -> Layers<Option<Buffer<f32>>> {
+    let shape = KernelShape::of(inputs.background.len, &spec.options);
+    let ordered = spec.options.accumulation == Accumulation::Ordered;
+    let ray_columns = if spec.options.along_rays() { ray_space::columns(&spec.intrinsics) } else { 0 };
+    let len = |needed: bool, columns: usize| needed.then_some(inputs.projected.len / COLUMNS * columns);
     let lens = [
         len(needs.projected, COLUMNS),
         len(needs.features, shape.features),
         len(needs.mean2d_abs, 2),
-        len(ray_columns > 0, ray_columns),
+        len(needs.ray_space, ray_columns),
     ];
-    let [of_projected, features, mean2d_abs, grad_rays] = match ordered || ray_columns > 0 {
+    // The columns of a lens have no gradient.
+    let [projected, features, mean2d_abs, ray_space] = match ordered || ray_columns > 0 {
         true => Buffer::zeros_of(gpu, lens),
         false => lens.map(|len| len.map(|len| Buffer::new(gpu, len))),
     };
-    let grads = Layers { projected: of_projected, features, background: None, mean2d_abs };
+    let grads = Layers { projected, features, background: None, mean2d_abs, ray_space };
     let output = |buffer: &Option<Buffer<f32>>| buffer.as_ref().map(Buffer::arg).into();
     for Rows { ranks, intersections, sums } in rows {
         let (grid, dim) = elementwise(ranks.len());
@@ -228,14 +322,14 @@ pub(crate) fn launch_gather(
                 &gpu.client,
                 grid,
                 dim,
-                projected.arg(),
+                inputs.projected.arg(),
                 lists.order.arg(),
                 lists.first_intersection.arg(),
                 sums.arg(),
                 output(&grads.projected),
                 output(&grads.features),
                 output(&grads.mean2d_abs),
-                output(&grad_rays),
+                output(&grads.ray_space),
                 ranks.start as u32,
                 ranks.end as u32,
                 intersections.start as u32,
@@ -247,5 +341,5 @@ pub(crate) fn launch_gather(
             );
         }
     }
-    (grads, grad_rays)
+    grads
 }

@@ -3,10 +3,10 @@
 
 use cubecl::prelude::*;
 
-use crate::gpu::math::Vec3;
+use super::splat::SplatInputs;
+use crate::gpu::math::Vec2;
 use crate::intersect::TILE;
 use crate::options::RenderOptions;
-use crate::project::COLUMNS;
 
 /// Number of places in a bucket. Within a bucket the transmittance of a pixel is relative to that before it, and one
 /// word says which places a block of pixels evaluates.
@@ -24,13 +24,17 @@ pub(super) const SEGMENT: usize = BUCKETS * BUCKET;
 pub(crate) const FEW: usize = 4;
 
 /// Four numbers that are read from shared memory at once.
-pub(super) type Four = Vector<f32, Const<4>>;
+pub(crate) type Four = Vector<f32, Const<4>>;
 
-/// Number of vectors of four that a [`LayerEllipse`] takes in shared memory.
-pub(super) const FOOTPRINT: usize = 2;
-
-/// The least normal f32. Devices may take smaller numbers for zero.
-const SMALLEST: f32 = f32::MIN_POSITIVE;
+#[cube]
+pub(crate) fn four(a: f32, b: f32, c: f32, d: f32) -> Four {
+    let mut all = Four::empty();
+    all.insert(0usize, a);
+    all.insert(1usize, b);
+    all.insert(2usize, c);
+    all.insert(3usize, d);
+    all
+}
 
 /// Size of the picture in pixels, its tiles along x, and thresholds of the render.
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
@@ -58,6 +62,8 @@ pub(crate) struct TilePixel {
     /// Whether it is in the picture, and its index there.
     pub inside: bool,
     pub index: usize,
+    /// Slopes of its ray, arbitrary outside the picture, if Gaussians are seen along rays through a lens.
+    pub ray: ComptimeOption<Vec2>,
 }
 
 /// Returns the column and row of a tile's first pixel.
@@ -69,17 +75,33 @@ pub(crate) fn tile_origin(tile: u32, frame: &RasterFrame) -> (u32, u32) {
 #[cube]
 impl TilePixel {
     /// Returns pixel `in_tile`, counted row by row, of the tile at `origin`.
-    pub fn of(origin: (u32, u32), in_tile: u32, frame: &RasterFrame) -> TilePixel {
+    pub fn of(origin: (u32, u32), in_tile: u32, inputs: &SplatInputs, frame: &RasterFrame) -> TilePixel {
         let (first_column, first_row) = origin;
         let column = first_column + in_tile % comptime!(TILE as u32);
         let row = in_tile / comptime!(TILE as u32);
+        let inside = column < frame.width && first_row + row < frame.height;
+        let index = ((first_row + row) * frame.width + column) as usize;
         TilePixel {
             x: f32::cast_from(column) + 0.5,
             top: f32::cast_from(first_row) + 0.5,
             row: f32::cast_from(row),
-            inside: column < frame.width && first_row + row < frame.height,
-            index: ((first_row + row) * frame.width + column) as usize,
+            inside,
+            index,
+            ray: ray_of(inputs, inside, index),
         }
+    }
+}
+
+/// Returns the slopes of a pixel's ray, if there are rays.
+#[cube]
+fn ray_of(inputs: &SplatInputs, inside: bool, index: usize) -> ComptimeOption<Vec2> {
+    #[comptime]
+    match &inputs.slopes {
+        ComptimeOption::Some(slopes) => {
+            let at = select(inside, 2 * index, 0usize);
+            ComptimeOption::new_Some(Vec2::new(slopes[at], slopes[at + 1]))
+        }
+        ComptimeOption::None => ComptimeOption::new_None(),
     }
 }
 
@@ -111,98 +133,6 @@ impl KernelShape {
     /// (negative where the pixel was finished), and the sums of the segment if there are few channels.
     pub const fn kept(&self) -> usize {
         1 + if self.few() { self.channels() } else { 0 }
-    }
-}
-
-/// An ellipse in the form that the loop over a tile's pixels reads.
-#[derive(CubeType, Clone, Copy)]
-#[expand(derive(Clone, Copy))]
-pub(super) struct LayerEllipse {
-    pub x: f32,
-    /// Distance, px, by which the centres of the tile's first row lie below the ellipse's centre.
-    pub rise: f32,
-    pub inverse_u: f32,
-    pub inverse_v: f32,
-    pub shear: f32,
-    pub opacity: f32,
-}
-
-#[cube]
-impl LayerEllipse {
-    /// Reads the ellipse from row `gaussian` of the packed ellipses, for the tile whose first row has its centres at
-    /// `top` px. An ellipse with an undefined or infinite number, or whose reciprocal of `sigma_v` vanishes, becomes one
-    /// that does not show. All others have a defined alpha everywhere.
-    pub fn of(projected: &[f32], gaussian: usize, top: f32) -> LayerEllipse {
-        let at = gaussian * comptime!(COLUMNS);
-        let x = projected[at];
-        let rise = top - projected[at + 1];
-        let inverse_u = 1.0 / projected[at + 2];
-        let inverse_v = 1.0 / projected[at + 4];
-        let shear = projected[at + 3];
-        let opacity = projected[at + 6];
-        let known = Vec3::new(x, rise, shear).is_finite()
-            && Vec3::new(inverse_u, inverse_v, opacity).is_finite()
-            && inverse_v >= SMALLEST;
-        LayerEllipse {
-            x: select(known, x, 0.0),
-            rise: select(known, rise, 0.0),
-            inverse_u: select(known, inverse_u, 0.0),
-            inverse_v: select(known, inverse_v, 0.0),
-            shear: select(known, shear, 0.0),
-            opacity: select(known, opacity, 0.0),
-        }
-    }
-
-    pub fn store(&self, to: &mut Shared<[Four]>, index: usize) {
-        let mut place = Four::empty();
-        place.insert(0usize, self.x);
-        place.insert(1usize, self.rise);
-        place.insert(2usize, self.inverse_u);
-        place.insert(3usize, self.inverse_v);
-        let mut rest = Four::empty();
-        rest.insert(0usize, self.shear);
-        rest.insert(1usize, self.opacity);
-        rest.insert(2usize, 0.0f32);
-        rest.insert(3usize, 0.0f32);
-        to[index * comptime!(FOOTPRINT)] = place;
-        to[index * comptime!(FOOTPRINT) + 1] = rest;
-    }
-
-    pub fn load(from: &Shared<[Four]>, index: usize) -> LayerEllipse {
-        let place = from[index * comptime!(FOOTPRINT)];
-        let rest = from[index * comptime!(FOOTPRINT) + 1];
-        LayerEllipse {
-            x: place.extract(0usize),
-            rise: place.extract(1usize),
-            inverse_u: place.extract(2usize),
-            inverse_v: place.extract(3usize),
-            shear: rest.extract(0usize),
-            opacity: rest.extract(1usize),
-        }
-    }
-
-    /// Returns `u` in the column at `x` px, and the distance, px, by which the column's pixel in the tile's first row
-    /// lies below the ellipse's axis. For a lower row, its number is added to the distance. The distance times
-    /// `inverse_v` is `v`.
-    ///
-    /// The row number is added to a distance, never to a coordinate, whose digits are coarser.
-    pub fn along_column(&self, x: f32) -> (f32, f32) {
-        let dx = x - self.x;
-        (dx * self.inverse_u, fma(-self.shear, dx, self.rise))
-    }
-
-    /// Returns the alpha at the pixel in the column at `x` px, `row` rows below the tile's first; zero where it is below
-    /// `alpha_min`.
-    ///
-    /// Every kernel takes its alphas from here. Products that are added are written as `fma`, so that no compiler can
-    /// choose whether to round them, and all kernels see the same bits.
-    pub fn alpha(&self, x: f32, row: f32, frame: &RasterFrame) -> f32 {
-        let (u, below) = self.along_column(x);
-        let v = (below + row) * self.inverse_v;
-        let square = fma(u, u, v * v);
-        let share = (square * -0.5f32).exp();
-        let value = min(self.opacity * share, frame.alpha_max);
-        select(value >= frame.alpha_min, value, 0.0)
     }
 }
 
@@ -259,39 +189,4 @@ pub(crate) fn add_compensated(sum: f32, lost: f32, value: f32) -> (f32, f32) {
 #[cube]
 pub(super) fn first_slot(first_place: u32, tile: u32) -> u32 {
     first_place / comptime!(SEGMENT as u32) + tile
-}
-
-/// Returns channel `channel` of a Gaussian; depth follows the features.
-#[cube]
-pub(super) fn colour(
-    projected: &[f32],
-    features: &[f32],
-    gaussian: usize,
-    channel: usize,
-    #[comptime] shape: KernelShape,
-) -> f32 {
-    let is_depth = comptime!(shape.depth) && channel == comptime!(shape.features);
-    let mut value = 0.0f32;
-    if is_depth {
-        value = projected[gaussian * comptime!(COLUMNS) + 5];
-    }
-    if !is_depth {
-        value = features[gaussian * comptime!(shape.features) + channel];
-    }
-    value
-}
-
-/// Returns all channels of a Gaussian, of at most [`FEW`].
-#[cube]
-pub(super) fn colours_of(projected: &[f32], features: &[f32], gaussian: usize, #[comptime] shape: KernelShape) -> Four {
-    let mut all = Four::empty();
-    #[unroll]
-    for channel in 0..comptime!(FEW) {
-        let mut value = 0.0f32;
-        if comptime!(channel < shape.channels()) {
-            value = colour(projected, features, gaussian, channel, shape);
-        }
-        all.insert(channel, value);
-    }
-    all
 }

@@ -8,6 +8,10 @@
 //! `Tᵢ` is recomputed front to back from checkpoints. Nothing is divided by `1 − α`, and no prefix sum is subtracted
 //! from a total: both lose all digits under many layers.
 //!
+//! Both passes are written once over a trait of splats, for kernels and for the CPU twin. A splat says its alpha at a pixel, and what a
+//! pair of it and a pixel adds to its row of sums. There are two: the affine ellipse, and the largest value along the pixel's ray
+//! ([`crate::rasterize_rays`]), whose `zᵢ` depends on the pixel.
+//!
 //! Shapes: packed ellipses `[N, 7]`, features `[N, C]`, background `[C]` → planes `[C + 1 (+ 1), H, W]`: features,
 //! alpha `1 − T`, and, if requested, depth `Σ wᵢ zᵢ`.
 
@@ -16,15 +20,22 @@ mod alpha_tests;
 #[cfg(feature = "cube")]
 pub(crate) mod backward;
 #[cfg(feature = "cube")]
+mod backward_block;
+#[cfg(feature = "cube")]
 mod backward_planes;
 #[cfg(feature = "cube")]
 pub(crate) mod blocks;
 pub(crate) mod cpu;
+#[cfg(feature = "cube")]
+mod ellipse;
+#[cfg(test)]
+mod features_tests;
 pub(crate) mod footprint;
 #[cfg(feature = "cube")]
 mod forward;
 #[cfg(feature = "cube")]
 mod gather;
+mod gather_cpu;
 #[cfg(all(test, feature = "cube"))]
 mod kernel_tests;
 #[cfg(feature = "cube")]
@@ -32,15 +43,22 @@ pub(crate) mod launch;
 #[cfg(feature = "cube")]
 pub(crate) mod layer;
 pub(crate) mod operation;
+pub(crate) mod pixels;
 mod prepared;
 #[cfg(feature = "cube")]
 pub(crate) mod rows;
 #[cfg(feature = "cube")]
-pub(crate) mod suffix;
+mod segment;
+#[cfg(feature = "cube")]
+pub(crate) mod splat;
+pub(crate) mod splat_cpu;
+#[cfg(feature = "cube")]
+mod suffix;
 #[cfg(test)]
 mod tests;
-pub(crate) mod tile;
+mod tile;
 mod tile_backward;
+mod tile_blocks;
 #[cfg(feature = "cube")]
 pub(crate) mod trace;
 
@@ -63,6 +81,8 @@ record! {
         /// Probe of AbsGrad (Ye et al. 2024): `[N, 2]`, or `[0, 2]` for none. Its values are not read. Its gradient is
         /// `Σ |∂L/∂mean2d|`, a sum of absolute values over the pixels, per px.
         mean2d_abs,
+        /// `[N, 9]`, with a lens `[N, 15]`, from `ray_space`; only for Gaussians seen along rays.
+        ray_space,
     }
 }
 

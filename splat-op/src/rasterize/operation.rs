@@ -1,6 +1,7 @@
-//! The rasterizer as an operation, and what it shares with the one along rays.
+//! The rasterizer as an operation.
 
 use std::any::Any;
+use std::array;
 
 use super::cpu::{Trace, rasterize_backward_cpu, rasterize_cpu};
 #[cfg(feature = "cube")]
@@ -10,7 +11,7 @@ use super::trace::DeviceTrace;
 use super::{Layers, PlaneParts, RasterizeSpec, TraceCell};
 #[cfg(feature = "cube")]
 use crate::backend::cube::{buffer, optional_outputs, part};
-use crate::backend::host::{Host, float_outputs, slices};
+use crate::backend::host::{Host, float_outputs};
 use crate::backend::*;
 #[cfg(feature = "cube")]
 use crate::gpu::{Buffer, Gpu};
@@ -18,9 +19,12 @@ use crate::intersect::IntersectionCell;
 use crate::intersect::operation::lists;
 #[cfg(feature = "cube")]
 use crate::intersect::{Cut, launch::DeviceIntersections, launch::launch_intersect};
+use crate::ray_space::bounds_cpu;
+#[cfg(feature = "cube")]
+use crate::ray_space::launch::launch_bounds;
 
 /// Planes `[C, H, W]` of colours, `[1, H, W]` of alpha and, if asked for, of depth. Takes the tensors of [`Layers`] and the output of the
-/// intersection, which makes this operation run after that one.
+/// intersection, which makes this operation run after that one. Without rays there are no rows of `ray_space`.
 #[derive(Clone, Debug)]
 pub(crate) struct Rasterize {
     pub spec: RasterizeSpec,
@@ -30,7 +34,7 @@ pub(crate) struct Rasterize {
 }
 
 /// Returns the specifications of planes over a background.
-pub(crate) fn planes(spec: &RasterizeSpec, background: Option<&Spec>) -> Vec<Option<Spec>> {
+fn planes(spec: &RasterizeSpec, background: Option<&Spec>) -> Vec<Option<Spec>> {
     let plane =
         |count: usize| background.map(|of| of.with_shape([count, spec.intrinsics.height, spec.intrinsics.width]));
     let features = background.map_or(0, |background| background.shape[0]);
@@ -40,7 +44,7 @@ pub(crate) fn planes(spec: &RasterizeSpec, background: Option<&Spec>) -> Vec<Opt
 }
 
 /// Splits planes `[C + 1 (+ 1), H, W]`.
-pub(crate) fn split<F: Real>(mut planes: Vec<F>, spec: &RasterizeSpec) -> Vec<HostOutput> {
+fn split<F: Real>(mut planes: Vec<F>, spec: &RasterizeSpec) -> Vec<HostOutput> {
     let pixels = spec.intrinsics.width * spec.intrinsics.height;
     let depth = spec.options.depth.then(|| planes.split_off(planes.len() - pixels));
     let alpha = planes.split_off(planes.len() - pixels);
@@ -48,17 +52,17 @@ pub(crate) fn split<F: Real>(mut planes: Vec<F>, spec: &RasterizeSpec) -> Vec<Ho
 }
 
 /// Reads the gradients of planes; an absent one has no elements.
-pub(crate) fn host_grads<F: Real>(args: &HostArgs, spec: &RasterizeSpec) -> PlaneParts<Option<Host<F>>> {
+fn host_grads<F: Real>(args: &HostArgs, spec: &RasterizeSpec) -> PlaneParts<Option<Host<F>>> {
     let depth = if spec.options.depth { args.grad(2) } else { None };
     PlaneParts { colour: args.grad(0), alpha: args.grad(1), depth }
 }
 
-pub(crate) fn plane_slices<F: Real>(grads: &PlaneParts<Option<Host<F>>>) -> PlaneParts<&[F]> {
+fn plane_slices<F: Real>(grads: &PlaneParts<Option<Host<F>>>) -> PlaneParts<&[F]> {
     grads.each_ref().map(|grad| grad.as_ref().map_or(&[][..], |grad| &grad[..]))
 }
 
 /// Keeps the trace of a forward pass. A cell that is already filled holds the same trace.
-pub(crate) fn keep<T: Any + Send + Sync>(cell: Option<&TraceCell>, kept: Option<T>) {
+fn keep<T: Any + Send + Sync>(cell: Option<&TraceCell>, kept: Option<T>) {
     if let (Some(cell), Some(kept)) = (cell, kept) {
         let _ = cell.0.set(Box::new(kept));
     }
@@ -71,7 +75,7 @@ impl TraceCell {
 }
 
 #[cfg(feature = "cube")]
-pub(crate) use gpu::{grad_of_planes, split_planes};
+use gpu::{grad_of_planes, split_planes};
 
 #[cfg(feature = "cube")]
 mod gpu {
@@ -110,15 +114,36 @@ mod gpu {
     }
 }
 
+/// Reads the inputs; absent rows of `ray_space` have no elements.
+fn host_layers<F: Real>(args: &HostArgs) -> Layers<Option<Host<F>>> {
+    Layers::from_array(array::from_fn(|i| args.has(i).then(|| args.floats(i))))
+}
+
+fn layer_slices<F: Real>(read: &Layers<Option<Host<F>>>) -> Layers<&[F]> {
+    read.each_ref().map(|host| host.as_ref().map_or(&[][..], |host| &host[..]))
+}
+
+#[cfg(feature = "cube")]
+fn device_layers(args: &GpuArgs, gpu: &Gpu) -> Layers<Buffer<f32>> {
+    Layers::from_array(array::from_fn(|i| args.optional(i).unwrap_or_else(|| Buffer::new(gpu, 0))))
+}
+
 impl Rasterize {
     fn host_lists(&self, inputs: &Layers<&[impl Real]>) -> &crate::intersect::IntersectionLists {
-        self.lists.on_host(|| lists(inputs.projected, &self.spec))
+        self.lists.on_host(|| match self.spec.options.along_rays() {
+            true => lists(&bounds_cpu(inputs.projected, inputs.ray_space, &self.spec), &self.spec),
+            false => lists(inputs.projected, &self.spec),
+        })
     }
 
     #[cfg(feature = "cube")]
     fn device_lists(&self, gpu: &Gpu, inputs: &Layers<Buffer<f32>>) -> &DeviceIntersections {
         let RasterizeSpec { intrinsics, options } = &self.spec;
-        self.lists.on_device(|| launch_intersect(gpu, &inputs.projected, intrinsics, Cut::of(options)))
+        self.lists.on_device(|| {
+            let bounds =
+                options.along_rays().then(|| launch_bounds(gpu, &inputs.projected, &inputs.ray_space, &self.spec));
+            launch_intersect(gpu, bounds.as_ref().unwrap_or(&inputs.projected), intrinsics, Cut::of(options))
+        })
     }
 }
 
@@ -128,8 +153,8 @@ impl Operation for Rasterize {
     }
 
     fn run<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {
-        let read = args.all::<F, 4>();
-        let inputs = Layers::from_array(slices(&read));
+        let read = host_layers::<F>(args);
+        let inputs = layer_slices(&read);
         let (planes, kept) = rasterize_cpu(inputs, &self.spec, self.host_lists(&inputs), self.trace.is_some());
         keep(self.trace.as_ref(), kept);
         split(planes, &self.spec)
@@ -137,7 +162,8 @@ impl Operation for Rasterize {
 
     #[cfg(feature = "cube")]
     fn launch(&self, args: GpuArgs) -> Vec<GpuOutput> {
-        let (gpu, inputs) = (args.gpu(), Layers::from_array(args.all()));
+        let gpu = args.gpu();
+        let inputs = device_layers(&args, &gpu);
         let lists = self.device_lists(&gpu, &inputs);
         let (planes, kept) = launch_rasterize(&gpu, &inputs, lists, &self.spec, self.trace.is_some());
         keep(self.trace.as_ref(), kept);
@@ -147,7 +173,7 @@ impl Operation for Rasterize {
     }
 
     fn differentiable(&self) -> &'static [usize] {
-        &[0, 1, 2, 3]
+        if self.spec.options.along_rays() { &[0, 1, 2, 3, 4] } else { &[0, 1, 2, 3] }
     }
 
     // They make the backward pass run after this one, and are not read.
@@ -160,8 +186,8 @@ impl Operation for Rasterize {
     }
 
     fn run_backward<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {
-        let (read, of_planes) = (args.all::<F, 4>(), host_grads(args, &self.spec));
-        let inputs = Layers::from_array(slices(&read));
+        let (read, of_planes) = (host_layers::<F>(args), host_grads(args, &self.spec));
+        let inputs = layer_slices(&read);
         let kept = self.trace.as_ref().and_then(TraceCell::kept::<Trace<F>>);
         let lists = (self.host_lists(&inputs), kept);
         let needs = Layers::from_array(args.needs());
@@ -171,7 +197,8 @@ impl Operation for Rasterize {
 
     #[cfg(feature = "cube")]
     fn launch_backward(&self, args: GpuArgs) -> Vec<GpuOutput> {
-        let (gpu, inputs) = (args.gpu(), Layers::from_array(args.all()));
+        let gpu = args.gpu();
+        let inputs = device_layers(&args, &gpu);
         let grad = grad_of_planes(&args, &self.spec, !self.spec.options.depth);
         let lists = self.device_lists(&gpu, &inputs);
         let kept = self.trace.as_ref().and_then(TraceCell::kept::<DeviceTrace>).cloned();

@@ -1,22 +1,31 @@
 //! Preparation of the CPU twin's inputs before its loops over the tiles.
 
 use std::borrow::Cow;
+use std::sync::Arc;
 
-use super::cpu::{CHUNK, Trace};
-use super::footprint::Footprint;
-use super::tile::{TileView, is_long};
+use super::cpu::{CHUNK, SplatTrace};
+use super::splat_cpu::{Footprint, FootprintView};
+use super::tile::{TileView, is_finite, is_long};
 use super::{Layers, RasterizeSpec};
+use crate::camera::PictureRays;
 use crate::intersect::{IntersectionLists, TILE, tile_grid};
 use crate::project::{COLUMNS, Ellipse};
+use crate::ray_space::LensLimits;
 use crate::simd::real::Real;
 use crate::tasks;
 
 /// Inputs in the form that the loops over the tiles read.
-pub(super) struct Prepared<'a, F: Real> {
-    pub footprints: Cow<'a, [Footprint<F>]>,
+pub(super) struct Prepared<'a, F: Real, P: Footprint<F>> {
+    pub footprints: Cow<'a, [P]>,
     /// Features, followed by depth as one more channel if the render accumulates it.
     pub colours: Cow<'a, [F]>,
     pub channels: usize,
+    /// Whether depth is the last channel.
+    pub depth: bool,
+    /// The rays of a camera with a lens, if Gaussians are seen along rays.
+    rays: Option<Arc<PictureRays>>,
+    /// Whether all colours are finite.
+    pub finite: bool,
     pub grid: [usize; 2],
     pub size: [usize; 2],
     pub intersections: &'a IntersectionLists,
@@ -37,32 +46,27 @@ fn with_depth<F: Real>(inputs: Layers<&[F]>, features: usize) -> Vec<F> {
     out
 }
 
-/// Returns what `of` makes of each packed ellipse.
-fn footprints<F: Real>(projected: &[F], of: impl Fn(&[F]) -> Footprint<F> + Sync) -> Vec<Footprint<F>> {
-    let mut all = vec![Footprint::default(); projected.len() / COLUMNS];
-    tasks::for_each(all.chunks_mut(CHUNK).zip(projected.chunks(COLUMNS * CHUNK)), |_, (out, rows)| {
-        out.iter_mut().zip(rows.chunks_exact(COLUMNS)).for_each(|(out, row)| *out = of(row));
+/// Returns the footprint of each Gaussian.
+fn footprints<F: Real, P: Footprint<F>>(inputs: &Layers<&[F]>, view: &FootprintView<F>) -> Vec<P> {
+    let mut all = vec![P::default(); inputs.projected.len() / COLUMNS];
+    tasks::for_each(all.chunks_mut(CHUNK), |chunk, out| {
+        (chunk * CHUNK..).zip(out).for_each(|(i, out)| *out = P::read(inputs, i, view));
     });
     all
 }
 
-impl<'a, F: Real> Prepared<'a, F> {
+impl<'a, F: Real, P: Footprint<F>> Prepared<'a, F, P> {
     /// `trace` is that of an earlier pass over the same inputs.
     pub fn new(
         inputs: Layers<&'a [F]>,
         spec: &RasterizeSpec,
         intersections: &'a IntersectionLists,
-        trace: Option<&'a Trace<F>>,
+        trace: Option<&'a SplatTrace<F, P>>,
     ) -> Self {
         let options = &spec.options;
-        let alpha_min = F::of(options.alpha_min);
-        let footprint = |row: &[F]| {
-            let ellipse = Ellipse::from_row(row);
-            // Only Gaussians in the lists are read, and those have a positive opacity.
-            if ellipse.opacity > F::ZERO { Footprint::new(&ellipse, alpha_min) } else { Footprint::default() }
-        };
+        let rays = if P::ALONG_RAYS { PictureRays::of(&spec.intrinsics) } else { None };
         let features = inputs.background.len();
-        let colours = match trace {
+        let colours: Cow<[F]> = match trace {
             _ if !options.depth => inputs.features.into(),
             Some(trace) => trace.colours.as_slice().into(),
             None => with_depth(inputs, features).into(),
@@ -70,14 +74,21 @@ impl<'a, F: Real> Prepared<'a, F> {
         Self {
             footprints: match trace {
                 Some(trace) => trace.footprints.as_slice().into(),
-                None => footprints(inputs.projected, footprint).into(),
+                None => {
+                    let lens = rays.as_ref().map(|rays| LensLimits::new(&spec.intrinsics, rays));
+                    let view = FootprintView { spec, lens, boxes: &intersections.boxes };
+                    footprints(&inputs, &view).into()
+                }
             },
+            finite: trace.map_or_else(|| is_finite(&colours), |trace| trace.finite),
             colours,
             channels: features + usize::from(options.depth),
+            depth: options.depth,
+            rays,
             grid: tile_grid(spec.intrinsics.width, spec.intrinsics.height),
             size: [spec.intrinsics.width, spec.intrinsics.height],
             intersections,
-            thresholds: [alpha_min, F::of(options.alpha_max), F::of(options.transmittance_min)],
+            thresholds: [F::of(options.alpha_min), F::of(options.alpha_max), F::of(options.transmittance_min)],
         }
     }
 
@@ -87,16 +98,19 @@ impl<'a, F: Real> Prepared<'a, F> {
         is_long(listed, self.thresholds[0])
     }
 
-    pub fn view(&self, tile: usize) -> TileView<'_, F> {
+    pub fn view(&self, tile: usize) -> TileView<'_, F, P> {
         let origin = [tile % self.grid[0] * TILE, tile / self.grid[0] * TILE];
         TileView {
             origin,
             size: [0, 1].map(|axis| TILE.min(self.size[axis] - origin[axis])),
             gaussians: &self.intersections.gaussian
                 [self.intersections.tile_start[tile]..self.intersections.tile_start[tile + 1]],
+            slopes: self.rays.as_ref().map(|rays| (self.size[0], &rays.slopes[..])),
             footprints: &self.footprints,
             colours: &self.colours,
             channels: self.channels,
+            depth: self.depth,
+            finite: self.finite,
         }
     }
 }

@@ -5,13 +5,13 @@ use cubecl::prelude::*;
 use super::blocks::{BLOCK, BLOCKS, pixel_of};
 use super::forward::WORDS;
 use super::layer::{
-    BUCKET, BUCKETS, FOOTPRINT, Four, KernelShape, LayerEllipse, RasterFrame, SEGMENT, TilePixel, add_compensated,
-    colour, first_slot, layer, tile_origin, transmittance_after_bucket,
+    BUCKET, BUCKETS, Four, KernelShape, RasterFrame, SEGMENT, TilePixel, add_compensated, first_slot, layer,
+    tile_origin, transmittance_after_bucket,
 };
+use super::splat::{Splat, SplatInputs, colour};
 use super::trace::TileRun;
 use crate::gpu::reduce::cube_sum;
 use crate::intersect::TILE_PIXELS;
-use crate::intersect::forward::TileLists;
 
 /// The least transmittance by which anything is divided: 2⁻¹⁰⁰. What lies behind less has no digit in any gradient.
 pub(crate) const FAINTEST: f32 = 1.0 / (1u128 << 100) as f32;
@@ -33,12 +33,10 @@ pub(super) fn plane_of(channel: usize, #[comptime] shape: KernelShape) -> usize 
 /// last, and their total is divided by the transmittance behind the segment. The picture's alpha, `1 − T`, acts as a
 /// background of colour minus one.
 #[cube(launch_unchecked)]
-pub(super) fn rasterize_suffix_kernel(
-    projected: &[f32],
-    features: &[f32],
+pub(super) fn rasterize_suffix_kernel<S: Splat>(
+    inputs: SplatInputs,
     background: &[f32],
     grad: &[f32],
-    lists: TileLists,
     kept: &[f32],
     kept_words: &[u32],
     final_transmittance: &[f32],
@@ -54,14 +52,14 @@ pub(super) fn rasterize_suffix_kernel(
     let tile = run.first_tile + CUBE_POS as u32;
     let unit = UNIT_POS;
     let mut shared = Shared::<[f32]>::new_slice(comptime!(TILE_PIXELS));
-    let mut ellipses = Shared::<[Four]>::new_slice(comptime!(if few { 1 } else { SEGMENT * FOOTPRINT }));
+    let mut splats = Shared::<[Four]>::new_slice(comptime!(if few { 1 } else { SEGMENT * S::VECTORS }));
     let mut gaussians = Shared::<[u32]>::new_slice(comptime!(if few { 1 } else { SEGMENT }));
     let mut words = Shared::<[u32]>::new_slice(comptime!(if few { 1 } else { WORDS }));
     if tile < run.end_tile {
-        let pixel = TilePixel::of(tile_origin(tile, &frame), pixel_of(unit), &frame);
+        let pixel = TilePixel::of(tile_origin(tile, &frame), pixel_of(unit), &inputs, &frame);
         let plane = (frame.width * frame.height) as usize;
-        let first = lists.start(tile);
-        let places = lists.start(tile + 1) - first;
+        let first = inputs.lists.start(tile);
+        let places = inputs.lists.start(tile + 1) - first;
         let slot = first_slot(first, tile) - run.first_slot;
 
         let mut own = Array::<f32>::new(channels);
@@ -111,9 +109,10 @@ pub(super) fn rasterize_suffix_kernel(
             } else {
                 let place = segment * comptime!(SEGMENT as u32) + unit;
                 if unit < comptime!(SEGMENT as u32) && place < places {
-                    let gaussian = lists.gaussian(first + place);
+                    let gaussian = inputs.lists.gaussian(first + place);
                     gaussians[unit as usize] = gaussian;
-                    LayerEllipse::of(projected, gaussian as usize, pixel.top).store(&mut ellipses, unit as usize);
+                    let splat = S::of(&inputs, gaussian as usize, pixel.top, &frame);
+                    S::store(&splat, &mut splats, unit as usize);
                 }
                 if unit < comptime!(WORDS as u32) {
                     words[unit as usize] = kept_words[((slot + segment) * comptime!(WORDS as u32) + unit) as usize];
@@ -131,14 +130,14 @@ pub(super) fn rasterize_suffix_kernel(
                         let i = word.trailing_zeros();
                         word &= word - 1;
                         let place = (bucket * comptime!(BUCKET as u32) + i) as usize;
-                        let value = LayerEllipse::load(&ellipses, place).alpha(pixel.x, pixel.row, &frame);
+                        let (value, depth) = S::seen(&S::load(&splats, place, &inputs), &pixel, &frame);
                         let (alpha, next, stops) =
                             layer(value, through, stopped, transmittance, frame.transmittance_min);
                         if alpha > 0.0 {
                             let mut along = 0.0f32;
                             for channel in 0..channels {
                                 along += own[channel]
-                                    * colour(projected, features, gaussians[place] as usize, channel, shape);
+                                    * colour::<S>(&inputs, gaussians[place] as usize, channel, depth, shape);
                             }
                             added += alpha * (transmittance * through) * along;
                         }

@@ -12,7 +12,8 @@ use crate::testing::blending::{PixelLayer, assert_close, blended, small_ellipse,
 use crate::testing::finite::{check_gradient, inner_product};
 use crate::testing::random::Random;
 
-const ALL: Layers<bool> = Layers { projected: true, features: true, background: true, mean2d_abs: true };
+const ALL: Layers<bool> =
+    Layers { projected: true, features: true, background: true, mean2d_abs: true, ray_space: false };
 
 /// Inputs of the stage: packed ellipses, features, background.
 #[derive(Clone)]
@@ -93,7 +94,7 @@ impl StageInputs {
 }
 
 fn inputs<F>([projected, features, background]: &[Vec<F>; 3]) -> Layers<&'_ [F]> {
-    Layers { projected, features, background, mean2d_abs: &[] }
+    Layers { projected, features, background, ..Layers::default() }
 }
 
 /// Computes the planes by the definition, pixel by pixel.
@@ -242,7 +243,7 @@ fn each_gradient_is_the_same_alone_and_without_a_trace() {
     assert_eq!(list(without), all, "a trace is a cache");
     for alone in 0..4 {
         let [projected, features, background, mean2d_abs] = std::array::from_fn(|i| i == alone);
-        let needs = Layers { projected, features, background, mean2d_abs };
+        let needs = Layers { projected, features, background, mean2d_abs, ray_space: false };
         for (i, gradient) in list(scene.backward(&grad, needs)).iter().enumerate() {
             let expected = if i == alone { all[i].as_slice() } else { &[] };
             assert_eq!(gradient, expected, "gradient {i}, asked for {alone}");

@@ -3,15 +3,11 @@
 
 use fearless_simd::prelude::*;
 
-use super::footprint::{Column, Footprint, FootprintSimd, ROWS, TileBlocks, TileWindow, WIDTH};
+use super::pixels::{BLOCK, Plane, TilePixels, in_rows, lanes, len, store};
+use super::splat_cpu::{Footprint, FootprintLanes};
+use super::tile_blocks::{ROWS, TileBlocks, TileWindow};
 use crate::intersect::{TILE, TILE_PIXELS};
 use crate::simd::real::{EXP2_CONSTANTS, Real};
-
-/// Number of pixels in a block of a tile.
-pub(crate) const BLOCK: usize = WIDTH * ROWS;
-
-/// Number of pixels in a row of blocks.
-pub(crate) const BLOCK_ROW: usize = ROWS * TILE;
 
 /// Number of Gaussians between two checkpoints of a tile's transmittances.
 pub(super) const CHECKPOINT_EVERY: usize = 64;
@@ -81,60 +77,12 @@ impl<F: Real> Transmittances<F> {
     }
 }
 
-/// One value for each pixel of a tile: block by block, within a block row by row. The blocks run along x, then y.
-pub(crate) type Plane<F> = [F; TILE_PIXELS];
-
-/// Brings values in the order of a tile's rows into the order of its blocks.
-#[inline(always)]
-pub(crate) fn in_blocks<F: Real>(rows: &Plane<F>) -> Plane<F> {
-    let mut plane = [F::ZERO; TILE_PIXELS];
-    for (eight, values) in rows.as_chunks::<WIDTH>().0.iter().enumerate() {
-        plane.as_chunks_mut::<WIDTH>().0[in_block_order(eight)] = *values;
-    }
-    plane
-}
-
-/// The inverse of [`in_blocks`].
-#[inline(always)]
-pub(crate) fn in_rows<F: Real>(plane: &Plane<F>) -> Plane<F> {
-    let mut rows = [F::ZERO; TILE_PIXELS];
-    for (eight, values) in rows.as_chunks_mut::<WIDTH>().0.iter_mut().enumerate() {
-        *values = plane.as_chunks::<WIDTH>().0[in_block_order(eight)];
-    }
-    rows
-}
-
-/// Returns the place, in the order of blocks, of the eight pixels at place `eight` in the order of rows.
-pub(crate) const fn in_block_order(eight: usize) -> usize {
-    let (row, column) = (eight / (TILE / WIDTH), eight % (TILE / WIDTH));
-    (row / ROWS * (TILE / WIDTH) + column) * ROWS + row % ROWS
-}
-
-/// Number of lanes of a vector of pixels.
-#[inline(always)]
-pub(crate) const fn len<S: Simd, F: Real>() -> usize {
-    <F::Block<S> as SimdBase<S>>::LEN
-}
-
-/// Returns a vector of pixels from `place` on, a multiple of its length.
-#[inline(always)]
-pub(crate) fn lanes<S: Simd, F: Real>(simd: S, plane: &[F], place: usize) -> F::Block<S> {
-    F::Block::<S>::from_slice(simd, &plane[place..place + len::<S, F>()])
-}
-
-#[inline(always)]
-pub(crate) fn store<S: Simd, L: SimdFloat<S>>(lanes: L, plane: &mut [L::Element], place: usize) {
-    lanes.store_slice(&mut plane[place..place + L::LEN]);
-}
-
 /// Thresholds of the render, one copy in each lane.
 pub(super) struct Thresholds<S: Simd, F: Real> {
     alpha_min: F::Block<S>,
     pub alpha_max: F::Block<S>,
     transmittance_min: F::Block<S>,
     zero: F::Block<S>,
-    /// The row of each pixel of a tile.
-    rows: Plane<F>,
     exp2: [F::Block<S>; EXP2_CONSTANTS],
 }
 
@@ -153,35 +101,26 @@ impl<S: Simd, F: Real> Thresholds<S, F> {
             alpha_max: lanes(alpha_max),
             transmittance_min: lanes(never),
             zero: lanes(F::ZERO),
-            rows: pixel_rows(),
             // The constants stay in memory, where instructions read them as operands; the compiler would rebuild them
             // each time.
             exp2: std::hint::black_box(exp2),
         }
     }
 
-    /// Rows of a vector of pixels.
-    #[inline(always)]
-    pub fn rows(&self, place: usize) -> F::Block<S> {
-        lanes(self.zero.token(), &self.rows, place)
-    }
-
     /// Passes one Gaussian over the vector of pixels of a column at `place`. Returns their alphas (zero where it does not
     /// show) and their transmittances behind it, negated where a pixel is finished.
     #[inline(always)]
-    pub fn layer<const LONG: bool>(
+    pub fn layer<P: FootprintLanes<S, F>, const LONG: bool>(
         &self,
-        splat: &FootprintSimd<S, F>,
-        column: &Column<S, F>,
-        place: usize,
+        splat: &P,
+        (column, pixels, place): (&P::Column, &TilePixels<F>, usize),
         before: [F::Block<S>; 2],
     ) -> LayerSimd<S, F> {
-        let v = splat.v(column, self.rows(place));
-        let q = v.mul_add(v, column.square);
-        let near = q.simd_le(splat.extent) & before[0].simd_ge(self.zero);
+        let at = splat.at(column, pixels, place);
+        let near = at.near & before[0].simd_ge(self.zero);
         // A branch on whether the Gaussian reaches any of the pixels would be mispredicted too often.
-        let power = F::exp2_lanes(q, &self.exp2);
-        let value = (splat.opacity * power).min(self.alpha_max);
+        let power = F::exp2_lanes(at.exponent, &self.exp2);
+        let value = (splat.opacity() * power).min(self.alpha_max);
         let shows = near & value.simd_ge(self.alpha_min);
         let mut alpha = shows.select(value, self.zero);
         let mut after = pass::<S, F, LONG>(alpha, before);
@@ -194,7 +133,7 @@ impl<S: Simd, F: Real> Thresholds<S, F> {
             let [kept, lost] = pass::<S, F, LONG>(alpha, before);
             after = [finishes.select(-kept, kept), lost];
         }
-        LayerSimd { alpha, transmittance: after, near, finished }
+        LayerSimd { alpha, transmittance: after, near, depth_factor: at.depth_factor, finished }
     }
 }
 
@@ -224,30 +163,47 @@ pub(super) struct LayerSimd<S: Simd, F: Real> {
     pub transmittance: [F::Block<S>; 2],
     /// The pixels that the Gaussian reaches; its other alphas are zero.
     pub near: Mask<S, F>,
+    /// The factor of its depth; not read unless it is seen along rays.
+    pub depth_factor: F::Block<S>,
     /// Number of pixels that the Gaussian finishes.
     pub finished: usize,
 }
 
 /// Position of a tile and the Gaussians that it lists.
 #[derive(Clone, Copy)]
-pub(super) struct TileView<'a, F> {
+pub(crate) struct TileView<'a, F, P> {
     /// First pixel of the tile.
     pub origin: [usize; 2],
     /// Number of the tile's pixels inside the picture along x and y.
     pub size: [usize; 2],
     /// Gaussians of the tile's intersections, front to back.
     pub gaussians: &'a [u32],
+    /// Width of the picture, px, and the slopes of its rays, if Gaussians are seen along rays through a lens.
+    pub slopes: Option<(usize, &'a [[f64; 2]])>,
     /// Footprint of each Gaussian.
-    pub footprints: &'a [Footprint<F>],
+    pub footprints: &'a [P],
     /// `[N, channels]`: colours of each Gaussian.
     pub colours: &'a [F],
     pub channels: usize,
+    /// Whether depth is the last channel.
+    pub depth: bool,
+    /// Whether all colours of all Gaussians are finite.
+    pub finite: bool,
 }
 
-impl<F: Real> TileView<'_, F> {
+impl<F: Real, P> TileView<'_, F, P> {
     #[inline(always)]
     pub fn corner(&self) -> [F; 2] {
         self.origin.map(|px| F::of(px as f64))
+    }
+
+    /// Number of pixels with this transmittance that are not finished.
+    #[inline(always)]
+    pub fn open(&self, transmittance: &Plane<F>) -> usize {
+        match self.slopes {
+            None => self.size[0] * self.size[1],
+            Some(_) => transmittance.iter().filter(|t| **t > F::ZERO).count(),
+        }
     }
 
     #[inline(always)]
@@ -255,51 +211,26 @@ impl<F: Real> TileView<'_, F> {
         let first = gaussian as usize * self.channels;
         &self.colours[first..first + self.channels]
     }
-
-    #[inline(always)]
-    pub fn open_transmittance(&self) -> [F; TILE_PIXELS] {
-        open_transmittance(self.size)
-    }
-}
-
-/// Returns the initial transmittances of a tile that has `size` pixels inside the picture: one inside, finished outside.
-#[inline(always)]
-pub(crate) fn open_transmittance<F: Real>(size: [usize; 2]) -> Plane<F> {
-    let mut transmittance = [-F::ONE; TILE_PIXELS];
-    for row in transmittance.chunks_exact_mut(TILE).take(size[1]) {
-        row[..size[0]].fill(F::ONE);
-    }
-    in_blocks(&transmittance)
-}
-
-/// Returns the row of each pixel of a tile.
-#[inline(always)]
-pub(crate) fn pixel_rows<F: Real>() -> Plane<F> {
-    let mut rows = [F::ZERO; TILE_PIXELS];
-    for (number, row) in rows.as_chunks_mut::<TILE>().0.iter_mut().enumerate() {
-        *row = [F::of(number as f64); TILE];
-    }
-    in_blocks(&rows)
 }
 
 /// Gaussians of a tile, copied side by side. They are scattered in memory; fetched together, their latencies overlap.
-pub(super) struct Near<F, const C: usize> {
-    pub footprints: [Footprint<F>; CHECKPOINT_EVERY],
+pub(super) struct Near<F, P, const C: usize> {
+    pub footprints: [P; CHECKPOINT_EVERY],
     /// Colours, if the number of channels is known at compile time.
     pub colours: [[F; C]; CHECKPOINT_EVERY],
 }
 
-impl<F: Real, const C: usize> Default for Near<F, C> {
+impl<F: Real, P: Footprint<F>, const C: usize> Default for Near<F, P, C> {
     #[inline(always)]
     fn default() -> Self {
-        Self { footprints: [Footprint::default(); CHECKPOINT_EVERY], colours: [[F::ZERO; C]; CHECKPOINT_EVERY] }
+        Self { footprints: [P::default(); CHECKPOINT_EVERY], colours: [[F::ZERO; C]; CHECKPOINT_EVERY] }
     }
 }
 
-impl<F: Real, const C: usize> Near<F, C> {
+impl<F: Real, P: Footprint<F>, const C: usize> Near<F, P, C> {
     /// Copies the first [`CHECKPOINT_EVERY`] of `gaussians`.
     #[inline(always)]
-    pub fn gather(&mut self, view: &TileView<F>, gaussians: &[u32]) {
+    pub fn gather(&mut self, view: &TileView<F, P>, gaussians: &[u32]) {
         for ((footprint, colour), &gaussian) in self.footprints.iter_mut().zip(&mut self.colours).zip(gaussians) {
             *footprint = view.footprints[gaussian as usize];
             if C > 0 {
@@ -307,12 +238,6 @@ impl<F: Real, const C: usize> Near<F, C> {
             }
         }
     }
-}
-
-/// Centres along x, px, of the pixels of a row of blocks.
-#[inline(always)]
-pub(crate) fn centres<F: Real>(left: F) -> [F; BLOCK_ROW] {
-    std::array::from_fn(|place| left + F::of((place / BLOCK * WIDTH + place % WIDTH) as f64 + 0.5))
 }
 
 /// A Gaussian's channels, one copy in each lane, where their number is known at compile time.
@@ -323,6 +248,17 @@ pub(super) fn colour_lanes<S: Simd, F: Real, const C: usize>(simd: S, colour: &[
         *lanes = F::Block::<S>::splat(simd, value);
     }
     lanes
+}
+
+/// Whether all channels are finite. Zero times any other value is undefined.
+pub(super) fn is_finite<F: Real>(colours: &[F]) -> bool {
+    let mut zeros = [F::ZERO; 16];
+    let (chunks, rest) = colours.as_chunks::<16>();
+    for chunk in chunks {
+        zeros.iter_mut().zip(chunk).for_each(|(zero, value)| *zero += *value * F::ZERO);
+    }
+    zeros.iter_mut().zip(rest).for_each(|(zero, value)| *zero += *value * F::ZERO);
+    zeros.iter().all(|zero| *zero == F::ZERO)
 }
 
 /// Adds `sums` to `totals`, each with what rounding took from it (Kahan 1965), and sets `sums` to zero.
@@ -350,22 +286,22 @@ pub(super) struct TileTrace<F> {
 ///
 /// `C` is the number of channels if it is known at compile time, else zero.
 #[inline(always)]
-pub(super) fn rasterize_tile<S: Simd, F: Real, const C: usize, const LONG: bool>(
+pub(super) fn rasterize_tile<S: Simd, F: Real, P: Footprint<F>, const C: usize, const LONG: bool>(
     simd: S,
-    view: &TileView<F>,
+    view: &TileView<F, P>,
     thresholds: &Thresholds<S, F>,
     planes: &mut [F],
     mut trace: Option<&mut TileTrace<F>>,
 ) {
     let channels = if C == 0 { view.channels } else { C };
     let corner = view.corner();
-    let (x, blocks) = (centres(corner[0]), TileBlocks::new(corner));
-    let mut transmittance = Transmittances::new(view.open_transmittance());
-    let mut open = view.size[0] * view.size[1];
+    let (pixels, blocks) = (TilePixels::new(view), TileBlocks::new(corner));
+    let mut transmittance = Transmittances::new(pixels.open);
+    let mut open = view.open(&pixels.open);
     let (sums, final_transmittance) = planes.as_chunks_mut::<TILE_PIXELS>().0.split_at_mut(channels);
     sums.as_flattened_mut().fill(F::ZERO);
     let mut finished_sums = Vec::new();
-    let mut near = Near::<F, C>::default();
+    let mut near = Near::<F, P, C>::default();
     let mut summed = 0;
     for (i, &gaussian) in view.gaussians.iter().enumerate() {
         if i % CHECKPOINT_EVERY == 0 {
@@ -379,24 +315,42 @@ pub(super) fn rasterize_tile<S: Simd, F: Real, const C: usize, const LONG: bool>
             move_into(sums.as_flattened_mut(), &mut finished_sums);
             summed = 0;
         }
-        let splat = FootprintSimd::new(simd, near.footprints[i % CHECKPOINT_EVERY], corner[1]);
+        let footprint = &near.footprints[i % CHECKPOINT_EVERY];
+        let splat = footprint.lanes(simd, corner[1]);
         let colour = if C == 0 { view.colour(gaussian) } else { &near.colours[i % CHECKPOINT_EVERY] };
-        let colour_lanes = colour_lanes::<S, F, C>(simd, colour);
         let mut reached = 0;
-        let footprint = &splat.footprint;
-        let window = TileWindow::around(blocks.met(simd, footprint.mean_px, footprint.half));
+        let [middle, half] = footprint.bounds();
+        let window = TileWindow::around(blocks.met(simd, middle, half));
+        let hidden;
+        let colour = if view.finite || is_finite(colour) {
+            colour
+        } else {
+            add_visible::<S, F, P, LONG>(
+                thresholds,
+                (&splat, &window, &pixels),
+                (colour, view.depth),
+                &transmittance,
+                sums,
+            );
+            hidden = vec![F::ZERO; channels];
+            &hidden[..]
+        };
+        let colour_lanes = colour_lanes::<S, F, C>(simd, colour);
         for part in (window.first_column * BLOCK..window.end_column * BLOCK).step_by(len::<S, F>()) {
-            let column = splat.column(lanes(simd, &x, part));
+            let column = splat.column(pixels.x(simd, part));
             for row in (window.first_row..window.end_row).step_by(ROWS) {
                 let place = row * TILE + part;
                 let before = transmittance.load::<S, LONG>(simd, place);
-                let layer = thresholds.layer::<LONG>(&splat, &column, place, before);
+                let layer = thresholds.layer::<_, LONG>(&splat, (&column, &pixels, place), before);
                 reached |= if layer.near.any_true() { 1 << (place / BLOCK) } else { 0 };
                 transmittance.store::<S, LONG>(layer.transmittance, place);
                 let weight = layer.alpha * before[0];
                 for (channel, sum) in sums.iter_mut().enumerate() {
-                    let colour =
+                    let mut colour =
                         if C == 0 { F::Block::<S>::splat(simd, colour[channel]) } else { colour_lanes[channel] };
+                    if P::ALONG_RAYS && view.depth && channel + 1 == channels {
+                        colour *= layer.depth_factor;
+                    }
                     store(weight.mul_add(colour, lanes(simd, sum, place)), sum, place);
                 }
                 open -= layer.finished;
@@ -418,5 +372,35 @@ pub(super) fn rasterize_tile<S: Simd, F: Real, const C: usize, const LONG: bool>
     final_transmittance[0] = transmittance.kept.map(F::abs);
     for plane in planes.as_chunks_mut::<TILE_PIXELS>().0 {
         *plane = in_rows(plane);
+    }
+}
+
+/// Adds the colours of a Gaussian, not all of which are finite, to the `sums` of the pixels that see it.
+#[inline(always)]
+fn add_visible<S: Simd, F: Real, P: Footprint<F>, const LONG: bool>(
+    thresholds: &Thresholds<S, F>,
+    (splat, window, pixels): (&P::Lanes<S>, &TileWindow, &TilePixels<F>),
+    (colour, depth): (&[F], bool),
+    transmittance: &Transmittances<F>,
+    sums: &mut [Plane<F>],
+) {
+    let (simd, channels) = (thresholds.zero.token(), colour.len());
+    for part in (window.first_column * BLOCK..window.end_column * BLOCK).step_by(len::<S, F>()) {
+        let column = splat.column(pixels.x(simd, part));
+        for row in (window.first_row..window.end_row).step_by(ROWS) {
+            let place = row * TILE + part;
+            let before = transmittance.load::<S, LONG>(simd, place);
+            let layer = thresholds.layer::<_, LONG>(splat, (&column, pixels, place), before);
+            let shows = layer.alpha.simd_gt(thresholds.zero);
+            for (channel, (sum, &colour)) in sums.iter_mut().zip(colour).enumerate() {
+                let mut colour = F::Block::<S>::splat(simd, colour);
+                if P::ALONG_RAYS && depth && channel + 1 == channels {
+                    colour *= layer.depth_factor;
+                }
+                let sum_before = lanes(simd, sum, place);
+                let sum_behind = (layer.alpha * before[0]).mul_add(colour, sum_before);
+                store(shows.select(sum_behind, sum_before), sum, place);
+            }
+        }
     }
 }

@@ -6,11 +6,9 @@
 
 use fearless_simd::prelude::*;
 
-use super::footprint::{Footprint, FootprintSimd};
-use super::tile::{
-    BLOCK, BLOCK_ROW, CHECKPOINT_EVERY, Near, Plane, Thresholds, TileTrace, TileView, Transmittances, centres,
-    colour_lanes, lanes, len, store,
-};
+use super::pixels::{BLOCK, BLOCK_ROW, Plane, TilePixels, lanes, len, store};
+use super::splat_cpu::{Footprint, FootprintLanes, PairSums};
+use super::tile::{CHECKPOINT_EVERY, Near, Thresholds, TileTrace, TileView, Transmittances, colour_lanes};
 use crate::intersect::TILE_PIXELS;
 use crate::simd::real::Real;
 
@@ -27,6 +25,9 @@ pub(super) struct TileGrad<'a, F> {
     pub trace: &'a TileTrace<F>,
     /// Whether the sums of absolute values are wanted.
     pub absolute: bool,
+    /// Whether all colours of all Gaussians are finite, and whether depth is the last channel.
+    pub finite: bool,
+    pub depth: bool,
 }
 
 /// Buffers that one thread reuses from tile to tile, sized for a chunk whose Gaussians show in every pixel.
@@ -53,37 +54,37 @@ impl<F: Real> Default for TileScratch<F> {
     }
 }
 
-/// Fills `intersections`, `[layers, MOMENTS + channels (+ 2)]`, with each intersection's sums over the tile. Sets
+/// Fills `intersections`, `[layers, MOMENTS + channels (+ 4) (+ 2)]`, with each intersection's sums over the tile. Sets
 /// `final_transmittance` to the transmittances behind all layers (negated where finished).
 #[inline(always)]
-pub(super) fn rasterize_tile_backward<S: Simd, F: Real, const C: usize, const LONG: bool>(
+pub(super) fn rasterize_tile_backward<S: Simd, F: Real, P: Footprint<F>, const C: usize, const LONG: bool>(
     simd: S,
-    view: &TileView<F>,
+    view: &TileView<F, P>,
     grad: &TileGrad<F>,
     thresholds: &Thresholds<S, F>,
     (intersections, final_transmittance): (&mut [F], &mut [F; TILE_PIXELS]),
     scratch: &mut TileScratch<F>,
 ) {
     let channels = if C == 0 { view.channels } else { C };
-    let columns = MOMENTS + channels + if grad.absolute { 2 } else { 0 };
+    let columns = MOMENTS + channels + P::COLUMNS + if grad.absolute { 2 } else { 0 };
     // `ρ` has two parts, like the transmittances.
     let mut rho = Transmittances::new([F::ZERO; TILE_PIXELS]);
     rho.kept.copy_from_slice(grad.background_rho);
     let TileTrace { reached, checkpoints } = grad.trace;
     let chunks = reached.len().div_ceil(CHECKPOINT_EVERY);
-    let x = centres(view.corner()[0]);
-    *final_transmittance = view.open_transmittance();
+    let (pixels, top) = (TilePixels::new(view), view.corner()[1]);
+    *final_transmittance = pixels.open;
     for chunk in (0..chunks).rev() {
         let first = chunk * CHECKPOINT_EVERY;
         let reached = &reached[first..reached.len().min(first + CHECKPOINT_EVERY)];
         let gaussians = &view.gaussians[first..first + reached.len()];
         let mut transmittance = match chunk {
-            0 => Transmittances::new(view.open_transmittance()),
+            0 => Transmittances::new(pixels.open),
             _ => Transmittances::resume::<LONG>(checkpoints, chunk - 1),
         };
-        let mut near = Near::<F, C>::default();
+        let mut near = Near::<F, P, C>::default();
         near.gather(view, gaussians);
-        forwards::<S, F, LONG>(thresholds, view.corner(), (&near.footprints, reached), &mut transmittance, scratch);
+        forwards::<S, F, P, LONG>(thresholds, (&pixels, top), (&near.footprints, reached), &mut transmittance, scratch);
         if chunk + 1 == chunks {
             *final_transmittance = transmittance.kept;
         }
@@ -95,41 +96,40 @@ pub(super) fn rasterize_tile_backward<S: Simd, F: Real, const C: usize, const LO
             let row = &mut intersections[(first + i) * columns..(first + i + 1) * columns];
             let pair = 2 * len::<S, F>();
             let layers = (&mut scratch.layers[layers.start * pair..layers.end * pair], &scratch.places[layers]);
-            let splat = FootprintSimd::new(simd, near.footprints[i], view.corner()[1]);
+            let splat = near.footprints[i].lanes(simd, top);
             let colour = if C == 0 { view.colour(gaussian) } else { &near.colours[i] };
-            backwards::<S, F, C, LONG>(grad, (&splat, colour, thresholds), &x, layers, (&mut rho, row));
+            backwards::<S, F, P, C, LONG>(grad, (&splat, colour, thresholds), &pixels, layers, (&mut rho, row));
         }
     }
 }
 
 /// Runs the forward pass over one chunk, in the blocks that each Gaussian is known to reach, and stores the layers.
 #[inline(always)]
-fn forwards<S: Simd, F: Real, const LONG: bool>(
+fn forwards<S: Simd, F: Real, P: Footprint<F>, const LONG: bool>(
     thresholds: &Thresholds<S, F>,
-    corner: [F; 2],
-    (near, reached): (&[Footprint<F>], &[u16]),
+    (pixels, top): (&TilePixels<F>, F),
+    (near, reached): (&[P], &[u16]),
     transmittance: &mut Transmittances<F>,
     scratch: &mut TileScratch<F>,
 ) {
     let simd = thresholds.alpha_max.token();
     let mut met = 0;
-    let x = centres(corner[0]);
-    for (i, (&footprint, &reached)) in near.iter().zip(reached).enumerate() {
+    for (i, (footprint, &reached)) in near.iter().zip(reached).enumerate() {
         scratch.starts[i] = met;
-        let splat = FootprintSimd::new(simd, footprint, corner[1]);
+        let splat = footprint.lanes(simd, top);
         for first in (0..BLOCK_ROW).step_by(BLOCK) {
             let in_column = reached & FIRST_COLUMN << (first / BLOCK);
             if in_column == 0 {
                 continue;
             }
             for part in (0..BLOCK).step_by(len::<S, F>()) {
-                let column = splat.column(lanes(simd, &x, first + part));
+                let column = splat.column(pixels.x(simd, first + part));
                 let mut blocks = in_column;
                 while blocks != 0 {
                     let place = blocks.trailing_zeros() as usize * BLOCK + part;
                     blocks &= blocks - 1;
                     let before = transmittance.load::<S, LONG>(simd, place);
-                    let layer = thresholds.layer::<LONG>(&splat, &column, place, before);
+                    let layer = thresholds.layer::<_, LONG>(&splat, (&column, pixels, place), before);
                     transmittance.store::<S, LONG>(layer.transmittance, place);
                     store(before[0], &mut scratch.layers, met * 2 * len::<S, F>());
                     store(layer.alpha, &mut scratch.layers, (met * 2 + 1) * len::<S, F>());
@@ -145,10 +145,10 @@ fn forwards<S: Simd, F: Real, const LONG: bool>(
 /// Passes one Gaussian back to front: writes its sums over the pixels that it shows in to `row`, and updates `rho` to
 /// its value in front of the Gaussian.
 #[inline(always)]
-fn backwards<S: Simd, F: Real, const C: usize, const LONG: bool>(
+fn backwards<S: Simd, F: Real, P: Footprint<F>, const C: usize, const LONG: bool>(
     grad: &TileGrad<F>,
-    (splat, colour, thresholds): (&FootprintSimd<S, F>, &[F], &Thresholds<S, F>),
-    x: &[F; BLOCK_ROW],
+    (splat, colour, thresholds): (&P::Lanes<S>, &[F], &Thresholds<S, F>),
+    pixels: &TilePixels<F>,
     (layers, places): (&mut [F], &[u16]),
     (rho, row): (&mut Transmittances<F>, &mut [F]),
 ) {
@@ -158,43 +158,41 @@ fn backwards<S: Simd, F: Real, const C: usize, const LONG: bool>(
     let zero = F::Block::<S>::splat(simd, F::ZERO);
     let planes = &grad.planes[..=channels];
     let plane = |channel: usize, place: usize| lanes::<S, F>(simd, &planes[channel], place);
-    let mut moments = [zero; MOMENTS];
-    let mut absolute = [zero; 2];
+    let mut sums = PairSums::new(zero);
     let mut features = [zero; C];
     let colour_lanes = colour_lanes::<S, F, C>(simd, colour);
-    let slope = splat.inverse_v * splat.footprint.shear;
+    // Along rays depth has a factor at each pixel.
+    let bends = |channel: usize| P::ALONG_RAYS && grad.depth && channel + 1 == channels;
     let layer_len = 2 * len::<S, F>();
     for (i, &place) in places.iter().enumerate() {
         let (layer, place) = (&mut layers[i * layer_len..][..layer_len], place as usize);
         let [behind, lost] = rho.load::<S, LONG>(simd, place);
         let before = lanes::<S, F>(simd, layer, 0);
         let alpha = lanes::<S, F>(simd, layer, len::<S, F>());
+        let column = splat.column(pixels.x(simd, place % BLOCK_ROW));
+        let at = splat.at(&column, pixels, place);
         let mut along = plane(channels, place);
         for channel in 0..channels {
-            let colour = if C == 0 { F::Block::<S>::splat(simd, colour[channel]) } else { colour_lanes[channel] };
+            let mut colour = if C == 0 { F::Block::<S>::splat(simd, colour[channel]) } else { colour_lanes[channel] };
+            if bends(channel) {
+                colour *= at.depth_factor;
+            }
             along = plane(channel, place).mul_add(colour, along);
         }
         let weight = alpha * before;
-        let ahead = along - behind;
+        let mut ahead = along - behind;
+        // What is not finite may lie behind any Gaussian.
+        if !grad.finite {
+            ahead = alpha.simd_gt(zero).select(ahead, zero);
+        }
         let change = if LONG { alpha.mul_add(ahead, (-alpha).mul_add(lost, lost)) } else { alpha * ahead };
         let stepped = if LONG { behind + change } else { alpha.mul_add(ahead, behind) };
         rho.store::<S, LONG>([stepped, change - (stepped - behind)], place);
         let free = alpha.simd_lt(alpha_max);
         let h = free.select(weight * ahead, zero);
 
-        let column = splat.column(lanes(simd, x, place % BLOCK_ROW));
-        let (u, v) = (column.u, splat.v(&column, thresholds.rows(place)));
-        let (hu, hv) = (h * u, h * v);
-        moments[0] += h;
-        moments[1] += hu;
-        moments[2] += hv;
-        moments[3] = hu.mul_add(u, moments[3]);
-        moments[4] = hu.mul_add(v, moments[4]);
-        moments[5] = hv.mul_add(v, moments[5]);
-        if grad.absolute {
-            absolute[0] += (hu * splat.inverse_u - hv * slope).abs();
-            absolute[1] += (hv * splat.inverse_v).abs();
-        }
+        let of_depth = if bends(channels - 1) { Some(weight * plane(channels - 1, place)) } else { None };
+        splat.add(&mut sums, &at.point, h, of_depth, grad.absolute);
         if C == 0 {
             store(weight, layer, 0);
         } else {
@@ -203,7 +201,7 @@ fn backwards<S: Simd, F: Real, const C: usize, const LONG: bool>(
             }
         }
     }
-    for (out, sum) in row.iter_mut().zip(moments) {
+    for (out, sum) in row.iter_mut().zip(sums.moments) {
         *out = sum.reduce_sum();
     }
     for channel in 0..channels {
@@ -218,8 +216,12 @@ fn backwards<S: Simd, F: Real, const C: usize, const LONG: bool>(
         };
         row[MOMENTS + channel] = sum.reduce_sum();
     }
+    for (out, sum) in row[MOMENTS + channels..].iter_mut().zip(sums.slopes).take(P::COLUMNS) {
+        *out = sum.reduce_sum();
+    }
     if grad.absolute {
-        row[MOMENTS + channels] = absolute[0].reduce_sum();
-        row[MOMENTS + channels + 1] = absolute[1].reduce_sum();
+        let last = MOMENTS + channels + P::COLUMNS;
+        row[last] = sums.absolute[0].reduce_sum();
+        row[last + 1] = sums.absolute[1].reduce_sum();
     }
 }

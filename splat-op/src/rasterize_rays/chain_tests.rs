@@ -1,15 +1,14 @@
 //! The gradients of Gaussians through `project`, `ray_space` and `rasterize_rays`. Only all three stages together have a gradient that
 //! finite differences can prove: the gradient of a row holds its coordinates fixed, which move with the Gaussian.
 
-use super::RayLayers;
-use super::cpu::{rasterize_rays_backward_cpu, rasterize_rays_cpu};
 use crate::camera::{CameraModel, Intrinsics};
 use crate::intersect::IntersectionLists;
 use crate::intersect::cpu::intersect_cpu;
 use crate::options::{Projection, RenderOptions};
 use crate::project::cpu::{project_backward_cpu, project_cpu};
 use crate::project::{Geometry, ProjectSpec};
-use crate::rasterize::{PlaneParts, RasterizeSpec};
+use crate::rasterize::cpu::{rasterize_backward_cpu, rasterize_cpu};
+use crate::rasterize::{Layers, PlaneParts, RasterizeSpec};
 use crate::ray_space::cpu::{ray_space_backward_cpu, ray_space_cpu};
 use crate::ray_space::{RAY_SPACE, bounds_cpu};
 use crate::testing::blending::{assert_close, smooth};
@@ -53,8 +52,8 @@ impl Scene {
         [project_cpu(self.geometry(), &spec), ray_space_cpu(self.geometry(), &spec)]
     }
 
-    fn layers<'a>(&'a self, [projected, ray_space]: &'a [Vec<f64>; 2]) -> RayLayers<&'a [f64]> {
-        RayLayers { projected, ray_space, features: &self.tensors[5], background: &BACKGROUND, mean2d_abs: &[] }
+    fn layers<'a>(&'a self, [projected, ray_space]: &'a [Vec<f64>; 2]) -> Layers<&'a [f64]> {
+        Layers { projected, ray_space, features: &self.tensors[5], background: &BACKGROUND, mean2d_abs: &[] }
     }
 
     fn lists(&self, [projected, rows]: &[Vec<f64>; 2]) -> IntersectionLists {
@@ -64,7 +63,7 @@ impl Scene {
 
     fn planes(&self) -> Vec<f64> {
         let rows = self.projected();
-        rasterize_rays_cpu(self.layers(&rows), &self.specs().1, &self.lists(&rows), false).0
+        rasterize_cpu(self.layers(&rows), &self.specs().1, &self.lists(&rows), false).0
     }
 
     /// A random gradient of the planes.
@@ -76,11 +75,10 @@ impl Scene {
     /// The gradients of the Gaussians by those of the planes. `pass` hands on the gradients between the stages.
     fn backward(&self, grad: &[f64], pass: impl Fn(&[f64]) -> Vec<f64>) -> Geometry<Vec<f64>> {
         let (rows, (project, spec)) = (self.projected(), self.specs());
-        let wanted =
-            RayLayers { projected: true, ray_space: true, features: false, background: false, mean2d_abs: false };
+        let wanted = Layers { projected: true, ray_space: true, features: false, background: false, mean2d_abs: false };
         let grad = PlaneParts::split(grad, &spec, 3);
         let lists = self.lists(&rows);
-        let grads = rasterize_rays_backward_cpu(self.layers(&rows), grad, &spec, (&lists, None), wanted);
+        let grads = rasterize_backward_cpu(self.layers(&rows), grad, &spec, (&lists, None), wanted);
         let through_ellipses = project_backward_cpu(self.geometry(), &pass(&grads.projected), &project, ALL);
         let through_rows = ray_space_backward_cpu(self.geometry(), &pass(&grads.ray_space), &project, ALL);
         through_ellipses.zip(through_rows).map(|(a, b)| a.iter().zip(b).map(|(a, b)| a + b).collect())

@@ -1,43 +1,55 @@
-//! A Gaussian in the CPU twin, and its evaluation at a vector of pixels.
+//! A Gaussian along the pixels' rays in the CPU twin.
 
 use fearless_simd::prelude::*;
 
-use super::{D_MIN, RayLayers, WHITENED_MAX};
+use super::{D_MIN, WHITENED_MAX};
+use crate::intersect::PixelBox;
 use crate::intersect::extent::widened_limit;
 use crate::project::{COLUMNS, Ellipse};
-use crate::rasterize::RasterizeSpec;
+use crate::rasterize::Layers;
 use crate::rasterize::footprint::WHITEN;
-use crate::ray_space::{LensFrame, LensLimits, beyond, columns};
+use crate::rasterize::pixels::{TilePixels, lanes};
+use crate::rasterize::splat_cpu::{Footprint, FootprintLanes, FootprintView, PairSums, SplatAt};
+use crate::ray_space::{LensFrame, SLOPES, beyond, columns};
 use crate::simd::each;
-use crate::simd::real::{EXP2_CONSTANTS, Real};
+use crate::simd::real::Real;
 
 /// A Gaussian in the form that the loops over pixels multiply by. Nothing is scaled, as it is in `rasterize`: where `s` is a small
 /// difference of products, their rounding would show.
 #[derive(Clone, Copy, Default)]
 #[repr(align(64))]
-pub(super) struct RayFootprint<F> {
+pub(crate) struct RayFootprint<F> {
     /// Origin of the whitened coordinates: the centre, or the point of the picture's border nearest to it, px.
-    pub base_px: [F; 2],
-    pub inverse_u: F,
-    pub inverse_v: F,
-    pub shear: F,
-    pub opacity: F,
+    base_px: [F; 2],
+    inverse_u: F,
+    inverse_v: F,
+    shear: F,
+    opacity: F,
     /// Largest exponent: beyond it the alpha is certainly below `alpha_min`. A negative extent never shows.
     extent: F,
-    pub depth_slope: [F; 2],
+    depth_slope: [F; 2],
     /// The square of the thickness.
-    pub thick: F,
-    pub depth: F,
+    thick: F,
+    depth: F,
     /// `(α, β)` and `γ`: the centre relative to the origin.
-    pub centre: [F; 2],
-    pub gamma: F,
+    centre: [F; 2],
+    gamma: F,
     /// Whether the centre is not the origin.
-    pub beyond: bool,
+    beyond: bool,
+    /// The columns of a lens that take the slopes of a ray to its whitened coordinates.
+    frame: LensFrame<F>,
+    /// Middle and half the size of its box, px.
+    bounds: [[f32; 2]; 2],
 }
 
-impl<F: Real> RayFootprint<F> {
-    /// Reads the Gaussian `i`.
-    pub fn new(inputs: &RayLayers<&[F]>, i: usize, (spec, lens): (&RasterizeSpec, Option<&LensLimits<F>>)) -> Self {
+impl<F: Real> Footprint<F> for RayFootprint<F> {
+    const COLUMNS: usize = SLOPES;
+    const ALONG_RAYS: bool = true;
+    const UNSCALE: f64 = 1.0;
+    type Lanes<S: Simd> = RayLanes<S, F>;
+
+    fn read(inputs: &Layers<&[F]>, i: usize, view: &FootprintView<F>) -> Self {
+        let FootprintView { spec, lens, boxes } = view;
         let row = &inputs.projected[i * COLUMNS..][..COLUMNS];
         let columns = columns(&spec.intrinsics);
         let slopes = &inputs.ray_space[i * columns..][..columns];
@@ -55,7 +67,7 @@ impl<F: Real> RayFootprint<F> {
         let [far_x, far_y] = [0, 1].map(|axis| {
             let base = base_px[axis];
             let far = base.abs().max_of((size[axis] - base).abs()).max_of(F::ONE);
-            lens.map_or(far, |lens| far.max_of(frame.farthest(lens, axis)))
+            lens.as_ref().map_or(far, |lens| far.max_of(frame.farthest(lens, axis)))
         });
         let far_v = far_y + ellipse.shear.abs() * far_x;
         let inverse = |sigma: F, far: F| (F::ONE / sigma).min_of(widest / far);
@@ -67,6 +79,13 @@ impl<F: Real> RayFootprint<F> {
         let depth_slope = [slope(slopes[0], far_x * inverse_u), slope(slopes[1], far_v * inverse_v)];
         let centre = [away[0] * inverse_u, (away[1] - ellipse.shear * away[0]) * inverse_v];
         let centre = centre.map(|value| value.within(-widest, widest));
+        let [by_x, by_y] = frame.by;
+        let whitened = [
+            each!(by_x, |by| by * inverse_u),
+            each!([0, 1], |slope| (by_y[slope] - ellipse.shear * by_x[slope]) * inverse_v),
+        ];
+        // Lists of another projection may have none.
+        let found = boxes.get(i).unwrap_or(&PixelBox::EVERYWHERE);
         let limit = widened_limit(ellipse.opacity, alpha_min) * F::of(WHITEN * WHITEN);
         Self {
             base_px,
@@ -81,150 +100,181 @@ impl<F: Real> RayFootprint<F> {
             centre,
             gamma: centre_depth - depth_slope[0] * centre[0] - depth_slope[1] * centre[1],
             beyond: away != [F::ZERO; 2] || centre_depth != F::ONE,
+            frame: LensFrame { by: whitened, ..frame },
+            bounds: [found.middle, found.half],
         }
     }
 
-    /// Returns the columns of a lens that take the slopes of a ray to its whitened coordinates, from those that take them to px.
     #[inline(always)]
-    pub fn whitening(&self, frame: LensFrame<F>) -> LensFrame<F> {
-        let [x, y] = frame.by;
-        let u = each!(x, |by| by * self.inverse_u);
-        let v = each!([0, 1], |slope| (y[slope] - self.shear * x[slope]) * self.inverse_v);
-        LensFrame { by: [u, v], ..frame }
+    fn bounds(&self) -> [[F; 2]; 2] {
+        self.bounds.map(|pair| pair.map(|px| F::of(px.into())))
     }
 
-    /// Returns the whitened coordinates `u` and `v` of pixels.
     #[inline(always)]
-    fn whiten<S: Simd>(&self, pixels: &RayPixels<S, F>) -> [F::Block<S>; 2] {
-        let lanes = |value: F| F::Block::<S>::splat(pixels.x.token(), value);
-        let [dx, dy] = [pixels.x - lanes(self.base_px[0]), pixels.y - lanes(self.base_px[1])];
-        [dx * lanes(self.inverse_u), lanes(-self.shear).mul_add(dx, dy) * lanes(self.inverse_v)]
-    }
-}
-
-/// Render options that affect pixels, one copy in each lane.
-pub(super) struct RayRules<S: Simd, F: Real> {
-    simd: S,
-    pub zero: F::Block<S>,
-    one: F::Block<S>,
-    half_log2_e: F::Block<S>,
-    /// At least the smallest positive number: an alpha of zero contributes nothing.
-    alpha_min: F::Block<S>,
-    /// Limits of `s`, `D` and the depth.
-    nearest: F::Block<S>,
-    d_min: F::Block<S>,
-    farthest: F::Block<S>,
-    pub alpha_max: F::Block<S>,
-    /// A value below zero disables the threshold.
-    pub transmittance_min: F::Block<S>,
-    exp2: [F::Block<S>; EXP2_CONSTANTS],
-}
-
-/// Centres of a vector of pixels, px, and the slopes of their rays if the camera has a lens.
-#[derive(Clone, Copy)]
-pub(super) struct RayPixels<S: Simd, F: Real> {
-    pub x: F::Block<S>,
-    pub y: F::Block<S>,
-    pub slopes: Option<[F::Block<S>; 2]>,
-}
-
-/// A Gaussian at a vector of pixels.
-pub(super) struct RayLayerSimd<S: Simd, F: Real> {
-    pub u: F::Block<S>,
-    pub v: F::Block<S>,
-    /// `1/D`, or zero where `λ` is set to zero.
-    pub inverse: F::Block<S>,
-    /// `s/D`; `a`, `b` and `c`.
-    pub along: F::Block<S>,
-    pub apart: [F::Block<S>; 3],
-    /// `λ z`, scene units.
-    pub depth: F::Block<S>,
-    /// Zero where the Gaussian does not show.
-    pub alpha: F::Block<S>,
-    pub shows: <F::Block<S> as SimdBase<S>>::Mask,
-}
-
-impl<S: Simd, F: Real> RayRules<S, F> {
-    #[inline(always)]
-    pub fn new(simd: S, spec: &RasterizeSpec) -> Self {
-        let options = &spec.options;
-        let lanes = |value| F::Block::<S>::splat(simd, F::of(value));
-        let mut exp2 = [lanes(0.0); EXP2_CONSTANTS];
-        for (constant, value) in exp2.iter_mut().zip(F::EXP2) {
-            *constant = F::Block::<S>::splat(simd, value);
-        }
-        Self {
+    fn lanes<S: Simd>(&self, simd: S, _top: F) -> RayLanes<S, F> {
+        let lanes = |value| F::Block::<S>::splat(simd, value);
+        RayLanes {
             simd,
-            zero: lanes(0.0),
-            one: lanes(1.0),
-            half_log2_e: lanes(WHITEN * WHITEN),
-            alpha_min: F::Block::<S>::splat(simd, F::of(options.alpha_min).max_of(F::MIN_POSITIVE)),
-            nearest: lanes(D_MIN.sqrt()),
-            d_min: lanes(D_MIN),
-            farthest: F::Block::<S>::splat(simd, F::MAX),
-            alpha_max: lanes(options.alpha_max),
-            // A threshold of zero omits nothing, not even layers behind an alpha of one.
-            transmittance_min: lanes(if options.transmittance_min > 0.0 { options.transmittance_min } else { -1.0 }),
-            exp2: std::hint::black_box(exp2),
+            splat: *self,
+            base: each!(self.base_px, |px| lanes(px)),
+            inverse_u: lanes(self.inverse_u),
+            inverse_v: lanes(self.inverse_v),
+            shear: lanes(self.shear),
+            opacity: lanes(self.opacity),
+            extent: lanes(self.extent),
+            depth_slope: each!(self.depth_slope, |slope| lanes(slope)),
+            thick: lanes(self.thick),
+            depth: lanes(self.depth),
+            centre: each!(self.centre, |value| lanes(value)),
+            gamma: lanes(self.gamma),
         }
     }
+}
 
-    /// Evaluates a Gaussian, whose frame is [`RayFootprint::whitening`] if there is a lens. `known` is `inverse`, if it is known from
-    /// before.
+/// A Gaussian's constants, one copy in each lane.
+pub(crate) struct RayLanes<S: Simd, F: Real> {
+    simd: S,
+    splat: RayFootprint<F>,
+    base: [F::Block<S>; 2],
+    inverse_u: F::Block<S>,
+    inverse_v: F::Block<S>,
+    shear: F::Block<S>,
+    opacity: F::Block<S>,
+    extent: F::Block<S>,
+    depth_slope: [F::Block<S>; 2],
+    thick: F::Block<S>,
+    depth: F::Block<S>,
+    centre: [F::Block<S>; 2],
+    gamma: F::Block<S>,
+}
+
+/// A Gaussian at a vector of pixels, with the names of the module's documentation.
+pub(crate) struct RayPoint<S: Simd, F: Real> {
+    u: F::Block<S>,
+    v: F::Block<S>,
+    /// `1/D`, or zero where `λ` is set to zero.
+    inverse: F::Block<S>,
+    /// `s/D`; `a`, `b` and `c`.
+    along: F::Block<S>,
+    apart: [F::Block<S>; 3],
+}
+
+impl<S: Simd, F: Real> RayLanes<S, F> {
+    /// Returns the whitened coordinates of the rays of the vector of pixels at `place`, whose centres along x are `x`, px.
     #[inline(always)]
-    pub fn layer(
-        &self,
-        (splat, frame): (&RayFootprint<F>, Option<&LensFrame<F>>),
-        pixels: &RayPixels<S, F>,
-        known: Option<F::Block<S>>,
-    ) -> RayLayerSimd<S, F> {
-        let simd = self.simd;
-        let lanes = |value: F| F::Block::<S>::splat(simd, value);
-        // Of the pixel's ray where there is a lens, and of its position.
-        let [u, v] = match (pixels.slopes, frame) {
-            (Some([x, y]), Some(frame)) => {
-                let (x, y) = (x - lanes(frame.centre[0]), y - lanes(frame.centre[1]));
-                each!(frame.by, |[by_x, by_y]| lanes(by_x).mul_add(x, y * lanes(by_y)))
-            }
-            _ => splat.whiten(pixels),
-        };
+    fn whitened(&self, x: F::Block<S>, pixels: &TilePixels<F>, place: usize) -> [F::Block<S>; 2] {
+        let splat = |value: F| F::Block::<S>::splat(self.simd, value);
+        if let Some(slopes) = &pixels.slopes {
+            let LensFrame { centre, by } = self.splat.frame;
+            let x = lanes::<S, F>(self.simd, &slopes[0], place) - splat(centre[0]);
+            let y = lanes::<S, F>(self.simd, &slopes[1], place) - splat(centre[1]);
+            each!(by, |[by_x, by_y]| splat(by_x).mul_add(x, y * splat(by_y)))
+        } else {
+            let y = pixels.rows(self.simd, place) + splat(pixels.top);
+            let [dx, dy] = [x - self.base[0], y - self.base[1]];
+            [dx * self.inverse_u, (-self.shear).mul_add(dx, dy) * self.inverse_v]
+        }
+    }
+}
+
+impl<S: Simd, F: Real> FootprintLanes<S, F> for RayLanes<S, F> {
+    /// Centres along x, px.
+    type Column = F::Block<S>;
+    type Point = RayPoint<S, F>;
+
+    #[inline(always)]
+    fn opacity(&self) -> F::Block<S> {
+        self.opacity
+    }
+
+    #[inline(always)]
+    fn column(&self, x: F::Block<S>) -> F::Block<S> {
+        x
+    }
+
+    #[inline(always)]
+    fn at(&self, x: &F::Block<S>, pixels: &TilePixels<F>, place: usize) -> SplatAt<S, F, RayPoint<S, F>> {
+        let constant = |value: F| F::Block::<S>::splat(self.simd, value);
+        let (zero, one) = (constant(F::ZERO), constant(F::ONE));
+        let half_log2_e = constant(F::of(WHITEN * WHITEN));
+        let [u, v] = self.whitened(*x, pixels, place);
         let square = u.mul_add(u, v * v);
-        let [slope_u, slope_v] = each!(splat.depth_slope, |slope| lanes(-slope));
-        let s = slope_u.mul_add(u, slope_v.mul_add(v, self.one));
-        let d = lanes(splat.thick).mul_add(square, s * s);
+        let [slope_u, slope_v] = self.depth_slope;
+        let s = (-slope_u).mul_add(u, (-slope_v).mul_add(v, one));
+        let d = self.thick.mul_add(square, s * s);
         let (lambda, along, apart, exponent, inverse, sound);
-        if splat.beyond {
-            let ([alpha, beta], gamma, thick) =
-                (each!(splat.centre, |value| lanes(value)), lanes(splat.gamma), lanes(splat.thick));
+        if self.splat.beyond {
+            let ([alpha, beta], gamma, thick) = (self.centre, self.gamma, self.thick);
             let dot = alpha.mul_add(u, beta * v);
             let product = gamma.mul_add(s, thick * dot);
-            sound = d.simd_gt(self.d_min) & product.simd_gt(self.zero);
-            inverse = match known {
-                Some(inverse) => inverse,
-                None => sound.select(self.one / d, self.zero),
-            };
+            sound = d.simd_gt(constant(F::of(D_MIN))) & product.simd_gt(zero);
+            inverse = sound.select(one / d, zero);
             (lambda, along) = (product * inverse, s * inverse);
             let [a, b] = [lambda.mul_add(u, -alpha), lambda.mul_add(v, -beta)];
             let c = inverse * gamma.mul_add(square, -s * dot);
             apart = [a, b, c];
-            exponent = a.mul_add(a, b.mul_add(b, thick * c * c)) * self.half_log2_e;
+            exponent = a.mul_add(a, b.mul_add(b, thick * c * c)) * half_log2_e;
         } else {
-            sound = s.simd_gt(self.nearest);
-            inverse = match known {
-                Some(inverse) => inverse,
-                None => sound.select(self.one / d, self.zero),
-            };
+            sound = s.simd_gt(constant(F::of(D_MIN.sqrt())));
+            inverse = sound.select(one / d, zero);
             lambda = s * inverse;
             along = lambda;
             apart = [lambda * u, lambda * v, square * inverse];
-            exponent = apart[2] * self.half_log2_e;
+            exponent = apart[2] * half_log2_e;
         }
-        let depth = lambda * lanes(splat.depth);
-        let near = exponent.simd_le(lanes(splat.extent)) & sound & depth.abs().simd_le(self.farthest);
-        let power = F::exp2_lanes::<S, F::Block<S>>(exponent, &self.exp2);
-        let value = (lanes(splat.opacity) * power).min(self.alpha_max);
-        let shows = near & value.simd_ge(self.alpha_min);
-        let alpha = shows.select(value, self.zero);
-        RayLayerSimd { u, v, inverse, along, apart, depth, alpha, shows }
+        let depth = lambda * self.depth;
+        let near = exponent.simd_le(self.extent) & sound & depth.abs().simd_le(constant(F::MAX));
+        let depth_factor = near.select(lambda, zero);
+        SplatAt { exponent, near, depth_factor, point: RayPoint { u, v, inverse, along, apart } }
+    }
+
+    /// The module's documentation has the formulas.
+    #[inline(always)]
+    fn add(
+        &self,
+        sums: &mut PairSums<S, F>,
+        point: &RayPoint<S, F>,
+        h: F::Block<S>,
+        of_depth: Option<F::Block<S>>,
+        absolute: bool,
+    ) {
+        let RayPoint { u, v, inverse, along, apart: [a, b, c] } = *point;
+        let [slope_u, slope_v] = self.depth_slope;
+        // `r` of the module's documentation.
+        let reach = [c.mul_add(slope_u, a), c.mul_add(slope_v, b)];
+        let through = h * c;
+        let (mut of_gamma, mut of_thickness) = (-through, c * through);
+        // The negative gradients of `α` and `β`.
+        let mut of_centre = each!(reach, |reach| h * reach);
+        let (moments, slopes) = (&mut sums.moments, &mut sums.slopes);
+        if let Some(of_depth) = of_depth {
+            let of_lambda = of_depth * self.depth;
+            let (far, along_s) = (of_lambda * self.thick * inverse, of_lambda * along);
+            of_gamma += along_s;
+            of_thickness -= c * (along_s + along_s);
+            of_centre[0] += far.mul_add(u, -(along_s * slope_u));
+            of_centre[1] += far.mul_add(v, -(along_s * slope_v));
+            let (of_ray, of_s) = (each!(reach, |reach| far * reach), far * c);
+            moments[3] = of_ray[0].mul_add(u, moments[3]);
+            moments[4] = of_ray[1].mul_add(u, moments[4]);
+            moments[5] = of_ray[1].mul_add(v, moments[5]);
+            slopes[0] -= of_s * u;
+            slopes[1] -= of_s * v;
+        }
+        slopes[0] = of_gamma.mul_add(a, slopes[0]);
+        slopes[1] = of_gamma.mul_add(b, slopes[1]);
+        slopes[2] = of_thickness.mul_add(F::Block::<S>::splat(self.simd, self.splat.thick.sqrt()), slopes[2]);
+        slopes[3] += of_gamma;
+        moments[0] += h;
+        moments[1] += of_centre[0];
+        moments[2] += of_centre[1];
+        moments[3] = of_centre[0].mul_add(a, moments[3]);
+        moments[4] = of_centre[1].mul_add(a, moments[4]);
+        moments[5] = of_centre[1].mul_add(b, moments[5]);
+        if absolute {
+            let per_v = of_centre[1] * self.inverse_v;
+            sums.absolute[0] += (of_centre[0] * self.inverse_u - per_v * self.shear).abs();
+            sums.absolute[1] += per_v.abs();
+        }
     }
 }

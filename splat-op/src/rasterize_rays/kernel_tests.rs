@@ -1,19 +1,17 @@
-//! Compares the kernels of `rasterize_rays` with the CPU twin in f64, within f32 precision.
+//! Compares the kernels along rays with the CPU twin in f64, within f32 precision.
 
-use super::RayLayers;
-use super::cpu::{rasterize_rays_backward_cpu, rasterize_rays_cpu};
-use super::launch::{launch_rasterize_rays, launch_rasterize_rays_backward};
-use super::pair_sums::row_len;
 use crate::camera::Intrinsics;
 use crate::gpu::{Buffer, Gpu};
+use crate::intersect::IntersectionLists;
 use crate::intersect::cpu::intersect_cpu;
 use crate::intersect::launch::{DeviceIntersections, launch_intersect};
-use crate::intersect::{IntersectionLists, TILE_PIXELS};
-use crate::options::{Projection, RenderOptions};
+use crate::options::{Accumulation, Projection, RenderOptions};
 use crate::project::COLUMNS;
+use crate::rasterize::cpu::{rasterize_backward_cpu, rasterize_cpu};
+use crate::rasterize::launch::{columns_of, launch_rasterize, launch_rasterize_backward};
 use crate::rasterize::layer::KernelShape;
 use crate::rasterize::rows::Rows;
-use crate::rasterize::{PlaneParts, RasterizeSpec};
+use crate::rasterize::{Layers, PlaneParts, RasterizeSpec};
 use crate::ray_space::launch::launch_bounds;
 use crate::ray_space::{RAY_SPACE, bounds_cpu};
 use crate::testing::ceiling::{PerturbedReference, rounded, to_f32};
@@ -21,8 +19,8 @@ use crate::testing::ellipses::{ellipses, ray_rows};
 use crate::testing::gpu::{gpu, gpus};
 use crate::testing::random::Random;
 
-const ALL: RayLayers<bool> =
-    RayLayers { projected: true, ray_space: true, features: true, background: true, mean2d_abs: true };
+const ALL: Layers<bool> =
+    Layers { projected: true, ray_space: true, features: true, background: true, mean2d_abs: true };
 
 /// Packed ellipses, rows in ray space, features, background.
 #[derive(Clone)]
@@ -64,9 +62,9 @@ impl StageInputs {
         Self { inputs: inputs[..4].to_vec(), ..self.clone() }
     }
 
-    fn view(&self) -> RayLayers<&'_ [f64]> {
+    fn view(&self) -> Layers<&'_ [f64]> {
         let [projected, ray_space, features, background] = &self.inputs[..] else { unreachable!("four inputs") };
-        RayLayers { projected, ray_space, features, background, mean2d_abs: &[] }
+        Layers { projected, ray_space, features, background, mean2d_abs: &[] }
     }
 
     fn lists(&self) -> IntersectionLists {
@@ -76,12 +74,12 @@ impl StageInputs {
     }
 
     fn planes(&self) -> Vec<f64> {
-        rasterize_rays_cpu(self.view(), &self.spec, &self.lists(), false).0
+        rasterize_cpu(self.view(), &self.spec, &self.lists(), false).0
     }
 
-    fn backward(&self, grad: &[f64]) -> RayLayers<Vec<f64>> {
+    fn backward(&self, grad: &[f64]) -> Layers<Vec<f64>> {
         let grad = PlaneParts::split(grad, &self.spec, self.inputs[3].len());
-        rasterize_rays_backward_cpu(self.view(), grad, &self.spec, (&self.lists(), None), ALL)
+        rasterize_backward_cpu(self.view(), grad, &self.spec, (&self.lists(), None), ALL)
     }
 
     /// Marks the pixels whose result jumps when rounding moves a threshold.
@@ -102,9 +100,9 @@ impl StageInputs {
         band
     }
 
-    fn device(&self, gpu: &Gpu) -> (RayLayers<Buffer<f32>>, DeviceIntersections) {
+    fn device(&self, gpu: &Gpu) -> (Layers<Buffer<f32>>, DeviceIntersections) {
         let buffer = |i: usize| Buffer::from_slice(gpu, &to_f32(&self.inputs[i]));
-        let inputs = RayLayers {
+        let inputs = Layers {
             projected: buffer(0),
             ray_space: buffer(1),
             features: buffer(2),
@@ -117,18 +115,13 @@ impl StageInputs {
         (inputs, lists)
     }
 
-    /// Returns planes and gradients computed on the device, with room for so many buckets at a time.
-    fn on(
-        &self,
-        gpu: &Gpu,
-        grad: &[f64],
-        needs: RayLayers<bool>,
-        room: usize,
-    ) -> (Vec<f32>, RayLayers<Option<Buffer<f32>>>) {
+    /// Returns planes and gradients computed on the device.
+    fn on(&self, gpu: &Gpu, grad: &[f64], needs: Layers<bool>) -> (Vec<f32>, Layers<Option<Buffer<f32>>>) {
         let (inputs, lists) = self.device(gpu);
         let grad = Buffer::from_slice(gpu, &to_f32(grad));
-        let planes = launch_rasterize_rays(gpu, &inputs, &lists, &self.spec).read(gpu);
-        (planes, launch_rasterize_rays_backward(gpu, &inputs, &grad, (&lists, room), &self.spec, needs))
+        let (planes, trace) = launch_rasterize(gpu, &inputs, &lists, &self.spec, true);
+        let trace = trace.expect("asked for");
+        (planes.read(gpu), launch_rasterize_backward(gpu, &inputs, &grad, &lists, &trace, &self.spec, needs))
     }
 
     fn check(&self) {
@@ -148,16 +141,19 @@ impl StageInputs {
             vec![mask(scene.planes()), g.projected, g.ray_space, g.features, g.background, g.mean2d_abs]
         });
         let classes = |rows: usize| vec![Some(0); rows];
-        for (form, gpu) in gpus() {
-            let name = |what: &str| format!("{}, {form}: {what}", self.name);
-            let (planes, grads) = self.on(&gpu, &grad, ALL, 100);
+        let accumulations = [Accumulation::Atomic, Accumulation::Ordered];
+        for ((form, gpu), accumulation) in gpus().iter().flat_map(|gpu| accumulations.map(|order| (gpu, order))) {
+            let name = |what: &str| format!("{}, {form}, {accumulation:?}: {what}", self.name);
+            let mut scene = self.clone();
+            scene.spec.options.accumulation = accumulation;
+            let (planes, grads) = scene.on(gpu, &grad, ALL);
             assert!(planes.iter().all(|v| v.is_finite()), "{}", name("a pixel nobody wrote"));
             let planes: Vec<f32> = planes.iter().enumerate().map(|(i, &v)| outside(i, v.into()) as f32).collect();
             reference.check(&name("planes"), 0, &planes, &classes(planes.len()));
             let found = [grads.projected, grads.ray_space, grads.features, grads.background, grads.mean2d_abs];
             for (which, (found, rows)) in found.into_iter().zip([count, count, count, channels, count]).enumerate() {
                 let name = name(["projected", "ray_space", "features", "background", "mean2d_abs"][which]);
-                let found = found.expect("asked for").read(&gpu);
+                let found = found.expect("asked for").read(gpu);
                 reference.check_gradient(&name, which + 1, &found, &classes(rows), &[]);
             }
         }
@@ -199,35 +195,37 @@ fn hundreds_of_layers() {
 }
 
 #[test]
-fn the_same_bits_in_every_run_and_for_any_room() {
+fn ordered_sums_are_the_same_in_every_run() {
     let Some(gpu) = gpu() else { return };
     let options = RenderOptions::standard().with_projection(Projection::RayMax);
-    let scene = StageInputs::random(400, [70, 50], 3, [0.02, 1.0], options.with_depth(true));
+    let options = options.with_depth(true).with_accumulation(Accumulation::Ordered);
+    let scene = StageInputs::random(400, [70, 50], 3, [0.02, 1.0], options);
     let grad = Random::new(4).fill(5 * 70 * 50, -1.0, 1.0);
-    let bits = |room: usize| {
-        let (planes, g) = scene.on(&gpu, &grad, ALL, room);
+    let bits = || {
+        let (planes, g) = scene.on(&gpu, &grad, ALL);
         let grads = [g.projected, g.ray_space, g.features, g.background, g.mean2d_abs];
         (planes, grads.map(|buffer| buffer.expect("asked for").read(&gpu)))
     };
-    let first = bits(1 << 20);
+    let first = bits();
     assert!(first.1.iter().all(|g| g.iter().any(|value| *value != 0.0)));
-    assert!(bits(1 << 20) == first && bits(50) == first && bits(1) == first);
+    assert!(bits() == first && bits() == first);
 }
 
 #[test]
-fn rows_in_several_buffers_change_nothing() {
+fn buffers_in_several_parts_change_nothing() {
     let Some(gpu) = gpu() else { return };
     let options = RenderOptions::standard().with_projection(Projection::RayMax);
-    let scene = StageInputs::random(3_000, [160, 130], 1, [0.02, 1.0], options);
+    let scene =
+        StageInputs::random(3_000, [160, 130], 1, [0.02, 1.0], options.with_accumulation(Accumulation::Ordered));
     let grad = Random::new(4).fill(2 * 160 * 130, -1.0, 1.0);
     let lists = scene.device(&gpu).1;
-    // Room for the planes, and for the buckets of the tile with the longest list.
-    let longest = lists.counts.read(&gpu).into_iter().max().expect("there are tiles");
-    let limited = Gpu { buffer_limit: (8 * 160 * 130).max(8 * TILE_PIXELS as u64 * longest as u64), ..gpu.clone() };
-    let parts = Rows::of_intersections(&limited, &lists, row_len(KernelShape::of(1, &scene.spec.options), true)).len();
+    // Room for the planes, and for the trace of the tile with the longest list.
+    let limited = Gpu { buffer_limit: 8 * 160 * 130, ..gpu.clone() };
+    let columns = columns_of(KernelShape::of(1, &scene.spec.options), &scene.spec, true);
+    let parts = Rows::of_intersections(&limited, &lists, columns).len();
     assert!(parts > 1, "{} intersections in one part", lists.intersections);
     let [one, several] = [&gpu, &limited].map(|gpu| {
-        let g = scene.on(gpu, &grad, ALL, 1 << 20).1;
+        let g = scene.on(gpu, &grad, ALL).1;
         [g.projected, g.ray_space, g.features, g.background, g.mean2d_abs].map(|b| b.expect("asked for").read(gpu))
     });
     assert!(one == several, "{parts} parts");
@@ -237,16 +235,17 @@ fn rows_in_several_buffers_change_nothing() {
 fn only_what_is_needed_and_nothing_to_draw() {
     let Some(gpu) = gpu() else { return };
     let options = RenderOptions::standard().with_projection(Projection::RayMax);
+    let options = options.with_accumulation(Accumulation::Ordered);
     let scene = StageInputs::random(100, [40, 33], 3, [0.02, 1.0], options);
     let grad = Random::new(4).fill(4 * 40 * 33, -1.0, 1.0);
-    let read = |scene: &StageInputs, needs: RayLayers<bool>| {
-        let g = scene.on(&gpu, &grad, needs, 1 << 20).1;
+    let read = |scene: &StageInputs, needs: Layers<bool>| {
+        let g = scene.on(&gpu, &grad, needs).1;
         [g.projected, g.ray_space, g.features, g.background, g.mean2d_abs].map(|b| b.map(|b| b.read(&gpu)))
     };
     let all = read(&scene, ALL);
     for alone in 0..5 {
         let [projected, ray_space, features, background, mean2d_abs] = std::array::from_fn(|i| i == alone);
-        let needs = RayLayers { projected, ray_space, features, background, mean2d_abs };
+        let needs = Layers { projected, ray_space, features, background, mean2d_abs };
         for (i, found) in read(&scene, needs).iter().enumerate() {
             let expected = all[i].as_ref().filter(|_| i == alone);
             if i == 0 && alone == 0 {
@@ -264,7 +263,7 @@ fn only_what_is_needed_and_nothing_to_draw() {
         empty.inputs[0] = [0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0].repeat(count);
         empty.inputs[1].truncate(count * RAY_SPACE);
         empty.inputs[2].truncate(count * 3);
-        let planes = empty.on(&gpu, &grad, ALL, 1 << 20).0;
+        let planes = empty.on(&gpu, &grad, ALL).0;
         let expected = to_f32(&empty.inputs[3]);
         assert!(planes[..3 * 1320].chunks(1320).zip(expected).all(|(plane, b)| plane.iter().all(|&v| v == b)));
         assert!(planes[3 * 1320..].iter().all(|&v| v == 0.0));
@@ -278,6 +277,7 @@ fn only_what_is_needed_and_nothing_to_draw() {
 #[test]
 fn what_is_not_finite_shows_in_no_pixel() {
     let options = RenderOptions::standard().with_projection(Projection::RayMax);
+    let options = options.with_accumulation(Accumulation::Ordered);
     let scene = StageInputs::random(60, [40, 33], 3, [0.3, 1.0], options.with_depth(true));
     let grad = Random::new(4).fill(5 * 40 * 33, -1.0, 1.0);
     for (form, gpu) in gpus() {
@@ -286,10 +286,11 @@ fn what_is_not_finite_shows_in_no_pixel() {
         let with = |column: usize, value: f32| {
             let mut rows = inputs.projected.read(&gpu);
             rows.chunks_exact_mut(COLUMNS).step_by(3).for_each(|row| row[column] = value);
-            let inputs = RayLayers { projected: Buffer::from_slice(&gpu, &rows), ..inputs.clone() };
-            let planes = launch_rasterize_rays(&gpu, &inputs, &lists, &scene.spec).read(&gpu);
-            let found = launch_rasterize_rays_backward(&gpu, &inputs, &grad, (&lists, 1 << 20), &scene.spec, ALL);
-            (planes, found.features.expect("asked for").read(&gpu))
+            let inputs = Layers { projected: Buffer::from_slice(&gpu, &rows), ..inputs.clone() };
+            let (planes, trace) = launch_rasterize(&gpu, &inputs, &lists, &scene.spec, true);
+            let trace = trace.expect("asked for");
+            let found = launch_rasterize_backward(&gpu, &inputs, &grad, &lists, &trace, &scene.spec, ALL);
+            (planes.read(&gpu), found.features.expect("asked for").read(&gpu))
         };
         let expected = with(6, 0.0);
         let cases = [(6, f32::NAN), (6, f32::INFINITY), (5, f32::NAN), (3, f32::NAN), (0, f32::NAN)];

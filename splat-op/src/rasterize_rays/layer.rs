@@ -1,68 +1,22 @@
-//! A Gaussian at a pixel. The kernels of both passes share this code, so that both see the same layers.
+//! A Gaussian along a pixel's ray, in the kernels.
 
 use cubecl::prelude::*;
 
+use super::pair_sums::RaySums;
 use super::{D_MIN, WHITENED_MAX};
 use crate::camera::LEAST_NO_RAY;
 use crate::gpu::math::{Vec2, Vec3, finite, within};
-use crate::intersect::forward::TileLists;
 use crate::project::forward::PackedEllipse;
-use crate::rasterize::layer::{KernelShape, RasterFrame, TilePixel};
-use crate::ray_space::{LENS_FRAME, LensFrameKernel as LensFrame, RAY_SPACE};
-
-/// The buffers that a launch reads.
-#[derive(CubeType, CubeLaunch)]
-pub(super) struct RayInputs {
-    pub projected: Box<[f32]>,
-    pub ray_rows: Box<[f32]>,
-    pub features: Box<[f32]>,
-    pub background: Box<[f32]>,
-    /// `[H, W, 2]`: slopes of the pixels' rays, if the camera has a lens.
-    pub rays: ComptimeOption<Box<[f32]>>,
-    pub lists: TileLists,
-}
-
-/// Image size, tiles of a launch, and render options.
-#[derive(CubeType, CubeLaunch, Clone, Copy)]
-#[expand(derive(Clone, Copy))]
-pub(super) struct RayFrame {
-    pub frame: RasterFrame,
-    /// The launch covers the tiles `first_tile..end_tile`.
-    pub first_tile: u32,
-    pub end_tile: u32,
-    #[cube(comptime)]
-    pub shape: KernelShape,
-}
-
-/// A pixel and, if the camera has a lens, the slopes of its ray.
-#[derive(CubeType, Clone, Copy)]
-#[expand(derive(Clone, Copy))]
-pub(super) struct RayPixel {
-    pub pixel: TilePixel,
-    pub ray: ComptimeOption<Vec2>,
-}
-
-#[cube]
-impl RayPixel {
-    /// Reads the ray of a pixel. One outside the picture has an arbitrary ray.
-    pub fn of(pixel: TilePixel, inputs: &RayInputs) -> RayPixel {
-        #[comptime]
-        match &inputs.rays {
-            ComptimeOption::Some(rays) => {
-                let at = select(pixel.inside, 2 * pixel.index, 0usize);
-                let ray = Vec2::new(rays[at], rays[at + 1]);
-                RayPixel { pixel, ray: ComptimeOption::new_Some(ray) }
-            }
-            ComptimeOption::None => RayPixel { pixel, ray: ComptimeOption::new_None() },
-        }
-    }
-}
+use crate::rasterize::blocks::{BLOCK, HALF, pixel_of};
+use crate::rasterize::layer::{Four, KernelShape, RasterFrame, TilePixel, four};
+use crate::rasterize::splat::{BlockPairs, Splat, SplatInputs};
+use crate::ray_space::{LENS_FRAME, LensFrameKernel as LensFrame, RAY_SPACE, SLOPES};
 
 /// A Gaussian as pixels evaluate it: its whitening, its depth slope, its centre relative to the origin of the whitened
 /// coordinates, and the columns of a lens.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
-pub(super) struct RayGaussian {
+pub(crate) struct RayGaussian {
     /// Origin of the whitened coordinates, px.
     pub base_x: f32,
     pub base_y: f32,
@@ -78,11 +32,6 @@ pub(super) struct RayGaussian {
     pub beta: f32,
     pub gamma: f32,
     frame: ComptimeOption<LensFrame>,
-}
-
-/// Number of values of a [`RayGaussian`], with a lens or without.
-pub(super) const fn shared_len(bends: bool) -> usize {
-    13 + if bends { LENS_FRAME } else { 0 }
 }
 
 /// Whitened coordinates.
@@ -102,25 +51,16 @@ fn whiten(dx: f32, dy: f32, sigma_u: f32, shear: f32, sigma_v: f32) -> Whitened 
     Whitened { u, v }
 }
 
-/// Returns the columns of a lens, if there is one.
+/// Returns the columns of a lens of the row of `ray_space` that begins at `at`, if there is one.
 #[cube]
-fn frame_of(inputs: &RayInputs, gaussian: usize) -> ComptimeOption<LensFrame> {
+fn frame_of(inputs: &SplatInputs, at: usize) -> ComptimeOption<LensFrame> {
+    let first = at + comptime!(RAY_SPACE);
     #[comptime]
-    match &inputs.rays {
-        ComptimeOption::Some(_rays) => ComptimeOption::new_Some(LensFrame::load(&inputs.ray_rows, gaussian)),
-        ComptimeOption::None => ComptimeOption::new_None(),
-    }
-}
-
-/// Returns the columns of a lens that begin at `at` of a shared list, if there is one.
-#[cube]
-fn stored_frame(from: &Shared<[f32]>, at: usize, inputs: &RayInputs) -> ComptimeOption<LensFrame> {
-    #[comptime]
-    match &inputs.rays {
-        ComptimeOption::Some(_rays) => ComptimeOption::new_Some(LensFrame {
-            centre: Vec2::new(from[at], from[at + 1]),
-            x: Vec2::new(from[at + 2], from[at + 3]),
-            y: Vec2::new(from[at + 4], from[at + 5]),
+    match &inputs.slopes {
+        ComptimeOption::Some(_slopes) => ComptimeOption::new_Some(LensFrame {
+            centre: Vec2::new(inputs.ray_value(first), inputs.ray_value(first + 1)),
+            x: Vec2::new(inputs.ray_value(first + 2), inputs.ray_value(first + 3)),
+            y: Vec2::new(inputs.ray_value(first + 4), inputs.ray_value(first + 5)),
         }),
         ComptimeOption::None => ComptimeOption::new_None(),
     }
@@ -128,12 +68,12 @@ fn stored_frame(from: &Shared<[f32]>, at: usize, inputs: &RayInputs) -> Comptime
 
 /// Returns the point of the picture next to a centre, px, with a lens the centre itself.
 #[cube]
-fn base_of(x: f32, y: f32, inputs: &RayInputs, view: &RayFrame) -> (f32, f32) {
+fn base_of(x: f32, y: f32, inputs: &SplatInputs, frame: &RasterFrame) -> (f32, f32) {
     let mut base_x = x;
     let mut base_y = y;
-    if comptime!(inputs.rays.is_none()) {
-        base_x = within(x, 0.0, f32::cast_from(view.frame.width));
-        base_y = within(y, 0.0, f32::cast_from(view.frame.height));
+    if comptime!(inputs.slopes.is_none()) {
+        base_x = within(x, 0.0, f32::cast_from(frame.width));
+        base_y = within(y, 0.0, f32::cast_from(frame.height));
     }
     (base_x, base_y)
 }
@@ -154,90 +94,10 @@ pub(super) struct RayLayer {
     /// `λ z`, scene units.
     pub depth: f32,
     pub alpha: f32,
-    /// Whether alpha is below its limit.
-    pub free: bool,
 }
 
 #[cube]
 impl RayGaussian {
-    pub fn load(inputs: &RayInputs, gaussian: usize, view: &RayFrame) -> RayGaussian {
-        let at = gaussian * comptime!(RAY_SPACE + if inputs.rays.is_some() { LENS_FRAME } else { 0 });
-        let row = &inputs.ray_rows;
-        let e = PackedEllipse::load(&inputs.projected, gaussian);
-        let (base_x, base_y) = base_of(e.x, e.y, inputs, view);
-        let (depth_slope_u, depth_slope_v) = (row[at], row[at + 1]);
-        let (sigma_u, shear, sigma_v) = (row[at + 6], row[at + 7], row[at + 8]);
-        let centre = whiten(row[at + 4], row[at + 5], sigma_u, shear, sigma_v);
-        RayGaussian {
-            base_x,
-            base_y,
-            sigma_u,
-            shear,
-            sigma_v,
-            // Clamping takes NaN for a number.
-            opacity: select(Vec3::new(e.x, e.y, e.shear).is_finite(), e.opacity, 0.0),
-            depth: e.depth,
-            depth_slope_u,
-            depth_slope_v,
-            thickness: row[at + 2],
-            alpha: centre.u,
-            beta: centre.v,
-            gamma: row[at + 3] - (depth_slope_u * centre.u + depth_slope_v * centre.v),
-            frame: frame_of(inputs, gaussian),
-        }
-    }
-
-    /// Stores a Gaussian as entry `index` of a shared list.
-    pub fn store(&self, to: &mut Shared<[f32]>, index: usize, inputs: &RayInputs) {
-        let at = index * comptime!(shared_len(inputs.rays.is_some()));
-        to[at] = self.base_x;
-        to[at + 1] = self.base_y;
-        to[at + 2] = self.sigma_u;
-        to[at + 3] = self.shear;
-        to[at + 4] = self.sigma_v;
-        to[at + 5] = self.opacity;
-        to[at + 6] = self.depth;
-        to[at + 7] = self.depth_slope_u;
-        to[at + 8] = self.depth_slope_v;
-        to[at + 9] = self.thickness;
-        to[at + 10] = self.alpha;
-        to[at + 11] = self.beta;
-        to[at + 12] = self.gamma;
-        #[comptime]
-        match self.frame {
-            ComptimeOption::Some(frame) => {
-                to[at + 13] = frame.centre.x;
-                to[at + 14] = frame.centre.y;
-                to[at + 15] = frame.x.x;
-                to[at + 16] = frame.x.y;
-                to[at + 17] = frame.y.x;
-                to[at + 18] = frame.y.y;
-            }
-            ComptimeOption::None => {}
-        }
-    }
-
-    /// The inverse of [`Self::store`].
-    pub fn stored(from: &Shared<[f32]>, index: usize, inputs: &RayInputs) -> RayGaussian {
-        let at = index * comptime!(shared_len(inputs.rays.is_some()));
-        RayGaussian {
-            base_x: from[at],
-            base_y: from[at + 1],
-            sigma_u: from[at + 2],
-            shear: from[at + 3],
-            sigma_v: from[at + 4],
-            opacity: from[at + 5],
-            depth: from[at + 6],
-            depth_slope_u: from[at + 7],
-            depth_slope_v: from[at + 8],
-            thickness: from[at + 9],
-            alpha: from[at + 10],
-            beta: from[at + 11],
-            gamma: from[at + 12],
-            frame: stored_frame(from, at + 13, inputs),
-        }
-    }
-
     fn whitened(&self, dx: f32, dy: f32) -> Whitened {
         whiten(dx, dy, self.sigma_u, self.shear, self.sigma_v)
     }
@@ -250,7 +110,7 @@ impl RayGaussian {
 
     /// Returns the whitened coordinates of a pixel's ray, and whether there is a ray. For a pinhole the pixel's own coordinates are
     /// those of its ray.
-    fn ray(&self, pixel: &RayPixel, own: Whitened) -> (Whitened, bool) {
+    fn ray(&self, pixel: &TilePixel, own: Whitened) -> (Whitened, bool) {
         #[comptime]
         match self.frame {
             ComptimeOption::Some(frame) => {
@@ -263,11 +123,11 @@ impl RayGaussian {
         }
     }
 
-    pub fn at(&self, at: &RayPixel, view: &RayFrame) -> RayLayer {
+    /// Evaluates the Gaussian at a pixel.
+    fn at(&self, pixel: &TilePixel, frame: &RasterFrame) -> RayLayer {
         let farthest = comptime!((WHITENED_MAX * WHITENED_MAX) as f32);
-        let pixel = at.pixel;
         let own = self.whitened(pixel.x - self.base_x, (pixel.top + pixel.row) - self.base_y);
-        let (ray, sees) = self.ray(at, own);
+        let (ray, sees) = self.ray(pixel, own);
         let (u, v) = (ray.u, ray.v);
         let square = u * u + v * v;
         let s = within(1.0 - (self.depth_slope_u * u + self.depth_slope_v * v), -farthest, farthest);
@@ -294,7 +154,7 @@ impl RayGaussian {
         }
         let seen = sees && product > 0.0 && sound;
         let whole = self.opacity * (-exponent).exp();
-        let alpha = min(whole, view.frame.alpha_max);
+        let alpha = min(whole, frame.alpha_max);
         let depth = lambda * self.depth;
         // `min` and comparisons may let NaN pass.
         let known = finite(whole) && finite(depth);
@@ -307,8 +167,136 @@ impl RayGaussian {
             apart_s,
             phi: thick * inverse,
             depth,
-            alpha: select(known && seen && alpha >= view.frame.alpha_min, alpha, 0.0),
-            free: whole < view.frame.alpha_max,
+            alpha: select(known && seen && alpha >= frame.alpha_min, alpha, 0.0),
         }
+    }
+}
+
+/// Takes the columns of a lens from three vectors of four, if there is one.
+#[cube]
+fn stored_frame(centre: Four, rows: Four, inputs: &SplatInputs) -> ComptimeOption<LensFrame> {
+    #[comptime]
+    match &inputs.slopes {
+        ComptimeOption::Some(_slopes) => ComptimeOption::new_Some(LensFrame {
+            centre: Vec2::new(centre.extract(0usize), centre.extract(1usize)),
+            x: Vec2::new(rows.extract(0usize), rows.extract(1usize)),
+            y: Vec2::new(rows.extract(2usize), rows.extract(3usize)),
+        }),
+        ComptimeOption::None => ComptimeOption::new_None(),
+    }
+}
+
+#[cube]
+impl Splat for RayGaussian {
+    const VECTORS: usize = 4;
+    const COLUMNS: usize = SLOPES;
+    const ALONG_RAYS: bool = true;
+
+    fn of(inputs: &SplatInputs, gaussian: usize, _top: f32, frame: &RasterFrame) -> RayGaussian {
+        let at = gaussian * comptime!(RAY_SPACE + if inputs.slopes.is_some() { LENS_FRAME } else { 0 });
+        let e = PackedEllipse::load(&inputs.projected, gaussian);
+        let (base_x, base_y) = base_of(e.x, e.y, inputs, frame);
+        let (depth_slope_u, depth_slope_v) = (inputs.ray_value(at), inputs.ray_value(at + 1));
+        let (sigma_u, shear, sigma_v) = (inputs.ray_value(at + 6), inputs.ray_value(at + 7), inputs.ray_value(at + 8));
+        let centre = whiten(inputs.ray_value(at + 4), inputs.ray_value(at + 5), sigma_u, shear, sigma_v);
+        RayGaussian {
+            base_x,
+            base_y,
+            sigma_u,
+            shear,
+            sigma_v,
+            // Clamping takes NaN for a number.
+            opacity: select(Vec3::new(e.x, e.y, e.shear).is_finite(), e.opacity, 0.0),
+            depth: e.depth,
+            depth_slope_u,
+            depth_slope_v,
+            thickness: inputs.ray_value(at + 2),
+            alpha: centre.u,
+            beta: centre.v,
+            gamma: inputs.ray_value(at + 3) - (depth_slope_u * centre.u + depth_slope_v * centre.v),
+            frame: frame_of(inputs, at),
+        }
+    }
+
+    /// With a lens the centre is the origin, and the pixel's position is not read.
+    fn store(splat: &RayGaussian, to: &mut Shared<[Four]>, index: usize) {
+        let at = index * 4;
+        to[at] = four(splat.sigma_u, splat.shear, splat.sigma_v, splat.opacity);
+        to[at + 1] = four(splat.depth, splat.depth_slope_u, splat.depth_slope_v, splat.thickness);
+        #[comptime]
+        match splat.frame {
+            ComptimeOption::Some(frame) => {
+                to[at + 2] = four(frame.centre.x, frame.centre.y, 0.0, 0.0);
+                to[at + 3] = four(frame.x.x, frame.x.y, frame.y.x, frame.y.y);
+            }
+            ComptimeOption::None => {
+                to[at + 2] = four(splat.base_x, splat.base_y, splat.gamma, 0.0);
+                to[at + 3] = four(splat.alpha, splat.beta, 0.0, 0.0);
+            }
+        }
+    }
+
+    fn load(from: &Shared<[Four]>, index: usize, inputs: &SplatInputs) -> RayGaussian {
+        let at = index * 4;
+        let (shape, depth, place, centre) = (from[at], from[at + 1], from[at + 2], from[at + 3]);
+        let bends = comptime!(inputs.slopes.is_some());
+        RayGaussian {
+            base_x: place.extract(0usize),
+            base_y: place.extract(1usize),
+            sigma_u: shape.extract(0usize),
+            shear: shape.extract(1usize),
+            sigma_v: shape.extract(2usize),
+            opacity: shape.extract(3usize),
+            depth: depth.extract(0usize),
+            depth_slope_u: depth.extract(1usize),
+            depth_slope_v: depth.extract(2usize),
+            thickness: depth.extract(3usize),
+            alpha: if comptime!(bends) { 0.0f32.runtime() } else { centre.extract(0usize) },
+            beta: if comptime!(bends) { 0.0f32.runtime() } else { centre.extract(1usize) },
+            gamma: if comptime!(bends) { 1.0f32.runtime() } else { place.extract(2usize) },
+            frame: stored_frame(place, centre, inputs),
+        }
+    }
+
+    /// All blocks: a tile lists the Gaussian because it may show there.
+    fn blocks_met(splat: &RayGaussian, _left: f32, _half: u32, _frame: &RasterFrame) -> u32 {
+        select(splat.opacity > 0.0, comptime!((1u32 << HALF) - 1), 0u32)
+    }
+
+    fn seen(splat: &RayGaussian, pixel: &TilePixel, frame: &RasterFrame) -> (f32, f32) {
+        let layer = splat.at(pixel, frame);
+        (layer.alpha, layer.depth)
+    }
+
+    /// Adds the moments, the gradients of the depth slope, the thickness and the centre's relative depth, and the sums of absolute
+    /// values.
+    fn add_pairs(
+        row: &mut Array<f32>,
+        splat: &RayGaussian,
+        pairs: BlockPairs,
+        heights: &Shared<[f32]>,
+        weights: &Shared<[f32]>,
+        grad: &[f32],
+        inputs: &SplatInputs,
+        frame: &RasterFrame,
+        #[comptime] shape: KernelShape,
+        #[comptime] absolute: bool,
+    ) {
+        let of_depth = (frame.width * frame.height) as usize * comptime!(shape.features + 1);
+        let mut sums = RaySums::new();
+        for other in 0..comptime!(BLOCK as u32) {
+            let at = (pairs.at + other) as usize;
+            let weight = weights[at];
+            if weight > 0.0 {
+                let pixel = TilePixel::of(pairs.origin, pixel_of(pairs.first_unit + other), inputs, frame);
+                let layer = splat.at(&pixel, frame);
+                let mut seen = 0.0f32;
+                if comptime!(shape.depth) {
+                    seen = weight * grad[of_depth + pixel.index];
+                }
+                sums.add(splat, &layer, heights[at], seen, shape.depth, absolute);
+            }
+        }
+        sums.add_to(row, shape, absolute);
     }
 }

@@ -1,14 +1,13 @@
 //! Cameras with lenses: planes by the definition, gradients by finite differences, and the kernels against the twin.
 
-use super::RayLayers;
-use super::cpu::{rasterize_rays_backward_cpu, rasterize_rays_cpu};
 use crate::camera::{CameraModel, Intrinsics, LEAST_NO_RAY, PictureRays};
 use crate::intersect::IntersectionLists;
 use crate::intersect::cpu::intersect_cpu;
 use crate::options::{Projection, RenderOptions};
 use crate::project::cpu::project_cpu;
 use crate::project::{COLUMNS, Ellipse, Geometry, OPACITY, ProjectSpec};
-use crate::rasterize::{PlaneParts, RasterizeSpec};
+use crate::rasterize::cpu::{rasterize_backward_cpu, rasterize_cpu};
+use crate::rasterize::{Layers, PlaneParts, RasterizeSpec};
 use crate::ray_space::cpu::ray_space_cpu;
 use crate::ray_space::{LENS_COLUMNS as ROW, RAY_SPACE, bounds_cpu};
 use crate::testing::blending::{PixelLayer, assert_close, blended, smooth};
@@ -17,8 +16,8 @@ use crate::testing::finite::{check_gradient, inner_product};
 use crate::testing::lenses::lenses;
 use crate::testing::random::Random;
 
-const ALL: RayLayers<bool> =
-    RayLayers { projected: true, ray_space: true, features: true, background: true, mean2d_abs: true };
+const ALL: Layers<bool> =
+    Layers { projected: true, ray_space: true, features: true, background: true, mean2d_abs: true };
 
 /// Packed ellipses, rows in ray space, features, background.
 #[derive(Clone)]
@@ -64,9 +63,9 @@ impl StageInputs {
         Self { inputs: inputs.map(|values| rounded(&values)), spec }
     }
 
-    fn view(&self) -> RayLayers<&'_ [f64]> {
+    fn view(&self) -> Layers<&'_ [f64]> {
         let [projected, ray_space, features, background] = &self.inputs;
-        RayLayers { projected, ray_space, features, background, mean2d_abs: &[] }
+        Layers { projected, ray_space, features, background, mean2d_abs: &[] }
     }
 
     fn lists(&self) -> IntersectionLists {
@@ -75,12 +74,12 @@ impl StageInputs {
     }
 
     fn planes(&self) -> Vec<f64> {
-        rasterize_rays_cpu(self.view(), &self.spec, &self.lists(), false).0
+        rasterize_cpu(self.view(), &self.spec, &self.lists(), false).0
     }
 
-    fn backward(&self, grad: &[f64], needs: RayLayers<bool>) -> RayLayers<Vec<f64>> {
+    fn backward(&self, grad: &[f64], needs: Layers<bool>) -> Layers<Vec<f64>> {
         let grad = PlaneParts::split(grad, &self.spec, self.inputs[3].len());
-        rasterize_rays_backward_cpu(self.view(), grad, &self.spec, (&self.lists(), None), needs)
+        rasterize_backward_cpu(self.view(), grad, &self.spec, (&self.lists(), None), needs)
     }
 
     fn random_grad(&self) -> Vec<f64> {
@@ -165,11 +164,11 @@ fn each_gradient_is_the_same_alone() {
     let options = smooth(0.9).with_projection(Projection::RayMax);
     let scene = StageInputs::random(80, (12, 3), (20, 13), lenses()[1], options);
     let grad = scene.random_grad();
-    let list = |g: RayLayers<Vec<f64>>| [g.projected, g.ray_space, g.features, g.background, g.mean2d_abs];
+    let list = |g: Layers<Vec<f64>>| [g.projected, g.ray_space, g.features, g.background, g.mean2d_abs];
     let all = list(scene.backward(&grad, ALL));
     for alone in 0..5 {
         let [projected, ray_space, features, background, mean2d_abs] = std::array::from_fn(|i| i == alone);
-        let needs = RayLayers { projected, ray_space, features, background, mean2d_abs };
+        let needs = Layers { projected, ray_space, features, background, mean2d_abs };
         for (i, gradient) in list(scene.backward(&grad, needs)).iter().enumerate() {
             let expected = if i == alone { all[i].as_slice() } else { &[] };
             assert_eq!(gradient, expected, "gradient {i}, asked for {alone}");
@@ -182,7 +181,7 @@ mod kernels {
     use super::*;
     use crate::gpu::Buffer;
     use crate::intersect::launch::launch_intersect;
-    use crate::rasterize_rays::launch::{launch_rasterize_rays, launch_rasterize_rays_backward};
+    use crate::rasterize::launch::{launch_rasterize, launch_rasterize_backward};
     use crate::testing::ceiling::{PerturbedReference, to_f32};
     use crate::testing::gpu::gpus;
 
@@ -203,7 +202,7 @@ mod kernels {
             });
             for (form, gpu) in gpus() {
                 let buffer = |i: usize| Buffer::from_slice(&gpu, &to_f32(&inputs[i]));
-                let device = RayLayers {
+                let device = Layers {
                     projected: buffer(0),
                     ray_space: buffer(1),
                     features: buffer(2),
@@ -211,12 +210,11 @@ mod kernels {
                     mean2d_abs: Buffer::new(&gpu, 0),
                 };
                 let lists = launch_intersect(&gpu, &device.projected, &scene.spec.intrinsics, 0.0.into());
-                let planes = launch_rasterize_rays(&gpu, &device, &lists, &scene.spec).read(&gpu);
+                let (planes, trace) = launch_rasterize(&gpu, &device, &lists, &scene.spec, true);
+                let (planes, trace) = (planes.read(&gpu), trace.expect("asked for"));
                 let name = |what: &str| format!("{what}, {form}, {lens:?}");
                 reference.check(&name("planes"), 0, &planes, &vec![Some(0); planes.len()]);
-                let needs = ALL;
-                let g =
-                    launch_rasterize_rays_backward(&gpu, &device, &buffer(4), (&lists, 1 << 20), &scene.spec, needs);
+                let g = launch_rasterize_backward(&gpu, &device, &buffer(4), &lists, &trace, &scene.spec, ALL);
                 let found = [g.projected, g.ray_space, g.features, g.background, g.mean2d_abs];
                 for (which, (found, rows)) in found.into_iter().zip([14, 14, 14, 3, 14]).enumerate() {
                     let name = name(["projected", "rows", "features", "background", "mean2d_abs"][which]);

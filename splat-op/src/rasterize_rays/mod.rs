@@ -1,5 +1,5 @@
-//! Composites Gaussians along the pixels' rays: intersections + features → image planes. Differentiable. Replaces `rasterize`
-//! with [`Projection::RayMax`](crate::Projection).
+//! The splat of [`Projection::RayMax`](crate::Projection) for `rasterize`: the largest value of a Gaussian along the pixel's ray.
+//! Differentiable.
 //!
 //! A pixel evaluates a Gaussian at the whitened coordinates `(u, v)` of `project`. With `ρ² = u² + v²` and the Gaussian's
 //! `depth_slope` and `thickness` (see `ray_space/`):
@@ -27,8 +27,7 @@
 //! 2E = a² + b² + thickness² c²,  where λ > 0    (c = (γ − λs)/thickness², without the cancellation; 2E if the centre is the origin)
 //! ```
 //!
-//! The alphas, thresholds, sums and the gradient back to front are as in `rasterize`, over the same lists. The depth plane is
-//! `Σ wᵢ λᵢ zᵢ`.
+//! All else is as for ellipses. The depth plane is `Σ wᵢ λᵢ zᵢ`.
 //!
 //! # Gradient
 //!
@@ -46,43 +45,28 @@
 //! `(α, β)` and `(u, v)` are whitened by the same factor. So a change of the factor moves `E` by the products of `r` and `(a, b)`, as in `rasterize` by
 //! those of `(u, v)` with itself, and `λ` besides by those of `φ r` and `(u, v)`.
 //!
-//! No term divides by `1 − α`, and a term divides by `s` or `D` only where the value itself does. Each intersection has its own
-//! row of sums over the tile's pixels, and a Gaussian's rows are added in the order of its intersections: on every device, every
-//! run gives the same bits, whatever [`Accumulation`](crate::Accumulation) says.
+//! No term divides by `1 − α`, and a term divides by `s` or `D` only where the value itself does.
 //!
 //! # Lenses
 //!
 //! With a lens, a pixel's ray has the slopes `t`, which the host computes once for a camera, and `(u, v)` are the whitened `G (t − t₀)` of
 //! `ray_space` in place of the pixel's offset. A pixel without a ray shows the background.
 //!
-//! Shapes: packed ellipses `[N, 7]`, rows of `ray_space` `[N, 9]`, with a lens `[N, 15]`, features `[N, C]`, background `[C]` → planes as in `rasterize`.
+//! Shapes: packed ellipses `[N, 7]`, rows of `ray_space` `[N, 9]`, with a lens `[N, 15]`.
 
-#[cfg(feature = "cube")]
-mod backward;
 #[cfg(test)]
 mod chain_tests;
-pub(crate) mod cpu;
-mod footprint;
-#[cfg(feature = "cube")]
-mod forward;
+pub(crate) mod footprint;
 #[cfg(all(test, feature = "cube"))]
 mod kernel_tests;
 #[cfg(feature = "cube")]
-pub(crate) mod launch;
-#[cfg(feature = "cube")]
-mod layer;
+pub(crate) mod layer;
 #[cfg(test)]
 mod lens_tests;
-pub(crate) mod operation;
 #[cfg(feature = "cube")]
 mod pair_sums;
-mod reach;
 #[cfg(test)]
 mod tests;
-mod tile;
-mod tile_backward;
-
-use crate::record::record;
 
 /// Limit of the whitened coordinates; `|s|` is limited to its square, so that no product overflows. A Gaussian beyond this limit
 /// is invisible or rendered as if it were infinitely long.
@@ -90,19 +74,3 @@ pub(crate) const WHITENED_MAX: f64 = 1e9;
 
 /// Largest `D` that counts as zero: the ray lies in the plane of a flat Gaussian, `1/D` is unusable, and `λ` is set to zero.
 pub(crate) const D_MIN: f64 = 1e-30;
-
-record! {
-    /// Inputs of the per-ray rasterization.
-    pub struct RayLayers {
-        /// `[N, 7]`, packed by `project`.
-        projected,
-        /// `[N, 9]`, with a lens `[N, 15]`, from `ray_space`.
-        ray_space,
-        /// `[N, C]`.
-        features,
-        /// `[C]`.
-        background,
-        /// The probe of AbsGrad, as in `rasterize`.
-        mean2d_abs,
-    }
-}

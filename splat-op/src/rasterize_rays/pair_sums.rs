@@ -1,36 +1,30 @@
-//! Sums of an intersection over the pixels of a tile.
+//! Sums of a Gaussian along rays over the pixels of a block.
 
 use cubecl::prelude::*;
 
-use super::layer::{RayFrame, RayGaussian, RayLayer};
-use crate::rasterize::backward::{self, MOMENTS};
+use super::layer::{RayGaussian, RayLayer};
+use crate::rasterize::backward::MOMENTS;
 use crate::rasterize::layer::KernelShape;
 use crate::ray_space::SLOPES;
-
-/// Number of columns of a row: those of `rasterize` and the gradients of the depth slope, the thickness and the centre's relative
-/// depth.
-pub(super) const fn row_len(shape: KernelShape, absolute: bool) -> usize {
-    backward::row_len(shape, absolute) + SLOPES
-}
 
 /// Number of sums of an intersection, besides one per feature.
 const SUMS: usize = MOMENTS + SLOPES + 2;
 
 /// The moments, the gradients of the depth slope, the thickness and the centre's relative depth, and the sums of absolute values.
 #[derive(CubeType)]
-pub(super) struct PairSums {
+pub(super) struct RaySums {
     sums: Array<f32>,
 }
 
 #[cube]
-impl PairSums {
-    pub fn new() -> PairSums {
+impl RaySums {
+    pub fn new() -> RaySums {
         let mut sums = Array::<f32>::new(comptime!(SUMS));
         #[unroll]
         for column in 0..comptime!(SUMS) {
             sums[column] = 0.0f32;
         }
-        PairSums { sums }
+        RaySums { sums }
     }
 
     /// Adds a pixel, from `h = α ∂L/∂α` and the weight times the gradient of depth, `seen`.
@@ -40,7 +34,7 @@ impl PairSums {
         layer: &RayLayer,
         h: f32,
         seen: f32,
-        view: &RayFrame,
+        #[comptime] depth: bool,
         #[comptime] absolute: bool,
     ) {
         let (u, v) = (layer.u, layer.v);
@@ -54,7 +48,7 @@ impl PairSums {
         // The negative gradients of `α` and `β`.
         let mut centre_u = h * reach_u;
         let mut centre_v = h * reach_v;
-        if comptime!(view.shape.depth) {
+        if comptime!(depth) {
             let of_lambda = seen * footprint.depth;
             let (far, along_s) = (of_lambda * layer.phi, of_lambda * layer.along);
             of_gamma += along_s;
@@ -84,22 +78,15 @@ impl PairSums {
         }
     }
 
-    /// Writes all but the features of row `row`.
-    pub fn write(&self, rows: &mut [f32], row: u32, view: &RayFrame, #[comptime] absolute: bool) {
-        let columns = comptime!(row_len(view.shape, absolute));
-        let at = row as usize * columns;
+    /// Adds the sums to a row.
+    pub fn add_to(&self, row: &mut Array<f32>, #[comptime] shape: KernelShape, #[comptime] absolute: bool) {
         #[unroll]
         for column in 0..comptime!(MOMENTS) {
-            rows[at + column] = self.sums[column];
+            row[column] += self.sums[column];
         }
-        if comptime!(view.shape.depth) {
-            // The gather kernel has a column for it; the depth of a layer has its gradient in the rows of `ray_space`.
-            rows[at + comptime!(MOMENTS + view.shape.features)] = 0.0f32;
-        }
-        let rest = comptime!(MOMENTS + view.shape.channels());
         #[unroll]
-        for k in 0..comptime!(columns - rest) {
-            rows[at + rest + k] = self.sums[comptime!(MOMENTS + k)];
+        for k in 0..comptime!(SLOPES + if absolute { 2 } else { 0 }) {
+            row[comptime!(MOMENTS + shape.channels() + k)] += self.sums[comptime!(MOMENTS + k)];
         }
     }
 }

@@ -1,22 +1,20 @@
 //! Compares `rasterize_rays` with a sum written out pixel by pixel and with central finite differences.
 
-use super::RayLayers;
-use super::cpu::{rasterize_rays_backward_cpu, rasterize_rays_cpu};
 use crate::camera::Intrinsics;
 use crate::intersect::IntersectionLists;
 use crate::intersect::cpu::intersect_cpu;
 use crate::options::{Projection, RenderOptions};
 use crate::project::{COLUMNS, Ellipse, OPACITY};
-use crate::rasterize::cpu::rasterize_cpu;
-use crate::rasterize::{PlaneParts, RasterizeSpec};
+use crate::rasterize::cpu::{Trace, rasterize_backward_cpu, rasterize_cpu};
+use crate::rasterize::{Layers, PlaneParts, RasterizeSpec};
 use crate::ray_space::{RAY_SPACE, beyond, bounds_cpu};
 use crate::testing::blending::{PixelLayer, assert_close, blended, small_ellipse, smooth};
 use crate::testing::ellipses::ray_rows;
 use crate::testing::finite::{check_gradient, inner_product};
 use crate::testing::random::Random;
 
-const ALL: RayLayers<bool> =
-    RayLayers { projected: true, ray_space: true, features: true, background: true, mean2d_abs: true };
+const ALL: Layers<bool> =
+    Layers { projected: true, ray_space: true, features: true, background: true, mean2d_abs: true };
 
 /// Packed ellipses, rows in ray space, features, background.
 #[derive(Clone)]
@@ -56,12 +54,12 @@ impl StageInputs {
     }
 
     fn planes(&self) -> Vec<f64> {
-        rasterize_rays_cpu(inputs(&self.inputs), &self.spec, &self.lists(), false).0
+        rasterize_cpu(inputs(&self.inputs), &self.spec, &self.lists(), false).0
     }
 
-    fn backward(&self, grad: &[f64], needs: RayLayers<bool>) -> RayLayers<Vec<f64>> {
+    fn backward(&self, grad: &[f64], needs: Layers<bool>) -> Layers<Vec<f64>> {
         let grad = PlaneParts::split(grad, &self.spec, self.channels());
-        rasterize_rays_backward_cpu(inputs(&self.inputs), grad, &self.spec, (&self.lists(), None), needs)
+        rasterize_backward_cpu(inputs(&self.inputs), grad, &self.spec, (&self.lists(), None), needs)
     }
 
     fn channels(&self) -> usize {
@@ -123,8 +121,8 @@ impl StageInputs {
     }
 }
 
-fn inputs<F>([projected, ray_space, features, background]: &[Vec<F>; 4]) -> RayLayers<&'_ [F]> {
-    RayLayers { projected, ray_space, features, background, mean2d_abs: &[] }
+fn inputs<F>([projected, ray_space, features, background]: &[Vec<F>; 4]) -> Layers<&'_ [F]> {
+    Layers { projected, ray_space, features, background, mean2d_abs: &[] }
 }
 
 /// Planes by the definition, pixel by pixel.
@@ -158,9 +156,10 @@ fn without_a_depth_slope_it_is_rasterize() {
     let mut scene = StageInputs::random(5, 300, (50, 40), 3, ([0.0, 1.0], 0.0, 0.0), options);
     scene.inputs[1].chunks_exact_mut(RAY_SPACE).for_each(|row| row[..3].fill(0.0));
     let [projected, _, features, background] = &scene.inputs;
-    let plain = crate::rasterize::Layers { projected: &projected[..], features, background, mean2d_abs: &[] };
+    let plain = Layers { projected: &projected[..], features, background, ..Layers::default() };
     let lists = intersect_cpu(projected, &scene.spec.intrinsics, options.alpha_min.into());
-    let expected = rasterize_cpu(plain, &scene.spec, &lists, false).0;
+    let spec = RasterizeSpec { options: options.with_projection(Projection::Affine), ..scene.spec };
+    let expected = rasterize_cpu(plain, &spec, &lists, false).0;
     assert_close("planes", &scene.planes(), &expected, 1e-13);
 }
 
@@ -213,7 +212,7 @@ fn absolute_gradients_are_the_sum_over_pixels_of_absolute_values() {
         let mut alone = vec![0.0; grad.len()];
         let planes = (pixel..grad.len()).step_by(scene.pixels());
         planes.for_each(|i| alone[i] = grad[i]);
-        let g = scene.backward(&alone, RayLayers { mean2d_abs: false, ..ALL });
+        let g = scene.backward(&alone, Layers { mean2d_abs: false, ..ALL });
         for (i, sum) in expected.chunks_exact_mut(2).enumerate() {
             let moved = &g.ray_space[i * RAY_SPACE + 4..];
             sum.iter_mut().zip(moved).for_each(|(sum, gradient)| *sum += gradient.abs());
@@ -227,11 +226,11 @@ fn each_gradient_is_the_same_alone() {
     let options = RenderOptions::standard().with_projection(Projection::RayMax);
     let scene = StageInputs::random(80, 120, (20, 13), 3, ([0.05, 0.9], 0.3, 0.2), options.with_depth(true));
     let grad = scene.random_grad(81);
-    let list = |g: RayLayers<Vec<f64>>| [g.projected, g.ray_space, g.features, g.background, g.mean2d_abs];
+    let list = |g: Layers<Vec<f64>>| [g.projected, g.ray_space, g.features, g.background, g.mean2d_abs];
     let all = list(scene.backward(&grad, ALL));
     for alone in 0..5 {
         let [projected, ray_space, features, background, mean2d_abs] = std::array::from_fn(|i| i == alone);
-        let needs = RayLayers { projected, ray_space, features, background, mean2d_abs };
+        let needs = Layers { projected, ray_space, features, background, mean2d_abs };
         for (i, gradient) in list(scene.backward(&grad, needs)).iter().enumerate() {
             let expected = if i == alone { all[i].as_slice() } else { &[] };
             assert_eq!(gradient, expected, "gradient {i}, asked for {alone}");
@@ -246,13 +245,15 @@ fn the_trace_leaves_out_only_what_contributes_nothing() {
     let options = options.with_projection(Projection::RayMax);
     let scene = StageInputs::random(85, 900, (40, 37), 3, ([0.2, 1.0], 0.3, 0.2), options);
     let (grad, lists) = (scene.random_grad(86), scene.lists());
-    let kept = rasterize_rays_cpu(inputs(&scene.inputs), &scene.spec, &lists, true).1.expect("asked for");
-    let whole = kept.whole();
-    let (few, all) = (kept.pairs(), whole.pairs());
+    let kept = || rasterize_cpu(inputs(&scene.inputs), &scene.spec, &lists, true).1.expect("asked for");
+    let (mut kept, mut whole) = (kept(), kept());
+    whole.reached().for_each(|blocks| *blocks = u16::MAX);
+    let count = |trace: &mut Trace<f64>| trace.reached().map(|blocks| blocks.count_ones() as usize).sum::<usize>();
+    let (few, all) = (count(&mut kept), count(&mut whole));
     assert!(2 * few < all && few > lists.gaussian.len(), "{few} of {all} blocks");
     let with = |trace| {
         let grad = PlaneParts::split(&grad, &scene.spec, scene.channels());
-        let g = rasterize_rays_backward_cpu(inputs(&scene.inputs), grad, &scene.spec, (&lists, Some(trace)), ALL);
+        let g = rasterize_backward_cpu(inputs(&scene.inputs), grad, &scene.spec, (&lists, Some(trace)), ALL);
         [g.projected, g.ray_space, g.features, g.background, g.mean2d_abs]
     };
     assert!(with(&kept) == with(&whole));

@@ -24,7 +24,7 @@
 //!
 //! `depth_slope` is the change of the Gaussian's depth per unit of the whitened `(u, v)` of `project`. `thickness` is the
 //! standard deviation of its depth at known `u, v`. Both are relative to the centre's depth, so `1/thickness` is the distance
-//! to the camera in standard deviations. The derivation is ours; the maximum along a ray, for which `rasterize_rays` uses it,
+//! to the camera in standard deviations. The derivation is ours; the maximum along a ray, for which `rasterize` uses it,
 //! is due to Keselman and Hebert 2022 and Radl et al. 2024 (StopThePop).
 //!
 //! Beyond a thickness of `THICKNESS_MAX` the Gaussian has the same value everywhere, and the thickness is clamped. A row that is

@@ -1,4 +1,4 @@
-//! Blending by its definition, shared by the tests of `rasterize` and of `rasterize_rays`.
+//! Blending by its definition, shared by the tests of `rasterize` with both splats.
 
 use super::random::Random;
 use crate::options::RenderOptions;

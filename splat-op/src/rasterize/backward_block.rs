@@ -1,0 +1,173 @@
+//! A block of a bucket in the backward pass: first its pixels pass the bucket's places, then the places sum over the pixels.
+
+use cubecl::prelude::*;
+
+use super::backward::{MOMENTS, STRIDE, SegmentMemory, shares_colours};
+use super::blocks::{BLOCK, HEIGHT, WIDTH, pixel_of};
+use super::layer::{KernelShape, RasterFrame, TilePixel, layer};
+use super::splat::{BlockPairs, Splat, SplatInputs, colour};
+use super::suffix::plane_of;
+use crate::intersect::TILE_PIXELS;
+
+/// Number of channels, of many, that are read together.
+const GROUP: usize = 8;
+
+/// Passes the places of a block's word, of a bucket: leaves `h` and the weights of each place and pixel in the tables, and `ρ` in
+/// front of the bucket. The units are pixels.
+#[cube]
+pub(super) fn pass_pixels<S: Splat>(
+    memory: &mut SegmentMemory,
+    word: u32,
+    bucket: u32,
+    block: u32,
+    origin: (u32, u32),
+    grad: &[f32],
+    inputs: &SplatInputs,
+    frame: &RasterFrame,
+    #[comptime] shape: KernelShape,
+) {
+    let channels = comptime!(shape.channels());
+    let shares = comptime!(shares_colours::<S>(shape));
+    let lane = UNIT_POS;
+    let plane = (frame.width * frame.height) as usize;
+    let unit = block * comptime!(BLOCK as u32) + lane;
+    let pixel = TilePixel::of(origin, pixel_of(unit), inputs, frame);
+    let before = memory.checkpoints[(bucket * comptime!(TILE_PIXELS as u32) + unit) as usize];
+    let mut through = select(before >= 0.0, 1.0f32, -1.0f32);
+    let mut stopped = 0.0f32;
+    let mut left = word;
+    while left != 0 {
+        let i = left.trailing_zeros();
+        left &= left - 1;
+        let (value, _) = S::seen(&S::load(&memory.splats, i as usize, inputs), &pixel, frame);
+        let (alpha, next, stops) = layer(value, through, stopped, before, frame.transmittance_min);
+        let at = (i * comptime!(STRIDE as u32) + lane) as usize;
+        memory.alphas[at] = alpha;
+        memory.weights[at] = alpha * (before * through);
+        through = next;
+        stopped = stops;
+    }
+    let mut gradient = Array::<f32>::new(comptime!(if shares { channels } else { 1 }));
+    if comptime!(shares) {
+        #[unroll]
+        for channel in 0..channels {
+            let mut value = 0.0f32;
+            if pixel.inside {
+                value = grad[plane_of(channel, shape) * plane + pixel.index];
+            }
+            gradient[channel] = value;
+            memory.gradients[channel * comptime!(BLOCK) + lane as usize] = value;
+        }
+    }
+    let mut behind = memory.rho[unit as usize];
+    let mut left = word;
+    while left != 0 {
+        let i = 31u32 - left.leading_zeros();
+        left ^= 1u32 << i;
+        let at = (i * comptime!(STRIDE as u32) + lane) as usize;
+        let alpha = memory.alphas[at];
+        // Where a layer does not show, its features may be infinite or undefined.
+        if alpha > 0.0 {
+            let mut along = 0.0f32;
+            if comptime!(shares) {
+                let all = memory.colours[i as usize];
+                #[unroll]
+                for channel in 0..channels {
+                    along += gradient[channel] * all.extract(channel);
+                }
+            } else {
+                let gaussian = memory.gaussians[i as usize] as usize;
+                let mut depth = 0.0f32;
+                if comptime!(S::ALONG_RAYS && shape.depth) {
+                    let (_, of_pixel) = S::seen(&S::load(&memory.splats, i as usize, inputs), &pixel, frame);
+                    depth = of_pixel;
+                }
+                along = along_channels::<S>(inputs, grad, gaussian, pixel.index, plane, depth, shape);
+            }
+            let ahead = along - behind;
+            behind += alpha * ahead;
+            memory.alphas[at] = select(alpha < frame.alpha_max, memory.weights[at] * ahead, 0.0);
+        }
+    }
+    memory.rho[unit as usize] = behind;
+}
+
+/// Adds a block's pixels to the rows. The units are places.
+#[cube]
+pub(super) fn add_block<S: Splat>(
+    row: &mut Array<f32>,
+    memory: &SegmentMemory,
+    block: u32,
+    origin: (u32, u32),
+    grad: &[f32],
+    inputs: &SplatInputs,
+    frame: &RasterFrame,
+    #[comptime] shape: KernelShape,
+    #[comptime] absolute: bool,
+) {
+    let lane = UNIT_POS;
+    let plane = (frame.width * frame.height) as usize;
+    let at = lane as usize * comptime!(STRIDE);
+    let splat = S::load(&memory.splats, lane as usize, inputs);
+    let first_unit = block * comptime!(BLOCK as u32);
+    let pairs = BlockPairs { origin, first_unit, at: at as u32 };
+    S::add_pairs(row, &splat, pairs, &memory.alphas, &memory.weights, grad, inputs, frame, shape, absolute);
+    if comptime!(shares_colours::<S>(shape)) {
+        #[unroll]
+        for channel in 0..comptime!(shape.channels()) {
+            let mut sum = 0.0f32;
+            for other in 0..comptime!(BLOCK) {
+                sum += memory.weights[at + other] * memory.gradients[channel * comptime!(BLOCK) + other];
+            }
+            row[comptime!(MOMENTS) + channel] += sum;
+        }
+    } else {
+        let corner = TilePixel::of(origin, pixel_of(first_unit), inputs, frame);
+        // Along rays the depth of a pair has its gradient in the columns of the splat.
+        for channel in 0..comptime!(if S::ALONG_RAYS { shape.features } else { shape.channels() }) {
+            let first = plane_of(channel, shape) * plane + corner.index;
+            let mut sum = 0.0f32;
+            for step in 0..comptime!(HEIGHT) {
+                #[unroll]
+                for column in 0..comptime!(WIDTH) {
+                    let weight = memory.weights[at + step * comptime!(WIDTH) + column];
+                    // A pixel outside the picture has no weight.
+                    if weight > 0.0 {
+                        sum += weight * grad[first + step * frame.width as usize + column];
+                    }
+                }
+            }
+            row[comptime!(MOMENTS) + channel] += sum;
+        }
+    }
+}
+
+/// Returns `Σ g c` over the channels of a Gaussian at pixel `index` of the picture, whose planes have `plane` pixels. `depth` is that
+/// of the pixel along rays.
+#[cube]
+fn along_channels<S: Splat>(
+    inputs: &SplatInputs,
+    grad: &[f32],
+    gaussian: usize,
+    index: usize,
+    plane: usize,
+    depth: f32,
+    #[comptime] shape: KernelShape,
+) -> f32 {
+    let groups = comptime!(shape.channels() / GROUP);
+    let mut sum = 0.0f32;
+    for group in 0..groups {
+        #[unroll]
+        for k in 0..comptime!(GROUP) {
+            let channel = group * comptime!(GROUP) + k;
+            let gradient = grad[plane_of(channel, shape) * plane + index];
+            sum += gradient * colour::<S>(inputs, gaussian, channel, depth, shape);
+        }
+    }
+    #[unroll]
+    for k in 0..comptime!(shape.channels() % GROUP) {
+        let channel = comptime!(groups * GROUP + k);
+        sum += grad[plane_of(channel, shape) * plane + index] * colour::<S>(inputs, gaussian, channel, depth, shape);
+    }
+    sum
+}

@@ -1,0 +1,149 @@
+//! The pixels of a tile in the CPU twin: their order, and what a Gaussian is evaluated at.
+
+use fearless_simd::prelude::*;
+
+use super::tile::TileView;
+use super::tile_blocks::{ROWS, WIDTH};
+use crate::camera::LEAST_NO_RAY;
+use crate::intersect::{TILE, TILE_PIXELS};
+use crate::simd::real::Real;
+
+/// Number of pixels in a block of a tile.
+pub(crate) const BLOCK: usize = WIDTH * ROWS;
+
+/// Number of pixels in a row of blocks.
+pub(crate) const BLOCK_ROW: usize = ROWS * TILE;
+
+/// One value for each pixel of a tile: block by block, within a block row by row. The blocks run along x, then y.
+pub(crate) type Plane<F> = [F; TILE_PIXELS];
+
+/// Brings values in the order of a tile's rows into the order of its blocks.
+#[inline(always)]
+fn in_blocks<F: Real>(rows: &Plane<F>) -> Plane<F> {
+    let mut plane = [F::ZERO; TILE_PIXELS];
+    for (eight, values) in rows.as_chunks::<WIDTH>().0.iter().enumerate() {
+        plane.as_chunks_mut::<WIDTH>().0[in_block_order(eight)] = *values;
+    }
+    plane
+}
+
+/// The inverse of [`in_blocks`].
+#[inline(always)]
+pub(super) fn in_rows<F: Real>(plane: &Plane<F>) -> Plane<F> {
+    let mut rows = [F::ZERO; TILE_PIXELS];
+    for (eight, values) in rows.as_chunks_mut::<WIDTH>().0.iter_mut().enumerate() {
+        *values = plane.as_chunks::<WIDTH>().0[in_block_order(eight)];
+    }
+    rows
+}
+
+/// Returns the place, in the order of blocks, of the eight pixels at place `eight` in the order of rows.
+pub(super) const fn in_block_order(eight: usize) -> usize {
+    let (row, column) = (eight / (TILE / WIDTH), eight % (TILE / WIDTH));
+    (row / ROWS * (TILE / WIDTH) + column) * ROWS + row % ROWS
+}
+
+/// Number of lanes of a vector of pixels.
+#[inline(always)]
+pub(crate) const fn len<S: Simd, F: Real>() -> usize {
+    <F::Block<S> as SimdBase<S>>::LEN
+}
+
+/// Returns a vector of pixels from `place` on, a multiple of its length.
+#[inline(always)]
+pub(crate) fn lanes<S: Simd, F: Real>(simd: S, plane: &[F], place: usize) -> F::Block<S> {
+    F::Block::<S>::from_slice(simd, &plane[place..place + len::<S, F>()])
+}
+
+#[inline(always)]
+pub(crate) fn store<S: Simd, L: SimdFloat<S>>(lanes: L, plane: &mut [L::Element], place: usize) {
+    lanes.store_slice(&mut plane[place..place + L::LEN]);
+}
+
+/// Returns the initial transmittances of a tile that has `size` pixels inside the picture: one inside, finished outside.
+#[inline(always)]
+fn open_transmittance<F: Real>(size: [usize; 2]) -> Plane<F> {
+    let mut transmittance = [-F::ONE; TILE_PIXELS];
+    for row in transmittance.chunks_exact_mut(TILE).take(size[1]) {
+        row[..size[0]].fill(F::ONE);
+    }
+    in_blocks(&transmittance)
+}
+
+/// Returns the row of each pixel of a tile.
+#[inline(always)]
+fn pixel_rows<F: Real>() -> Plane<F> {
+    let mut rows = [F::ZERO; TILE_PIXELS];
+    for (number, row) in rows.as_chunks_mut::<TILE>().0.iter_mut().enumerate() {
+        *row = [F::of(number as f64); TILE];
+    }
+    in_blocks(&rows)
+}
+
+/// Centres along x, px, of the pixels of a row of blocks.
+#[inline(always)]
+fn centres<F: Real>(left: F) -> [F; BLOCK_ROW] {
+    std::array::from_fn(|place| left + F::of((place / BLOCK * WIDTH + place % WIDTH) as f64 + 0.5))
+}
+
+/// The pixels of a tile.
+pub(crate) struct TilePixels<F> {
+    /// Centres along x of a row of blocks, px.
+    x: [F; BLOCK_ROW],
+    /// Centre of the first row, px.
+    pub top: F,
+    /// The row of each pixel.
+    rows: Plane<F>,
+    /// Slopes of the pixels' rays, if Gaussians are seen along rays through a lens.
+    pub slopes: Option<Box<[Plane<F>; 2]>>,
+    /// Transmittances in front of all layers: one where a pixel is in the picture and has a ray, finished elsewhere.
+    pub open: Plane<F>,
+}
+
+impl<F: Real> TilePixels<F> {
+    #[inline(always)]
+    pub fn new<P>(view: &TileView<F, P>) -> Self {
+        let corner = view.corner();
+        let mut pixels = Self {
+            x: centres(corner[0]),
+            top: corner[1] + F::of(0.5),
+            rows: pixel_rows(),
+            slopes: None,
+            open: open_transmittance(view.size),
+        };
+        if let Some((width, slopes)) = view.slopes {
+            pixels.read_slopes(view.origin, view.size, width, slopes);
+        }
+        pixels
+    }
+
+    /// Reads the slopes of the pixels' rays. A pixel without a ray sees nothing, like one outside the picture.
+    fn read_slopes(&mut self, origin: [usize; 2], size: [usize; 2], width: usize, slopes: &[[f64; 2]]) {
+        let mut planes = Box::new([[F::ZERO; TILE_PIXELS]; 2]);
+        for row in 0..size[1] {
+            let slopes = &slopes[(origin[1] + row) * width + origin[0]..][..size[0]];
+            for (half, slopes) in slopes.chunks(WIDTH).enumerate() {
+                let first = in_block_order(row * (TILE / WIDTH) + half) * WIDTH;
+                for (at, slope) in (first..).zip(slopes) {
+                    let sees = slope[0] < LEAST_NO_RAY;
+                    planes[0][at] = F::of(if sees { slope[0] } else { 0.0 });
+                    planes[1][at] = F::of(if sees { slope[1] } else { 0.0 });
+                    self.open[at] = if sees { self.open[at] } else { -F::ONE };
+                }
+            }
+        }
+        self.slopes = Some(planes);
+    }
+
+    /// Centres along x of a vector of pixels of a row of blocks, px.
+    #[inline(always)]
+    pub fn x<S: Simd>(&self, simd: S, place: usize) -> F::Block<S> {
+        lanes(simd, &self.x, place)
+    }
+
+    /// Rows of a vector of pixels.
+    #[inline(always)]
+    pub fn rows<S: Simd>(&self, simd: S, place: usize) -> F::Block<S> {
+        lanes(simd, &self.rows, place)
+    }
+}

@@ -1,0 +1,133 @@
+//! The blocks of a tile in the CPU twin, and which of them a box meets.
+
+use fearless_simd::prelude::*;
+
+use super::pixels::{lanes, len};
+use crate::intersect::TILE;
+use crate::simd::real::Real;
+
+/// Number of pixels along a row of a block.
+pub(crate) const WIDTH: usize = 8;
+
+/// Number of rows of a block. The widest SIMD vectors hold a block's 16 pixels; narrower ones hold a part of it.
+pub(crate) const ROWS: usize = 2;
+
+/// Number of blocks along a row of a tile.
+const COLUMNS: usize = TILE / WIDTH;
+
+/// Number of blocks in a tile.
+pub(crate) const BLOCKS: usize = COLUMNS * (TILE / ROWS);
+const _: () = assert!(COLUMNS == 2 && BLOCKS == u16::BITS as usize);
+
+/// The blocks of a tile, to be compared with boxes.
+pub(crate) struct TileBlocks<F> {
+    /// For each block the centres of its first and last pixels along x and y, px.
+    first: [[F; BLOCKS]; 2],
+    last: [[F; BLOCKS]; 2],
+}
+
+impl<F: Real> TileBlocks<F> {
+    /// The blocks of the tile whose first pixel is at `corner`, px.
+    pub fn new(corner: [F; 2]) -> Self {
+        let (mut first, mut last) = ([[F::ZERO; BLOCKS]; 2], [[F::ZERO; BLOCKS]; 2]);
+        for block in 0..BLOCKS {
+            let place = [block % COLUMNS * WIDTH, block / COLUMNS * ROWS];
+            for (axis, size) in [WIDTH, ROWS].into_iter().enumerate() {
+                first[axis][block] = corner[axis] + F::of(place[axis] as f64 + 0.5);
+                last[axis][block] = first[axis][block] + F::of((size - 1) as f64);
+            }
+        }
+        Self { first, last }
+    }
+
+    /// Returns a bit for each block whose rectangle of pixels' centres meets the box around `middle`, px, of half the size `half`. A box
+    /// that is not a number meets all.
+    #[inline(always)]
+    pub fn met<S: Simd>(&self, simd: S, middle: [F; 2], half: [F; 2]) -> u16 {
+        let (mut low, mut high) = ([F::ZERO; 2], [F::ZERO; 2]);
+        for axis in 0..2 {
+            // The margin covers rounding.
+            let reach = half[axis] + F::of(0.01) + F::of(8.0) * F::EPSILON * (middle[axis].abs() + half[axis]);
+            (low[axis], high[axis]) = (middle[axis] - reach, middle[axis] + reach);
+        }
+        let mut met = 0;
+        for block in (0..BLOCKS).step_by(len::<S, F>()) {
+            let mut apart = lanes(simd, &self.last[0], block).simd_lt(F::Block::<S>::splat(simd, low[0]));
+            apart |= lanes(simd, &self.first[0], block).simd_gt(F::Block::<S>::splat(simd, high[0]));
+            apart |= lanes(simd, &self.last[1], block).simd_lt(F::Block::<S>::splat(simd, low[1]));
+            apart |= lanes(simd, &self.first[1], block).simd_gt(F::Block::<S>::splat(simd, high[1]));
+            met |= ((!apart).to_bitmask() as u16) << block;
+        }
+        met
+    }
+}
+
+/// Rectangle within a tile, in rows and columns of blocks.
+#[derive(Clone, Copy)]
+pub(super) struct TileWindow {
+    pub first_row: usize,
+    pub end_row: usize,
+    pub first_column: usize,
+    pub end_column: usize,
+}
+
+impl TileWindow {
+    /// Returns the smallest rectangle that holds the blocks with a bit.
+    #[inline(always)]
+    pub fn around(blocks: u16) -> Self {
+        const FIRST_COLUMN: u16 = 0x5555;
+        let rows_before = |bits: u32| bits as usize / COLUMNS * ROWS;
+        Self {
+            first_row: rows_before(blocks.trailing_zeros()),
+            end_row: rows_before(u16::BITS - blocks.leading_zeros() + COLUMNS as u32 - 1),
+            first_column: usize::from(blocks & FIRST_COLUMN == 0),
+            end_column: if blocks & !FIRST_COLUMN == 0 { 1 } else { COLUMNS },
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+
+    use super::*;
+    use crate::rasterize::pixels::BLOCK;
+    use crate::simd::dispatch;
+    use crate::testing::random::Random;
+
+    fn met<F: Real>(corner: [f64; 2], middle: [f64; 2], half: [f64; 2]) -> u16 {
+        let [corner, middle, half] = [corner, middle, half].map(|pair| pair.map(F::of));
+        dispatch!(F, simd => TileBlocks::new(corner).met(simd, middle, half))
+    }
+
+    /// Boxes in, around and beside a tile against its pixels.
+    #[test]
+    fn a_box_meets_the_blocks_whose_pixels_it_holds() {
+        let mut random = Random::new(5);
+        let corner = [32.0, 64.0];
+        for _ in 0..2_000 {
+            let mut pair = |low, high| [random.between(low, high), random.between(low, high)];
+            let (at, half) = (pair(-12.0, 28.0), pair(0.0, 12.0));
+            let middle = [corner[0] + at[0], corner[1] + at[1]];
+            let holds = |pixel: [usize; 2], margin: f64| {
+                (0..2).all(|axis| (corner[axis] + pixel[axis] as f64 + 0.5 - middle[axis]).abs() <= half[axis] + margin)
+            };
+            for found in [met::<f32>(corner, middle, half), met::<f64>(corner, middle, half)] {
+                let (window, mut expected) = (TileWindow::around(found), 0);
+                for block in 0..BLOCKS {
+                    let [x, y] = [block % COLUMNS * WIDTH, block / COLUMNS * ROWS];
+                    let any = |margin| (0..BLOCK).any(|i| holds([x + i % WIDTH, y + i / WIDTH], margin));
+                    let is_met = found >> block & 1 == 1;
+                    assert!(is_met || !any(0.0), "{middle:?} ± {half:?} misses block {block}");
+                    // A box may lie between the centres of two pixels.
+                    assert!(!is_met || any(0.52), "{middle:?} ± {half:?} meets block {block}");
+                    let column = (window.first_column..window.end_column).contains(&(block % COLUMNS));
+                    let row = (window.first_row..window.end_row).contains(&y);
+                    expected |= u16::from(column && row) << block;
+                }
+                assert_eq!(found, expected, "the blocks of a box are a rectangle");
+            }
+        }
+        assert_eq!(met::<f32>(corner, [f64::NAN; 2], [1.0; 2]), u16::MAX);
+        assert_eq!(met::<f32>(corner, [0.0; 2], [1e30; 2]), u16::MAX);
+    }
+}
