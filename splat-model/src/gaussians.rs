@@ -53,7 +53,9 @@ impl Gaussians {
             group(of_harmonics, of_sh, interleaved(sh_dc, sh_rest)),
         ];
         for GroupRows { name, width, values, options } in groups {
-            all.push(Group::of_numbers(&name, (count, width), values, device).with_options(options));
+            let mut group = Group::of_numbers(&name, (count, width), values, device);
+            group.set_options(options);
+            all.push(group);
         }
         Ok(Self { groups: all })
     }

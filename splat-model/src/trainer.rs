@@ -27,7 +27,7 @@ use crate::capture::{Photo, Photograph, PointCloud, PointsSeen};
 use crate::density::rows::{StepRates, Trained};
 use crate::density::{RefineReport, Strategy, StrategyContext};
 use crate::effects::{Effect, EffectContext, EffectStack, RenderInput};
-use crate::gaussians::{Gaussians, Group, GroupOptions};
+use crate::gaussians::{Gaussians, Group, GroupOptions, OWN_GROUPS};
 use crate::loss::{Truth, photometric};
 use crate::optim::{Adam, Decay, scene_extent, sh_degree_at};
 
@@ -225,11 +225,17 @@ impl Trainer {
     }
 
     /// Adds a group of parameters with rows of `width` zeros, which is trained, saved and carried along by density control like the
-    /// others; losses read it by [`LossInputs::group`]. Must be called before the first step.
+    /// others; losses read it by [`LossInputs::group`]. A group of that name and width that came with a scene ([`Self::from_scene`])
+    /// keeps its values and gets the options. Must be called before the first step.
     ///
     /// # Errors
-    /// If there is a group of that name, if files cannot hold the name, or if `width` is 0.
-    pub fn with_group(self, name: &str, width: usize, options: GroupOptions) -> Result<Self, TrainError> {
+    /// If there is another group of that name, if files cannot hold the name, or if `width` is 0.
+    pub fn with_group(mut self, name: &str, width: usize, options: GroupOptions) -> Result<Self, TrainError> {
+        let further = &mut self.scene.gaussians.groups[OWN_GROUPS.len()..];
+        if let Some(group) = further.iter_mut().find(|group| group.name() == name && group.width() == width) {
+            group.set_options(options);
+            return Ok(self);
+        }
         let zeros = Tensor::zeros([self.scene.gaussians.len(), width], &self.device.clone().autodiff());
         self.with_group_of(Group::new(name, zeros, options)?)
     }

@@ -118,8 +118,8 @@ impl Group {
         &self.options
     }
 
-    pub(crate) fn with_options(self, options: GroupOptions) -> Self {
-        Self { options, ..self }
+    pub(crate) fn set_options(&mut self, options: GroupOptions) {
+        self.options = options;
     }
 
     /// Numbers in a row.

@@ -111,3 +111,21 @@ fn a_strategy_of_ones_own_keeps_the_groups() {
     let after = before.with_strategy(Boxed(strategy)).unwrap();
     assert_eq!(after.gaussians().group("features").unwrap().options(), &options);
 }
+
+#[test]
+fn a_scene_brings_its_groups() {
+    let mut trained = run(strategies()[0], 1);
+    (0..6).for_each(|_| drop(trained.step().unwrap()));
+    let scene = trained.rows();
+    let config = TrainConfig { steps: 6, ..TrainConfig::default() };
+    let options = GroupOptions { rate: 0.1, ..GroupOptions::default() };
+    let start = || Trainer::new(photos([0.0; 3]), &points(), config.clone(), &Device::flex()).unwrap();
+    let started = start().from_scene(&scene, &points()).unwrap().with_group("features", 3, options).unwrap();
+    let found = features(&started);
+    let new = found.values.len() - scene.groups[0].values.len();
+    assert!(new > 0 && found.values[..new].iter().all(|value| *value == 0.0));
+    assert_eq!(found.values[new..], scene.groups[0].values);
+    assert_eq!(found.options, options);
+    let error = start().from_scene(&scene, &points()).unwrap().with_group("features", 4, options).err().unwrap();
+    assert!(error.to_string().contains("two groups are named `features`"), "{error}");
+}

@@ -36,7 +36,7 @@ impl Trainer {
     /// Gaussians of [`Self::of`], so this must be called before the first step.
     ///
     /// The scene's Gaussians keep their parameters, without the harmonics above the run's degree. Harmonics that the scene does not have
-    /// begin at zero, when their degree is due.
+    /// begin at zero, when their degree is due. Further groups of the scene stay, with zeros for the points.
     ///
     /// # Errors
     /// If the scene's rows are inconsistent.
@@ -55,6 +55,9 @@ impl Trainer {
         rows.sh_degree = scene.sh_degree.min(self.config.sh_degree);
         rows.sh_rest.reserve_exact(rows.rest_per_row() * (rows.len() + scene.len()));
         rows.sh_rest.resize(rows.rest_per_row() * rows.len(), 0.0);
+        rows.groups = GaussianRows::like(scene).groups;
+        let count = rows.len();
+        rows.groups.iter_mut().for_each(|group| group.values.resize(group.width * count, 0.0));
         rows.reserve_exact(scene.len());
         (0..scene.len()).for_each(|row| rows.push(scene, row));
         let device = self.device.clone().autodiff();

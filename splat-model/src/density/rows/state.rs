@@ -54,9 +54,10 @@ impl Trained {
         let (mut groups, mut moments) = (Vec::new(), Vec::new());
         let mut count = None;
         for (name, options) in own.into_iter().chain(further) {
-            let (group, of_group) = load_group(from, &name, count, (bits, device))?;
+            let (mut group, of_group) = load_group(from, &name, count, (bits, device))?;
             count = Some(group.rows());
-            groups.push(group.with_options(options));
+            group.set_options(options);
+            groups.push(group);
             moments.push(of_group);
         }
         Ok(Self { gaussians: Gaussians { groups }, moments, mark: None })
