@@ -2,8 +2,8 @@
 //!
 //! 1. *Suffix* (`suffix.rs`), a cube per tile: computes `ρ = g·R` behind each segment, the part of the colour behind it
 //!    that the gradient depends on.
-//! 2. *Layers* (this file), a cube per segment, all segments of all tiles at once, however long a tile's list is:
-//!    computes the sums of each intersection over the tile's pixels, a row per intersection.
+//! 2. *Layers* (this file, `segment.rs` and `backward_block.rs`), a cube per segment, all segments of all tiles at once,
+//!    however long a tile's list is: computes the sums of each intersection over the tile's pixels, a row per intersection.
 //! 3. *Gather* (`gather.rs`), a unit per Gaussian: turns the rows into gradients of the ellipse and the features.
 //!
 //! Rows are either added to one row per Gaussian, in whatever order the device takes them, or kept one per intersection

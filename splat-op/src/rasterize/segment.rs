@@ -108,7 +108,7 @@ pub(super) fn clear_rows(
                     rows[target as usize * columns + column] = 0.0f32;
                 }
             }
-            i += CUBE_DIM as u32;
+            i += CUBE_DIM;
         }
     }
 }

@@ -321,10 +321,10 @@ pub(super) fn rasterize_tile<S: Simd, F: Real, P: Footprint<F>, const C: usize, 
         let mut reached = 0;
         let [middle, half] = footprint.bounds();
         let window = TileWindow::around(blocks.met(simd, middle, half));
+        let mut colour_lanes = colour_lanes::<S, F, C>(simd, colour);
         let hidden;
-        let colour = if view.finite || is_finite(colour) {
-            colour
-        } else {
+        let mut colour = colour;
+        if !(view.finite || is_finite(colour)) {
             add_visible::<S, F, P, LONG>(
                 thresholds,
                 (&splat, &window, &pixels),
@@ -332,10 +332,11 @@ pub(super) fn rasterize_tile<S: Simd, F: Real, P: Footprint<F>, const C: usize, 
                 &transmittance,
                 sums,
             );
+            // They are added.
+            colour_lanes = [thresholds.zero; C];
             hidden = vec![F::ZERO; channels];
-            &hidden[..]
-        };
-        let colour_lanes = colour_lanes::<S, F, C>(simd, colour);
+            colour = &hidden;
+        }
         for part in (window.first_column * BLOCK..window.end_column * BLOCK).step_by(len::<S, F>()) {
             let column = splat.column(pixels.x(simd, part));
             for row in (window.first_row..window.end_row).step_by(ROWS) {
