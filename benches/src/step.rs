@@ -115,5 +115,5 @@ pub(crate) fn density() -> Adaptive {
 
 pub(crate) fn rates() -> StepRates {
     let rates = LearningRates::default();
-    StepRates { rates, means: rates.means, done: 0.0 }
+    StepRates { rates, means: rates.means, done: 0.0, views: 1 }
 }

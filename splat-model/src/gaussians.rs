@@ -63,7 +63,8 @@ impl Gaussians {
     /// Adds a group.
     ///
     /// # Errors
-    /// If there is a group of that name, or if the number of rows differs.
+    /// If there is a group of that name, if the number of rows, the device or the float type differs, or if the group exceeds the
+    /// device's largest tensor ([`splat_op::largest_tensor`]).
     pub fn with_group(mut self, group: Group) -> Result<Self, RowsError> {
         let (count, sh_degree, width) = (self.len(), self.sh_degree(), group.width());
         if self.group(group.name()).is_some() {
@@ -72,6 +73,17 @@ impl Gaussians {
         if group.rows() != count {
             let (found, expected) = (group.rows() * width, count * width);
             return Err(RowsError::Length { field: group.name().to_owned(), found, expected, count, sh_degree });
+        }
+        let (own, new) = (self.means(), group.raw());
+        let name = || group.name().to_owned();
+        if own.device() != new.device() || own.dtype() != new.dtype() {
+            let of = |values: &Tensor<2>| format!("on {:?} in {:?}", values.device(), values.dtype());
+            return Err(RowsError::Place { name: name(), found: of(&new), expected: of(&own) });
+        }
+        let (bytes, most) = (4 * (count * width) as u64, splat_op::largest_tensor(&own.device()));
+        if bytes > most {
+            let (found, expected) = (format!("{bytes} bytes large"), format!("at most {most} on this device"));
+            return Err(RowsError::Place { name: name(), found, expected });
         }
         self.groups.push(group);
         Ok(self)
@@ -97,7 +109,8 @@ impl Gaussians {
         rows
     }
 
-    fn no_rows(&self) -> GaussianRows {
+    /// No rows, of the scene's degree and groups.
+    pub(crate) fn no_rows(&self) -> GaussianRows {
         let groups = self.groups[OWN_GROUPS.len()..].iter().map(Group::about).collect();
         GaussianRows { sh_degree: self.sh_degree(), groups, ..GaussianRows::default() }
     }

@@ -16,7 +16,7 @@ mod views;
 use std::rc::Rc;
 use std::{iter, mem};
 
-use burn::tensor::{Device, Tensor};
+use burn::tensor::{Bool, Device, Tensor};
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
@@ -26,7 +26,7 @@ use crate::accuracy::Setting;
 use crate::capture::{Photo, Photograph, PointCloud, PointsSeen};
 use crate::density::rows::{StepRates, Trained};
 use crate::density::{RefineReport, Strategy, StrategyContext};
-use crate::effects::{Effect, EffectContext, EffectStack, RenderInput};
+use crate::effects::{Effect, EffectContext, EffectStack, RenderInput, masks};
 use crate::gaussians::{Gaussians, Group, GroupOptions, OWN_GROUPS};
 use crate::loss::{Truth, photometric};
 use crate::optim::{Adam, Decay, scene_extent, sh_degree_at};
@@ -48,8 +48,11 @@ pub struct LossInputs<'a> {
     pub alpha: Tensor<3>,
     /// The photograph, prepared; [`Truth::image`] gives it as `[H, W, 3]`.
     pub truth: &'a Truth,
-    /// `[H, W, 1]`: the accumulated depth, tracked, if the run's options render it.
+    /// `[H, W, 1]`: the accumulated depth, tracked; zero where a mask excludes pixels. `None` unless an effect asks for it, in
+    /// [`RenderInput::options`].
     pub depth: Option<Tensor<3>>,
+    /// `[1, H, W]`: the pixels that a mask excludes, if there is one.
+    pub excluded: Option<&'a Tensor<3, Bool>>,
     /// The inputs of the render, after effects: the activated parameters, tracked, the camera and the options.
     pub input: &'a RenderInput,
     /// The scene's parameters, tracked.
@@ -61,7 +64,8 @@ pub struct LossInputs<'a> {
 }
 
 impl LossInputs<'_> {
-    /// `[N, width]`: the values of a group, activated and tracked.
+    /// `[N, width]`: the values of a group that was added to the scene, activated and tracked. [`Self::input`] has the activated
+    /// values of the others.
     ///
     /// # Panics
     /// If the scene has no such group.
@@ -70,7 +74,8 @@ impl LossInputs<'_> {
         group.values()
     }
 
-    /// Renders features of one's own, `[N, C]`, as the view's picture is rendered, over black: `[H, W, C]`, tracked.
+    /// Renders features of one's own, `[N, C]`, from the view's camera, over black: `[H, W, C]`, tracked, and zero where a mask excludes
+    /// pixels. Motion blur and a rolling shutter, which take several renders, are left out.
     ///
     /// # Errors
     /// Errors of the render operation.
@@ -78,7 +83,11 @@ impl LossInputs<'_> {
         let mut input = self.input.clone();
         input.splats.colour = Colour::Features(features);
         input.extras = Extras::default();
-        Ok(input.render()?.colour)
+        let colour = input.render()?.colour;
+        Ok(match self.excluded {
+            Some(excluded) => masks::cleared(colour, excluded),
+            None => colour,
+        })
     }
 }
 
@@ -356,7 +365,7 @@ impl Trainer {
         let first = views[0].0;
         let others = self.config.step_rates().after(step as f64 / steps as f64);
         let done = step as f64 / steps as f64;
-        let rates = StepRates { rates: others, means: self.means_decay.at(step), done };
+        let rates = StepRates { rates: others, means: self.means_decay.at(step), done, views: self.config.batch };
         self.scene.step(gradients, &self.adam(), &rates, step, held.as_ref());
         for (view, mut of_effects) in views {
             self.effects.step(&mut of_effects, EffectContext { view, step, steps, verdict: held.as_ref() });

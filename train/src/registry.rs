@@ -6,11 +6,13 @@ use std::process::ExitCode;
 use std::sync::OnceLock;
 
 use anyhow::{Result, anyhow};
+use clap::ValueEnum;
 use splat_model::density::Strategy;
-use splat_model::effects::Effect;
+use splat_model::effects::{Effect, EffectKind};
 use splat_model::loss::{l1, photometric};
 use splat_model::trainer::{Loss, LossInputs, Trainer};
 
+use crate::strategy::StrategyName;
 use crate::train::Interrupted;
 use crate::{options, ranks};
 
@@ -28,6 +30,8 @@ pub(crate) enum Part {
 type Change = Box<dyn Fn(Trainer) -> Result<Trainer> + Send + Sync>;
 
 /// Parts of runs by the names that `--loss`, `--strategy` and `--effects` take.
+///
+/// Names are words without commas. Adding a part panics if the name is taken, by the program too.
 ///
 /// A program with a loss of its own:
 ///
@@ -70,7 +74,15 @@ impl Registry {
         name: &str,
         change: impl Fn(Trainer) -> Result<Trainer> + Send + Sync + 'static,
     ) -> Self {
-        self.0.insert((part, name.to_owned()), Box::new(change));
+        let odd = ["", "auto", "none"].contains(&name) || name.starts_with(['+', '-']) || name.contains([',', ' ']);
+        assert!(!odd, "{name:?} is no name that an option can take");
+        let is_own = match part {
+            Part::Loss => false,
+            Part::Strategy => StrategyName::value_variants().iter().any(|own| own.to_string() == name),
+            Part::Effect => name.parse::<EffectKind>().is_ok(),
+        };
+        let before = self.0.insert((part, name.to_owned()), Box::new(change));
+        assert!(!is_own && before.is_none(), "there are two parts named `{name}`");
         self
     }
 
@@ -178,13 +190,4 @@ pub fn main_of(registry: Registry, words: impl IntoIterator<Item = OsString>) ->
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn names_are_those_of_their_part() {
-        let registry = Registry::new().loss("mine", || |seen: &LossInputs| seen.alpha.clone().mean());
-        assert_eq!(registry.names(Part::Loss), ["l1", "l1-ssim", "l2", "mine"]);
-        assert!(registry.names(Part::Strategy).is_empty() && registry.names(Part::Effect).is_empty());
-    }
-}
+mod tests;

@@ -46,7 +46,7 @@ impl FromStr for StrategyName {
             Err(_) => {
                 let own = Self::value_variants().iter().map(ToString::to_string);
                 let all: Vec<String> = own.chain(registered.into_iter().map(String::from)).collect();
-                Err(format!("there is no such strategy: pass one of {}", all.join(", ")))
+                Err(format!("this program has no strategy `{text}`, only {}", all.join(", ")))
             }
             found => found,
         }

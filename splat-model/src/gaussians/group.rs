@@ -65,6 +65,29 @@ impl Default for GroupOptions {
     }
 }
 
+impl GroupOptions {
+    /// Checks that all numbers can be used and saved.
+    ///
+    /// # Errors
+    /// [`RowsError::Option`] for the first that cannot.
+    pub fn check(&self, name: &str) -> Result<(), RowsError> {
+        let refuse = |option, found: f64, expected| {
+            Err(RowsError::Option { name: name.to_owned(), option, found: found.to_string(), expected })
+        };
+        if !(self.rate >= 0.0 && self.rate.is_finite()) {
+            return refuse("rate", self.rate, "a finite number that is not negative");
+        }
+        if !(self.final_share > 0.0 && self.final_share.is_finite()) {
+            return refuse("final_share", self.final_share, "a finite number above 0");
+        }
+        match (self.new_rows, self.reset) {
+            (NewRows::Filled(value), _) if !value.is_finite() => refuse("new_rows", value.into(), "a finite number"),
+            (_, Some(value)) if !value.is_finite() => refuse("reset", value.into(), "a finite number"),
+            _ => Ok(()),
+        }
+    }
+}
+
 /// A named parameter `[N, width]` with a row for each Gaussian.
 #[derive(Module, Debug)]
 pub struct Group {
@@ -81,9 +104,11 @@ impl Group {
     /// A group of these values, `[N, width]`.
     ///
     /// # Errors
-    /// If the name is empty or contains white space, control characters or a slash, which files use, or if a row has no numbers.
+    /// If files cannot hold the name, because it is empty, contains white space, control characters or a slash, or is that of a property
+    /// of every scene; if a row has no numbers, or an option is out of range.
     pub fn new(name: &str, values: Tensor<2>, options: GroupOptions) -> Result<Self, RowsError> {
         check_name(name)?;
+        options.check(name)?;
         if values.dims()[1] == 0 {
             return Err(RowsError::Empty { name: name.to_owned() });
         }
@@ -132,9 +157,14 @@ impl Group {
         self.blocks.iter().map(|block| block.val().dims()[0]).sum()
     }
 
-    /// `[N, width]`: the numbers that are trained, tracked on an autodiff device.
+    /// The same in blocks of consecutive rows, of which only coefficients of spherical harmonics have several.
+    pub fn blocks(&self) -> impl Iterator<Item = Tensor<2>> {
+        self.blocks.iter().map(Param::val)
+    }
+
+    /// `[N, width]`: the numbers that are trained, tracked on an autodiff device. Several blocks are joined, which a GPU may not hold.
     pub fn raw(&self) -> Tensor<2> {
-        joined(self.blocks.iter().map(Param::val).collect())
+        joined(self.blocks().collect())
     }
 
     /// `[N, width]`: the values, activated, tracked on an autodiff device.
@@ -177,10 +207,14 @@ impl Group {
     }
 }
 
+/// Names of properties of every scene file, and of their parts before a number.
+const RESERVED: [&str; 11] = ["x", "y", "z", "nx", "ny", "nz", "opacity", "f_dc", "f_rest", "scale", "rot"];
+
 /// Refuses names that files cannot hold.
 pub(crate) fn check_name(name: &str) -> Result<(), RowsError> {
     let bad = |c: char| c.is_whitespace() || c.is_control() || c == '/';
-    match name.is_empty() || name.contains(bad) {
+    let stem = name.rsplit_once('_').filter(|(_, i)| i.parse::<usize>().is_ok()).map_or(name, |(stem, _)| stem);
+    match name.is_empty() || name.contains(bad) || RESERVED.contains(&name) || RESERVED.contains(&stem) {
         true => Err(RowsError::Name { name: name.to_owned() }),
         false => Ok(()),
     }

@@ -1,5 +1,6 @@
 //! Scenes on the host, as in scene files.
 
+use std::collections::HashSet;
 use std::ops::Range;
 
 use rayon::prelude::*;
@@ -51,6 +52,7 @@ impl GroupRows {
 
 /// Rows or groups that do not fit together.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[non_exhaustive]
 pub enum RowsError {
     /// A field has the wrong length.
     #[error("`{field}` holds {found} numbers, expected {expected} for {count} Gaussians of degree {sh_degree}")]
@@ -67,7 +69,10 @@ pub enum RowsError {
         sh_degree: usize,
     },
     /// A group has a name that files cannot hold.
-    #[error("a group named {name:?}, expected a name without white space, control characters and slashes")]
+    #[error(
+        "a group named {name:?}, expected a name without white space, control characters and slashes that is not one of a scene file's \
+         own properties, such as `x` and `scale_0`"
+    )]
     Name {
         /// The name.
         name: String,
@@ -77,6 +82,28 @@ pub enum RowsError {
     Taken {
         /// The name.
         name: String,
+    },
+    /// An option of a group is out of range.
+    #[error("`{option}` of the group `{name}` is {found}, expected {expected}")]
+    Option {
+        /// Name of the group.
+        name: String,
+        /// The option.
+        option: &'static str,
+        /// Its value.
+        found: String,
+        /// Its range.
+        expected: &'static str,
+    },
+    /// A group is on another device than the scene, or of another float type, or too large for the device.
+    #[error("the group `{name}` is {found}, expected {expected}")]
+    Place {
+        /// Name of the group.
+        name: String,
+        /// Its device and float type, or its size.
+        found: String,
+        /// Those of the scene, or the device's limit.
+        expected: String,
     },
     /// A group has no numbers.
     #[error("the group `{name}` has rows of 0 numbers, expected at least 1")]
@@ -136,8 +163,10 @@ impl GaussianRows {
         self.logit_opacities.push(from.logit_opacities[i]);
         self.sh_dc.push(from.sh_dc[i]);
         self.sh_rest.extend_from_slice(&from.sh_rest[rest * i..rest * i + taken]);
-        for to in &mut self.groups {
-            let group = from.groups.iter().find(|from| from.name == to.name && from.width == to.width);
+        for (at, to) in self.groups.iter_mut().enumerate() {
+            let same = |from: &&GroupRows| from.name == to.name && from.width == to.width;
+            // Usually at the same place: a search through very many would take long.
+            let group = from.groups.get(at).filter(same).or_else(|| from.groups.iter().find(same));
             let Range { start, end } = to.width * i..to.width * (i + 1);
             to.values.extend_from_slice(&group.expect("rows with the group").values[start..end]);
         }
@@ -207,10 +236,10 @@ impl GaussianRows {
         of("logit_opacities", self.logit_opacities.len(), count)?;
         of("sh_dc", self.sh_dc.len(), count)?;
         of("sh_rest", self.sh_rest.len(), count * self.rest_per_row())?;
-        for (i, group) in self.groups.iter().enumerate() {
+        let mut names: HashSet<&str> = OWN_GROUPS.into();
+        for group in &self.groups {
             check_name(&group.name)?;
-            let others = self.groups[..i].iter().map(|other| &*other.name).chain(OWN_GROUPS);
-            if others.into_iter().any(|other| other == group.name) {
+            if !names.insert(&group.name) {
                 return Err(RowsError::Taken { name: group.name.clone() });
             }
             if group.width == 0 {

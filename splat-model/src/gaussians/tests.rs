@@ -199,5 +199,17 @@ fn groups_that_do_not_fit_are_refused() {
     assert!(add("others", 4).contains("`others` holds 8 numbers, expected 6 for 3 Gaussians"));
     assert!(new("a/b", [3, 1]).unwrap_err().to_string().contains("a group named \"a/b\""));
     assert!(new("", [3, 1]).unwrap_err().to_string().contains("a group named \"\""));
+    assert!(new("f_rest", [3, 9]).unwrap_err().to_string().contains("a group named \"f_rest\""));
+    let off = new("a", [3, 2]).unwrap();
+    let tracked = with_features(3, Activation::Identity, &device.clone().autodiff());
+    assert!(tracked.with_group(off).unwrap_err().to_string().contains("the group `a` is on"));
+    for (options, expected) in [
+        (GroupOptions { rate: f64::NAN, ..GroupOptions::default() }, "`rate` of the group `a` is NaN"),
+        (GroupOptions { final_share: 0.0, ..GroupOptions::default() }, "`final_share` of the group `a` is 0"),
+        (GroupOptions { reset: Some(f32::INFINITY), ..GroupOptions::default() }, "`reset` of the group `a` is inf"),
+    ] {
+        let error = Group::new("a", Tensor::zeros([3, 2], &device), options).unwrap_err().to_string();
+        assert!(error.contains(expected), "{error}");
+    }
     assert!(new("a", [3, 0]).unwrap_err().to_string().contains("rows of 0 numbers"));
 }

@@ -481,7 +481,8 @@ fn groups_that_a_file_cannot_hold_are_refused() {
     let path = Path::new("never written.ply");
     let with = |groups: Vec<GroupRows>| GaussianRows { groups, ..crate::gaussians::testing::random_rows(1, 0, 5) };
     for (groups, expected) in [
-        (vec![group("x", 1, &[1.0])], "two properties `x`"),
+        (vec![group("x", 1, &[1.0])], "a group named \"x\""),
+        (vec![group("scale_3", 1, &[1.0])], "a group named \"scale_3\""),
         (vec![group("a", 2, &[1.0, 2.0]), group("a_1", 1, &[1.0])], "two properties `a_1`"),
         (vec![group("a b", 1, &[1.0])], "a group named \"a b\""),
         (vec![group("a", 1, &[1.0, 2.0])], "2 long, expected 1 long"),

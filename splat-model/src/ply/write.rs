@@ -48,7 +48,7 @@ pub fn write_parts<R: Borrow<GaussianRows>>(
     let to_file = |out: &mut BufWriter<File>| {
         let mut parts = parts.into_iter().peekable();
         let groups: Vec<GroupRows> = parts.peek().map_or(Vec::new(), |part| GaussianRows::like(part.borrow()).groups);
-        if let Some(name) = twice(sh_degree, &groups) {
+        if let Some(name) = twice(&groups) {
             return Err(io::Error::other(format!("groups give two properties the name `{name}`, expected one each")));
         }
         write_header(out, count, (sh_degree, &groups), world)?;
@@ -100,7 +100,7 @@ pub(crate) fn check(path: &Path, rows: &GaussianRows, world: WorldFrame) -> Resu
     if world.trained.background.iter().any(|value| !value.is_finite()) {
         return refuse("trained.background", format!("{:?}", world.trained.background), "three finite numbers".into());
     }
-    if let Some(name) = twice(rows.sh_degree, &rows.groups) {
+    if let Some(name) = twice(&rows.groups) {
         return refuse("groups", format!("two properties `{name}`"), "names that give every property one name".into());
     }
     rows.check().or_else(|error| match error {
@@ -112,9 +112,9 @@ pub(crate) fn check(path: &Path, rows: &GaussianRows, world: WorldFrame) -> Resu
 }
 
 /// The first property that would be there twice.
-fn twice(sh_degree: usize, groups: &[GroupRows]) -> Option<String> {
+fn twice(groups: &[GroupRows]) -> Option<String> {
     let mut seen = HashSet::new();
-    names(sh_degree).into_iter().chain(group_names(groups)).find(|name| !seen.insert(name.clone()))
+    names(MAX_DEGREE).into_iter().chain(group_names(groups)).find(|name| !seen.insert(name.clone()))
 }
 
 /// Writes the bytes of a file of [`write()`] to `out`. The rows must fit together ([`GaussianRows::check`]).

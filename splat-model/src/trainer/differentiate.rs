@@ -159,9 +159,11 @@ impl Trainer {
         };
         // Excluded pixels are cleared last, so that they do not train the effects either.
         let image = cleared(self.effects.image(picture.colour.clone(), input, &picture, *at));
-        let (alpha, depth) = (cleared(picture.alpha.clone()), picture.depth.clone());
-        let (gaussians, step, view) = (&self.scene.gaussians, at.step, self.views.name(at.view));
-        let mut loss = self.loss.loss(&LossInputs { image, alpha, depth, truth, input, gaussians, step, view });
+        let (alpha, depth) = (cleared(picture.alpha.clone()), picture.depth.clone().map(cleared));
+        let (gaussians, excluded) = (&self.scene.gaussians, excluded.as_ref());
+        let (step, view) = (at.step, self.views.name(at.view));
+        let seen = LossInputs { image, alpha, depth, excluded, truth, input, gaussians, step, view };
+        let mut loss = self.loss.loss(&seen);
         if let Some(penalty) = self.effects.penalty(input, &picture, *at) {
             loss = loss + penalty;
         }

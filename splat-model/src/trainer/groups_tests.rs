@@ -126,6 +126,17 @@ fn a_scene_brings_its_groups() {
     assert!(new > 0 && found.values[..new].iter().all(|value| *value == 0.0));
     assert_eq!(found.values[new..], scene.groups[0].values);
     assert_eq!(found.options, options);
+    // In the other order it is the same.
+    let other = start().with_group("features", 3, options).unwrap().from_scene(&scene, &points()).unwrap();
+    assert_eq!(features(&other), found);
+    // A group that came with the scene is no obstacle to resuming.
+    let mut carried = start().from_scene(&scene, &points()).unwrap();
+    carried.scene.gaussians.groups[5].set_options(GroupOptions::default());
+    carried.step().unwrap();
+    let state = carried.save().unwrap();
+    let mut resumed = start();
+    resumed.resume(state).unwrap();
+    assert_eq!(resumed.gaussians().to_rows(), carried.gaussians().to_rows());
     let error = start().from_scene(&scene, &points()).unwrap().with_group("features", 4, options).err().unwrap();
     assert!(error.to_string().contains("two groups are named `features`"), "{error}");
 }

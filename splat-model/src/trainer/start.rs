@@ -6,7 +6,7 @@ use super::{TrainError, Trainer};
 use crate::capture::{Photograph, PointCloud, PointsSeen};
 use crate::density::rounded_down;
 use crate::density::rows::Trained;
-use crate::gaussians::{GaussianRows, Gaussians};
+use crate::gaussians::{GaussianRows, Gaussians, GroupRows};
 use crate::init;
 
 /// The initial Gaussians of a run over `photos` that starts from `points`, and from random ones where those are few, at most `most`; and
@@ -36,7 +36,8 @@ impl Trainer {
     /// Gaussians of [`Self::of`], so this must be called before the first step.
     ///
     /// The scene's Gaussians keep their parameters, without the harmonics above the run's degree. Harmonics that the scene does not have
-    /// begin at zero, when their degree is due. Further groups of the scene stay, with zeros for the points.
+    /// begin at zero, when their degree is due. Further groups of the scene stay, with zeros for the points,
+    /// and groups of the run that the scene does not have are zero.
     ///
     /// # Errors
     /// If the scene's rows are inconsistent.
@@ -60,6 +61,12 @@ impl Trainer {
         rows.groups.iter_mut().for_each(|group| group.values.resize(group.width * count, 0.0));
         rows.reserve_exact(scene.len());
         (0..scene.len()).for_each(|row| rows.push(scene, row));
+        for group in self.scene.gaussians.no_rows().groups {
+            match rows.groups.iter_mut().find(|own| own.name == group.name && own.width == group.width) {
+                Some(own) => own.options = group.options,
+                None => rows.groups.push(GroupRows { values: vec![0.0; group.width * rows.means.len()], ..group }),
+            }
+        }
         let device = self.device.clone().autodiff();
         // The initial Gaussians are gone before the others have moments.
         self.scene = Trained::new(Gaussians::from_own_rows(GaussianRows::default(), &device)?);

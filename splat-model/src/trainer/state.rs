@@ -9,7 +9,7 @@ use super::{TrainConfig, TrainError, Trainer};
 use crate::accuracy::Setting;
 use crate::density::rows::Trained;
 use crate::effects::Effect;
-use crate::gaussians::OWN_GROUPS;
+use crate::gaussians::{Group, OWN_GROUPS};
 use crate::state::{State, StateError};
 
 /// State of a random number generator.
@@ -82,7 +82,10 @@ impl Trainer {
         let random: RandomState = state.told("random")?;
         let scene = state
             .load_part("scene", |part| Trained::load(part, config.moment_bits, &self.device.clone().autodiff()))?;
-        let (expected, found) = (groups_of(&scene), groups_of(&self.scene));
+        // A group that only the state has came with a scene that the run started from, and is not trained.
+        let [own, kept] = [&self.scene, &scene].map(|scene| &scene.gaussians.groups()[OWN_GROUPS.len()..]);
+        let is_own = |group: &&Group| own.iter().any(|own| own.name() == group.name()) || group.options().rate != 0.0;
+        let (found, expected) = (groups_of(own.iter()), groups_of(kept.iter().filter(is_own)));
         if found != expected {
             return Err(TrainError::OtherRun { what: "the list of further groups".into(), found, expected });
         }
@@ -101,11 +104,11 @@ impl Trainer {
     }
 }
 
-/// The groups that are not in every scene, in words.
-fn groups_of(scene: &Trained) -> String {
-    let further = &scene.gaussians.groups()[OWN_GROUPS.len()..];
-    let words: Vec<_> =
-        further.iter().map(|group| format!("{} [{}] {:?}", group.name(), group.width(), group.options())).collect();
+/// Groups in words, by name.
+fn groups_of<'a>(groups: impl Iterator<Item = &'a Group>) -> String {
+    let of = |group: &Group| format!("{} [{}] {:?}", group.name(), group.width(), group.options());
+    let mut words: Vec<String> = groups.map(of).collect();
+    words.sort();
     if words.is_empty() { "none".into() } else { words.join(", ") }
 }
 

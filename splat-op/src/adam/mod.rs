@@ -37,7 +37,7 @@ use burn::tensor::{DType, Int, Tensor};
 pub use rule::{Band, Factors, LAST_BIT, Rates, VERDICT};
 
 use crate::abilities::is_gpu;
-use crate::backend::{Slot, apply, apply_all};
+use crate::backend::{Slot, apply_all};
 
 /// Whether there is a kernel for a parameter or a loss: in f32, on a GPU.
 pub fn has_kernel<const D: usize>(tensor: &Tensor<D>) -> bool {
@@ -66,9 +66,10 @@ pub fn step<const D: usize>(
     verdict: Option<&Tensor<1, Int>>,
     factors: Factors,
 ) -> Stepped<D> {
-    let inputs = [from.param.into(), grad.into(), from.m.into(), from.v.into(), verdict.into()];
-    let mut found = apply(operation::Adam(factors), inputs);
-    Stepped { param: found.float(0), m: found.float(1), v: found.float(2) }
+    let step = [from.param.into(), grad.into(), from.m.into(), from.v.into()];
+    let inputs = [verdict.into(), Slot::Absent].into_iter().chain(step).collect();
+    let mut found = apply_all(operation::AdamGroups { factors: vec![factors], marked: None }, inputs);
+    Stepped { param: found.float(1), m: found.float(2), v: found.float(3) }
 }
 
 /// A parameter of a scene with its gradient.
@@ -130,5 +131,8 @@ pub fn watch(
         )
         .int(0)
     };
-    gradients.chunks(operation::WATCHED).enumerate().fold(verdict, look)
+    // Once at least, for the loss.
+    let rest = gradients.get(operation::WATCHED..).unwrap_or_default();
+    let first = &gradients[..gradients.len() - rest.len()];
+    std::iter::once(first).chain(rest.chunks(operation::WATCHED)).enumerate().fold(verdict, look)
 }

@@ -49,28 +49,9 @@ fn stepped(step: DeviceStep) -> [GpuOutput; 3] {
     [param, m, v].map(|buffer| Some(buffer.handle))
 }
 
-/// One step of a parameter, unless the verdict names a step. Takes the parameter, its gradient, its two moments and, optionally, the
-/// verdict, `[2]`; returns the parameter and its moments, in place where nothing else holds their memory.
-#[derive(Clone, Debug)]
-pub(super) struct Adam(pub Factors);
-
-impl Operation for Adam {
-    fn outputs(&self, inputs: &[Option<Spec>]) -> Vec<Option<Spec>> {
-        [0, 2, 3].map(|i| inputs[i].clone()).into()
-    }
-
-    #[cfg(feature = "cube")]
-    fn launch(&self, mut args: GpuArgs) -> Vec<GpuOutput> {
-        let (gpu, verdict) = (args.gpu(), verdict(&args, 4));
-        let step = prepared(&mut args, 0, self.0);
-        launch_adam(&gpu, &[&step], verdict.as_ref(), None);
-        stepped(step).into()
-    }
-}
-
-/// One step of the parameters of a scene, unless the verdict names a step. Takes, optionally, the verdict and the mark, `[1]`, and four
-/// tensors for each parameter as [`Adam`]; returns the mark, and three tensors for each parameter. The mark is set if a number of the
-/// parameter at `marked` is not usable afterwards, or if nobody looked.
+/// One step of some parameters, unless the verdict names a step. Takes, optionally, the verdict, `[2]`, and the mark, `[1]`, and of each
+/// parameter itself, its gradient and its two moments; returns the mark, and each parameter and its moments, in place where nothing else
+/// holds their memory. The mark is set if a number of the parameter at `marked` is not usable afterwards, or if nobody looked.
 #[derive(Clone, Debug)]
 pub(super) struct AdamGroups {
     pub factors: Vec<Factors>,

@@ -123,7 +123,8 @@ pub fn of_scene(path: &Path) -> Result<SceneInfo> {
     if rows.sh_degree > 3 {
         warnings.push("many readers support harmonics to degree 3 only: `splat convert --sh-degree 3`".into());
     }
-    let parameters_mib = (4 * rows.len() * (14 + rows.rest_per_row())) as f64 / f64::from(1 << 20);
+    let further = rows.groups.iter().map(|group| group.width).sum::<usize>();
+    let parameters_mib = (4 * rows.len() * (14 + rows.rest_per_row() + further)) as f64 / f64::from(1 << 20);
     Ok(SceneInfo {
         kind: "scene",
         format: format.to_string(),

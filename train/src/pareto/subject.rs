@@ -119,7 +119,10 @@ impl DeviceScene {
 
     /// Adds a view's gradients to `sums`, which are empty at first.
     pub fn add_gradients(&self, gradients: &Gradients, sums: &mut GradientSums) {
-        let all = PARAMETERS.map(|name| Some(host(self.gaussians.gradient(name, gradients)?)));
+        let all = PARAMETERS.map(|name| {
+            let blocks = self.gaussians.group(name)?.blocks().map(|block| block.grad(gradients).map(host));
+            Some(blocks.collect::<Option<Vec<_>>>()?.concat())
+        });
         for (sum, found) in sums.iter_mut().zip(all) {
             let found = found.unwrap_or_default();
             sum.resize(sum.len().max(found.len()), 0.0);

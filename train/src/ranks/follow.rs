@@ -65,9 +65,9 @@ fn prepare(ranks: &Rc<dyn Ranks>, setup: RunSetup) -> Result<Trainer> {
     let (train, _) = photographs(&capture, (seen, &[]), &photo_args, (&effects, cache), &**ranks)?;
     let views = views_of(&capture, &train);
     let points = start_points(&capture, &train, &args)?;
-    let trainer = Trainer::of(train, &points, config, &device)?;
+    let trainer = args.supply(Trainer::of(train, &points, config, &device)?)?;
     let trainer = if checkpoint.is_none() { started(trainer, &args, &capture)? } else { trainer };
-    let trainer = args.supply(effects.supply(trainer, &capture, &views)?)?;
+    let trainer = effects.supply(trainer, &capture, &views)?;
     let mut trainer = trainer.with_ranks(Rc::clone(ranks));
     if let Some(path) = checkpoint {
         let saved = checkpoints::read(&path).with_context(|| format!("cannot resume from {}", path.display()))?;

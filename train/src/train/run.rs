@@ -200,9 +200,9 @@ fn to_the_end(
     let most = config.density.max_splats();
     progress::note(&MemoryEstimate::of(&train, &test, &config, most).said(most, available));
     let points = start_points(&capture, &train, &args)?;
-    let trainer = Trainer::of(train, &points, config.clone(), &device)?;
+    let trainer = args.supply(Trainer::of(train, &points, config.clone(), &device)?)?;
     let trainer = if kept.is_none() { started(trainer, &args, &capture)? } else { trainer };
-    let trainer = args.supply(effects.supply(trainer, &capture, &train_views)?)?;
+    let trainer = effects.supply(trainer, &capture, &train_views)?;
     let mut trainer = change(trainer).with_ranks(Rc::clone(&ranks));
     let load = seconds_since(start);
 

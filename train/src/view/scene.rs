@@ -56,7 +56,9 @@ impl ShownScene {
         let sh_degree = (0..=rows.sh_degree.min(DEGREE_MAX)).rev().find(fits).unwrap_or(0);
         let kept = largest(rows, usable.clone(), most_bytes / bytes_per_row(sh_degree));
         let mut ply = Vec::new();
-        ply::write_to(&mut ply, &selected(rows, kept.iter().copied(), sh_degree), DVec3::ZERO)?;
+        // The viewer draws no further groups.
+        let shown = GaussianRows { groups: Vec::new(), ..selected(rows, kept.iter().copied(), sh_degree) };
+        ply::write_to(&mut ply, &shown, DVec3::ZERO)?;
         Ok(Self { ply, splats: kept.len(), of: usable.len(), sh_degree, of_sh_degree: rows.sh_degree, extent })
     }
 

@@ -5,7 +5,7 @@ use burn::tensor::{DType, Device, Int, Shape, Tensor};
 use splat_op::adam::{GroupStep, Stepped, has_kernel, step_groups};
 
 use super::{Gradients, Trained};
-use crate::gaussians::{Group, OWN_GROUPS, SH, parameter};
+use crate::gaussians::{Group, GroupOptions, OWN_GROUPS, SH, parameter};
 use crate::optim::moments::{Moments, Stored};
 use crate::optim::{Adam, LearningRates, MomentBits, Rates};
 
@@ -18,6 +18,8 @@ pub struct StepRates {
     pub means: f64,
     /// Share of the run that is done, 0 to 1. Rates of further groups fall with it.
     pub done: f64,
+    /// Photographs of the step. Rates of further groups grow with the root of it (see [`LearningRates::for_batch`]).
+    pub views: usize,
 }
 
 impl StepRates {
@@ -26,7 +28,10 @@ impl StepRates {
         match OWN_GROUPS.iter().position(|own| *own == group.name()) {
             Some(SH) => Rates { first: sh_dc, others: sh_rest, width: 3 },
             Some(own) => [self.means, rotations, scales, opacities][own].into(),
-            None => (group.options().rate * group.options().final_share.powf(self.done)).into(),
+            None => {
+                let GroupOptions { rate, final_share, .. } = *group.options();
+                (rate * final_share.powf(self.done) * (self.views as f64).sqrt()).into()
+            }
         }
     }
 }
@@ -34,6 +39,9 @@ impl StepRates {
 impl Trained {
     /// Takes one Adam step on every parameter that has a gradient. `step` counts from 1. With a verdict, `[2]` (see
     /// [`splat_op::adam`]), the device leaves everything unchanged if a step is recorded in it.
+    ///
+    /// # Panics
+    /// If a gradient has not the shape of its block.
     pub fn step(
         &mut self,
         mut gradients: Gradients,
@@ -54,6 +62,13 @@ impl Trained {
             if place >= OWN_GROUPS.len() && rate.others == 0.0 {
                 continue;
             }
+            let shapes = group.blocks.iter().map(|block| block.val().dims());
+            let fits = shapes.zip(&gradients.blocks).all(|(dims, grad)| grad.as_ref().is_none_or(|g| g.dims() == dims));
+            assert!(
+                fits && gradients.blocks.len() == group.blocks.len(),
+                "gradients of `{}` have not the shape of its blocks",
+                gradients.name
+            );
             for (block, gradient) in gradients.blocks.into_iter().enumerate() {
                 let Some(grad) = gradient else { continue };
                 let (param, moments) = (&mut group.blocks[block], &mut moments[block]);

@@ -245,7 +245,7 @@ fn step(scene: &mut Trained, ids: &[usize], step: usize, device: &Device) {
             gradients.with(name, tensor(&all(kind, width), [count, width], device, DType::F32))
         },
     );
-    let rates = StepRates { rates: LearningRates::default(), means: 0.01, done: 0.0 };
+    let rates = StepRates { rates: LearningRates::default(), means: 0.01, done: 0.0, views: 1 };
     scene.step(gradients, &Adam::default(), &rates, step, None);
 }
 
