@@ -42,7 +42,7 @@ pub struct RowEdit {
 
 impl RowEdit {
     /// Keeps the rows `keep`, `[K]`, in this order, and appends a new row for each of `copied`, `[F]`, with the same values,
-    /// or those of [`NewRows`](crate::gaussians::NewRows).
+    /// or those of [`NewRows`].
     pub fn new(keep: Tensor<1, Int>, copied: Tensor<1, Int>) -> Self {
         let kept = keep.dims()[0];
         let source = if copied.dims()[0] == 0 { keep } else { Tensor::cat(vec![keep, copied], 0) };
