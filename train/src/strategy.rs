@@ -22,7 +22,7 @@ pub enum StrategyName {
     /// Move faint splats to others and grow by 5% at a time, up to `--max-splats`, which should be chosen for the
     /// capture (3DGS-MCMC, Kheradmand et al. 2024)
     Mcmc,
-    /// One of the [`registry`](crate::registry), which replaces the settings of `gradual`.
+    /// One of the [`registry`], which replaces the settings of `gradual`.
     #[value(skip)]
     Registered(String),
 }
