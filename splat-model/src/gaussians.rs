@@ -60,7 +60,7 @@ impl Gaussians {
         Ok(Self { groups: all })
     }
 
-    /// Adds a group.
+    /// Adds a group, tracked if the scene is.
     ///
     /// # Errors
     /// If there is a group of that name, if the number of rows, the device or the float type differs, or if the group exceeds the
@@ -76,7 +76,7 @@ impl Gaussians {
         }
         let (own, new) = (self.means(), group.raw());
         let name = || group.name().to_owned();
-        if own.device() != new.device() || own.dtype() != new.dtype() {
+        if own.device().inner() != new.device().inner() || own.dtype() != new.dtype() {
             let of = |values: &Tensor<2>| format!("on {:?} in {:?}", values.device(), values.dtype());
             return Err(RowsError::Place { name: name(), found: of(&new), expected: of(&own) });
         }
@@ -85,7 +85,12 @@ impl Gaussians {
             let (found, expected) = (format!("{bytes} bytes large"), format!("at most {most} on this device"));
             return Err(RowsError::Place { name: name(), found, expected });
         }
-        self.groups.push(group);
+        let values = match (own.is_autodiff(), new.is_autodiff()) {
+            (true, false) => Tensor::from_inner(new),
+            (false, true) => new.inner(),
+            _ => new,
+        };
+        self.groups.push(Group::of_blocks(group.name(), vec![parameter(values)], *group.options()));
         Ok(self)
     }
 

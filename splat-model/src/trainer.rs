@@ -245,11 +245,11 @@ impl Trainer {
             group.set_options(options);
             return Ok(self);
         }
-        let zeros = Tensor::zeros([self.scene.gaussians.len(), width], &self.device.clone().autodiff());
+        let zeros = Tensor::zeros([self.scene.gaussians.len(), width], &self.device);
         self.with_group_of(Group::new(name, zeros, options)?)
     }
 
-    /// As [`Self::with_group`], with values of one's own on the scene's device with autodiff.
+    /// As [`Self::with_group`], with values of one's own on the scene's device.
     ///
     /// # Errors
     /// As [`Self::with_group`], and if the number of rows differs.

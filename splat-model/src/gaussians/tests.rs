@@ -200,9 +200,12 @@ fn groups_that_do_not_fit_are_refused() {
     assert!(new("a/b", [3, 1]).unwrap_err().to_string().contains("a group named \"a/b\""));
     assert!(new("", [3, 1]).unwrap_err().to_string().contains("a group named \"\""));
     assert!(new("f_rest", [3, 9]).unwrap_err().to_string().contains("a group named \"f_rest\""));
-    let off = new("a", [3, 2]).unwrap();
+    let wide = Tensor::zeros([3, 2], (&device, burn::tensor::DType::F64));
+    let wide = Group::new("a", wide, GroupOptions::default()).unwrap();
+    assert!(scene.clone().with_group(wide).unwrap_err().to_string().contains("the group `a` is on"));
     let tracked = with_features(3, Activation::Identity, &device.clone().autodiff());
-    assert!(tracked.with_group(off).unwrap_err().to_string().contains("the group `a` is on"));
+    let tracked = tracked.with_group(new("a", [3, 2]).unwrap()).unwrap();
+    assert!(tracked.group("a").unwrap().raw().is_require_grad());
     for (options, expected) in [
         (GroupOptions { rate: f64::NAN, ..GroupOptions::default() }, "`rate` of the group `a` is NaN"),
         (GroupOptions { final_share: 0.0, ..GroupOptions::default() }, "`final_share` of the group `a` is 0"),

@@ -100,15 +100,18 @@ pub(crate) fn check(path: &Path, rows: &GaussianRows, world: WorldFrame) -> Resu
     if world.trained.background.iter().any(|value| !value.is_finite()) {
         return refuse("trained.background", format!("{:?}", world.trained.background), "three finite numbers".into());
     }
-    if let Some(name) = twice(&rows.groups) {
-        return refuse("groups", format!("two properties `{name}`"), "names that give every property one name".into());
-    }
     rows.check().or_else(|error| match error {
         RowsError::Length { field, found, expected, count, sh_degree } => {
             refuse(&field, format!("{found} long"), format!("{expected} long ({count} means, degree {sh_degree})"))
         }
         other => refuse("groups", other.to_string(), "groups that files can hold".into()),
-    })
+    })?;
+    match twice(&rows.groups) {
+        Some(name) => {
+            refuse("groups", format!("two properties `{name}`"), "names that give every property one name".into())
+        }
+        None => Ok(()),
+    }
 }
 
 /// The first property that would be there twice.

@@ -327,9 +327,8 @@ fn each_parameter_has_its_own_rate() {
 
 /// A scene with a group of two numbers each, beginning at 1.
 fn with_features(rows: &GaussianRows, options: GroupOptions, bits: MomentBits, device: &Device) -> Trained {
-    let numbers = Tensor::arange(0..2 * rows.len() as i64, &device.clone().autodiff()).float() + 1.0;
-    let group = Group::new("features", numbers.reshape([rows.len(), 2]).inner(), options).unwrap();
-    let group = Group::new("features", Tensor::from_inner(group.raw()), options).unwrap();
+    let numbers = Tensor::arange(0..2 * rows.len() as i64, device).float() + 1.0;
+    let group = Group::new("features", numbers.reshape([rows.len(), 2]), options).unwrap();
     packed(rows, bits, device).with_group(group).unwrap()
 }
 
