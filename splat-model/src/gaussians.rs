@@ -9,14 +9,14 @@ use burn::module::{Module, Param, ParamId};
 use burn::tensor::{Device, Gradients, Int, Tensor, TensorData, activation};
 use splat_op::{Colour, RawSplats, Splats, activate, read_back};
 
-pub use self::group::{Activation, Group, GroupOptions, NewRows, OWN_GROUPS};
+pub use self::group::{Activation, BASE_GROUPS, Group, GroupOptions, NewRows};
 pub(crate) use self::group::{SH, check_name, joined, parameter, row_blocks};
 use self::rows::interleaved;
 pub use self::rows::{GaussianRows, GroupRows, RowsError};
 
 /// A scene's parameters as tensors, unconstrained: any finite value is valid, so an optimiser may step freely.
 ///
-/// They are groups with a row for each Gaussian. The first five are those of [`OWN_GROUPS`]; [`Self::with_group`] adds others, which
+/// They are groups with a row for each Gaussian. The first five are those of [`BASE_GROUPS`]; [`Self::with_group`] adds others, which
 /// density control, Adam, checkpoints and scene files carry along.
 #[derive(Module, Debug)]
 pub struct Gaussians {
@@ -43,7 +43,7 @@ impl Gaussians {
         rows.check()?;
         let (count, of_sh) = (rows.len(), rows.rest_per_row() + 3);
         let GaussianRows { means, rotations, log_scales, logit_opacities, sh_dc, sh_rest, groups, .. } = rows;
-        let [of_means, of_rotations, of_scales, of_opacities, of_harmonics] = OWN_GROUPS;
+        let [of_means, of_rotations, of_scales, of_opacities, of_harmonics] = BASE_GROUPS;
         let group = |name, width, numbers| Group::of_numbers(name, (count, width), numbers, device);
         let mut all = vec![
             group(of_means, 3, means.into_flattened()),
@@ -116,13 +116,13 @@ impl Gaussians {
 
     /// No rows, of the scene's degree and groups.
     pub(crate) fn no_rows(&self) -> GaussianRows {
-        let groups = self.groups[OWN_GROUPS.len()..].iter().map(Group::about).collect();
+        let groups = self.groups[BASE_GROUPS.len()..].iter().map(Group::about).collect();
         GaussianRows { sh_degree: self.sh_degree(), groups, ..GaussianRows::default() }
     }
 
     /// Appends some rows of the scene.
     fn copy_rows(&self, which: Range<usize>, to: &mut GaussianRows) {
-        let (own, further) = self.groups.split_at(OWN_GROUPS.len());
+        let (own, further) = self.groups.split_at(BASE_GROUPS.len());
         let numbers = |group: &Group| {
             let mut numbers = Vec::new();
             group.copy(&which, &mut numbers);
@@ -136,7 +136,7 @@ impl Gaussians {
         further.iter().zip(&mut to.groups).for_each(|(group, to)| group.copy(&which, &mut to.values));
     }
 
-    /// All groups, those of [`OWN_GROUPS`] first.
+    /// All groups, those of [`BASE_GROUPS`] first.
     pub fn groups(&self) -> &[Group] {
         &self.groups
     }

@@ -27,7 +27,7 @@ use crate::capture::{Photo, Photograph, PointCloud, PointsSeen};
 use crate::density::rows::{StepRates, Trained};
 use crate::density::{RefineReport, Strategy, StrategyContext};
 use crate::effects::{Effect, EffectContext, EffectStack, RenderInput, masks};
-use crate::gaussians::{Gaussians, Group, GroupOptions, OWN_GROUPS};
+use crate::gaussians::{BASE_GROUPS, Gaussians, Group, GroupOptions};
 use crate::loss::{Truth, photometric};
 use crate::optim::{Adam, Decay, scene_extent, sh_degree_at};
 
@@ -240,7 +240,7 @@ impl Trainer {
     /// # Errors
     /// If there is another group of that name, if files cannot hold the name, or if `width` is 0.
     pub fn with_group(mut self, name: &str, width: usize, options: GroupOptions) -> Result<Self, TrainError> {
-        let further = &mut self.scene.gaussians.groups[OWN_GROUPS.len()..];
+        let further = &mut self.scene.gaussians.groups[BASE_GROUPS.len()..];
         if let Some(group) = further.iter_mut().find(|group| group.name() == name && group.width() == width) {
             group.set_options(options);
             return Ok(self);

@@ -13,7 +13,7 @@ use splat_op::Splats;
 pub use self::gradients::{Gradients, GroupGradients};
 pub use self::step::StepRates;
 use self::step::{on, replace, take};
-use crate::gaussians::{Gaussians, Group, NewRows, OWN_GROUPS, RowsError, SH, parameter, row_blocks};
+use crate::gaussians::{BASE_GROUPS, Gaussians, Group, NewRows, RowsError, SH, parameter, row_blocks};
 use crate::optim::MomentBits;
 use crate::optim::moments::{Moments, Stored, followed, gathered, grown};
 
@@ -181,7 +181,7 @@ impl Trained {
         }
         let device = group.blocks[0].val().device();
         if let ([block], [moments]) = (&mut group.blocks[..], &mut moments[..])
-            && row_blocks(OWN_GROUPS[SH], count, wanted, &device).len() == 1
+            && row_blocks(BASE_GROUPS[SH], count, wanted, &device).len() == 1
         {
             moments.grow(wanted);
             let values = block.val().inner();
@@ -197,12 +197,12 @@ impl Trained {
     /// [`GroupOptions::reset`]: crate::gaussians::GroupOptions::reset
     pub fn reset_opacities(&mut self, logits: Tensor<1>) {
         let bits = self.moments[0][0].bits();
-        let (opacities, count) = (OWN_GROUPS[3], logits.dims()[0]);
+        let (opacities, count) = (BASE_GROUPS[3], logits.dims()[0]);
         for (group, moments) in self.gaussians.groups.iter_mut().zip(&mut self.moments) {
             let shape = [count, group.width()];
             let values = match group.options().reset {
                 _ if group.name() == opacities => logits.clone().reshape(shape),
-                Some(value) if !OWN_GROUPS.contains(&group.name()) => {
+                Some(value) if !BASE_GROUPS.contains(&group.name()) => {
                     Tensor::full(shape, value, (&logits.device(), logits.dtype()))
                 }
                 _ => continue,

@@ -11,9 +11,9 @@ use splat_op::largest_tensor;
 use super::rows::{GroupRows, RowsError};
 
 /// The groups that every scene has, in this order, which are also the fields of [`RawSplats`](splat_op::RawSplats).
-pub const OWN_GROUPS: [&str; 5] = ["means", "rotations", "log_scales", "logit_opacities", "sh"];
+pub const BASE_GROUPS: [&str; 5] = ["means", "rotations", "log_scales", "logit_opacities", "sh"];
 
-/// Place of the spherical harmonics in [`OWN_GROUPS`].
+/// Place of the spherical harmonics in [`BASE_GROUPS`].
 pub(crate) const SH: usize = 4;
 
 /// How the numbers of a group become the values that are used.
@@ -42,7 +42,7 @@ pub enum NewRows {
     Filled(f32),
 }
 
-/// How a group is trained. Groups of [`OWN_GROUPS`] are trained by [`LearningRates`](crate::optim::LearningRates) and density control
+/// How a group is trained. Groups of [`BASE_GROUPS`] are trained by [`LearningRates`](crate::optim::LearningRates) and density control
 /// instead, and ignore these options.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -121,7 +121,7 @@ impl Group {
 
     /// A group of numbers on the host, row-major.
     pub(super) fn of_numbers(name: &str, (count, width): (usize, usize), numbers: Vec<f32>, device: &Device) -> Self {
-        let mut blocks = row_blocks(name, count, width, device);
+        let blocks = row_blocks(name, count, width, device);
         if blocks.len() == 1 {
             let values = super::tensor(numbers, [count, width], device);
             return Self::of_blocks(name, vec![parameter(values)], GroupOptions::default());
@@ -130,7 +130,7 @@ impl Group {
             let part = numbers[width * rows.start..width * rows.end].to_vec();
             parameter(super::tensor(part, [rows.len(), width], device))
         };
-        Self::of_blocks(name, blocks.drain(..).map(of).collect(), GroupOptions::default())
+        Self::of_blocks(name, blocks.into_iter().map(of).collect(), GroupOptions::default())
     }
 
     /// The name.
@@ -228,7 +228,7 @@ pub(crate) fn parameter<const D: usize>(values: Tensor<D>) -> Param<Tensor<D>> {
 /// Divides the rows of a group into blocks that a device can hold; at least one. Only spherical harmonics have several: the render
 /// takes them in blocks.
 pub(crate) fn row_blocks(name: &str, count: usize, width: usize, device: &Device) -> Vec<Range<usize>> {
-    let room = match name == OWN_GROUPS[SH] {
+    let room = match name == BASE_GROUPS[SH] {
         true => largest_tensor(device) / (size_of::<f32>() * width) as u64,
         false => u64::MAX,
     };

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use splat_op::activate;
 use thiserror::Error;
 
-use super::group::{GroupOptions, OWN_GROUPS, check_name};
+use super::group::{BASE_GROUPS, GroupOptions, check_name};
 
 /// The rows of a scene on the host, as in scene files. Row `i` of every field belongs to Gaussian `i`.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -236,7 +236,7 @@ impl GaussianRows {
         of("logit_opacities", self.logit_opacities.len(), count)?;
         of("sh_dc", self.sh_dc.len(), count)?;
         of("sh_rest", self.sh_rest.len(), count * self.rest_per_row())?;
-        let mut names: HashSet<&str> = OWN_GROUPS.into();
+        let mut names: HashSet<&str> = BASE_GROUPS.into();
         for group in &self.groups {
             check_name(&group.name)?;
             if !names.insert(&group.name) {

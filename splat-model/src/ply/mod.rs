@@ -14,6 +14,8 @@
 //! trained, in JSON, where that differs from [`TrainedAs::default`]. [`WorldFrame`] is all three.
 
 mod frame;
+#[cfg(test)]
+mod groups_tests;
 mod points;
 mod read;
 mod row;

@@ -3,7 +3,7 @@
 use std::collections::{HashMap, HashSet};
 
 use crate::formats::limits;
-use crate::gaussians::{GaussianRows, GroupOptions, GroupRows, OWN_GROUPS, check_name};
+use crate::gaussians::{BASE_GROUPS, GaussianRows, GroupOptions, GroupRows, check_name};
 
 /// The highest degree of the spherical harmonics.
 pub(super) const MAX_DEGREE: usize = 4;
@@ -58,12 +58,12 @@ pub(super) fn further_groups<'a>(properties: impl Iterator<Item = &'a String>) -
             (stem, i, *widths.entry(stem).or_insert_with(count))
         });
         // A stem that is itself a property, or one of the scene's groups, cannot name a group.
-        let usable = |stem: &str| !all.contains(&stem.to_owned()) && !OWN_GROUPS.contains(&stem);
+        let usable = |stem: &str| !all.contains(&stem.to_owned()) && !BASE_GROUPS.contains(&stem);
         let group = match of_stem {
             // The first of the properties brings all of them.
             Some((stem, "0", width)) if width > 1 && usable(stem) => (stem.to_owned(), width),
             Some((stem, i, width)) if width > 1 && usable(stem) && is_number_below(i, width) => continue,
-            _ if OWN_GROUPS.contains(&&**property) => continue,
+            _ if BASE_GROUPS.contains(&&**property) => continue,
             _ => (property.clone(), 1),
         };
         groups.push(group);

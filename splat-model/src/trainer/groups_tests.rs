@@ -3,7 +3,7 @@
 use super::ranks::threads::together;
 use super::testing::{photos, points};
 use super::*;
-use crate::density::{AdaptiveConfig, DensityConfig, McmcConfig};
+use crate::density::{AdaptiveConfig, DensityConfig, Mcmc, McmcConfig};
 use crate::gaussians::{GroupRows, values_of};
 
 /// Strategies that change rows in a few dozen steps.
@@ -90,26 +90,10 @@ fn ranks_share_the_gradients_of_a_group() {
 
 #[test]
 fn a_strategy_of_ones_own_keeps_the_groups() {
-    let [density, mcmc] = strategies();
-    let strategy = mcmc.strategy(1.0, 24);
-    struct Boxed(Box<dyn Strategy>);
-    impl Strategy for Boxed {
-        fn acts_at(&self, step: usize) -> bool {
-            self.0.acts_at(step)
-        }
-        fn act(
-            &mut self,
-            scene: &mut Trained,
-            at: &StrategyContext,
-            rng: &mut dyn rand::Rng,
-        ) -> Result<Option<RefineReport>, crate::gaussians::RowsError> {
-            self.0.act(scene, at, rng)
-        }
-    }
-    let before = run(density, 1);
-    let options = *before.gaussians().group("features").unwrap().options();
-    let after = before.with_strategy(Boxed(strategy)).unwrap();
-    assert_eq!(after.gaussians().group("features").unwrap().options(), &options);
+    let before = run(strategies()[0], 1);
+    let expected = features(&before);
+    let after = before.with_strategy(Mcmc::new(McmcConfig::default(), 1.0, 24)).unwrap();
+    assert_eq!(features(&after), expected);
 }
 
 #[test]

@@ -9,7 +9,7 @@ use super::{TrainConfig, TrainError, Trainer};
 use crate::accuracy::Setting;
 use crate::density::rows::Trained;
 use crate::effects::Effect;
-use crate::gaussians::{Group, OWN_GROUPS};
+use crate::gaussians::{BASE_GROUPS, Group};
 use crate::state::{State, StateError};
 
 /// State of a random number generator.
@@ -83,7 +83,7 @@ impl Trainer {
         let scene = state
             .load_part("scene", |part| Trained::load(part, config.moment_bits, &self.device.clone().autodiff()))?;
         // A group that only the state has came with a scene that the run started from, and is not trained.
-        let [own, kept] = [&self.scene, &scene].map(|scene| &scene.gaussians.groups()[OWN_GROUPS.len()..]);
+        let [own, kept] = [&self.scene, &scene].map(|scene| &scene.gaussians.groups()[BASE_GROUPS.len()..]);
         let is_own = |group: &&Group| own.iter().any(|own| own.name() == group.name()) || group.options().rate != 0.0;
         let (found, expected) = (groups_of(own.iter()), groups_of(kept.iter().filter(is_own)));
         if found != expected {

@@ -32,7 +32,7 @@ pub(crate) const MOMENTS: usize = 6;
 
 /// Number of values in a row: the moments, the channels, those of the splat, and the two sums of absolute values if they are wanted.
 pub(crate) const fn row_len<S: Splat>(shape: KernelShape, absolute: bool) -> usize {
-    MOMENTS + shape.channels() + S::COLUMNS + if absolute { 2 } else { 0 }
+    MOMENTS + shape.channels() + S::EXTRA_COLUMNS + if absolute { 2 } else { 0 }
 }
 
 /// Whether the colours of a bucket and the gradients of a block's pixels go through shared memory. Along rays the Gaussians take
@@ -223,11 +223,11 @@ fn store_rows<A: FloatCell>(
     rows: &mut [f32],
     sums: &[A],
     #[comptime] columns: usize,
-    #[comptime] few: bool,
+    #[comptime] shares: bool,
     #[comptime] add: bool,
 ) {
     let lane = UNIT_POS;
-    if comptime!(few) {
+    if comptime!(shares) {
         // Through shared memory, so that neighbouring units write neighbouring values.
         #[unroll]
         for column in 0..columns {

@@ -214,7 +214,7 @@ fn backward<F: Real, P: Footprint<F>>(
     needs: Layers<bool>,
 ) -> Layers<Vec<F>> {
     let prepared = Prepared::new(inputs, spec, intersections, Some(trace));
-    let columns = MOMENTS + prepared.channels + P::COLUMNS + if needs.mean2d_abs { 2 } else { 0 };
+    let columns = MOMENTS + prepared.channels + P::EXTRA_COLUMNS + if needs.mean2d_abs { 2 } else { 0 };
     let features = inputs.background.len();
     let (rows, background) = tile_rows(intersections, [columns, features], |buffers, tile, sums| {
         tile_sums(&prepared, inputs.background, grad, &trace.tiles[tile], (tile, sums, needs), buffers)

@@ -55,7 +55,7 @@ impl LayerEllipse {
 #[cube]
 impl Splat for LayerEllipse {
     const VECTORS: usize = 2;
-    const COLUMNS: usize = 0;
+    const EXTRA_COLUMNS: usize = 0;
     const ALONG_RAYS: bool = false;
 
     /// An ellipse with an undefined or infinite number, or whose reciprocal of `sigma_v` vanishes, becomes one that does not show.

@@ -31,7 +31,7 @@ pub(crate) struct EllipseFootprint<F> {
 }
 
 impl<F: Real> Footprint<F> for EllipseFootprint<F> {
-    const COLUMNS: usize = 0;
+    const EXTRA_COLUMNS: usize = 0;
     const ALONG_RAYS: bool = false;
     const UNSCALE: f64 = UNWHITEN;
     type Lanes<S: Simd> = EllipseLanes<S, F>;

@@ -51,7 +51,7 @@ pub(crate) trait Splat: CubeType + Send + Sync + 'static {
     const VECTORS: usize;
 
     /// Number of columns of a row of sums between the channels and the sums of absolute values.
-    const COLUMNS: usize;
+    const EXTRA_COLUMNS: usize;
 
     /// Whether its depth differs from pixel to pixel.
     const ALONG_RAYS: bool;

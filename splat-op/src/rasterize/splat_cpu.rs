@@ -21,7 +21,7 @@ pub(crate) struct FootprintView<'a, F> {
 /// A Gaussian in the form that the loops over a tile's pixels read.
 pub(crate) trait Footprint<F: Real>: Copy + Default + Send + Sync + 'static {
     /// Number of columns of a row of sums between the channels and the sums of absolute values.
-    const COLUMNS: usize;
+    const EXTRA_COLUMNS: usize;
     /// Whether its depth differs from pixel to pixel.
     const ALONG_RAYS: bool;
     /// The inverse of the factor in whitened coordinates.

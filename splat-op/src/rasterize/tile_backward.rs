@@ -66,7 +66,7 @@ pub(super) fn rasterize_tile_backward<S: Simd, F: Real, P: Footprint<F>, const C
     scratch: &mut TileScratch<F>,
 ) {
     let channels = if C == 0 { view.channels } else { C };
-    let columns = MOMENTS + channels + P::COLUMNS + if grad.absolute { 2 } else { 0 };
+    let columns = MOMENTS + channels + P::EXTRA_COLUMNS + if grad.absolute { 2 } else { 0 };
     // `ρ` has two parts, like the transmittances.
     let mut rho = Transmittances::new([F::ZERO; TILE_PIXELS]);
     rho.kept.copy_from_slice(grad.background_rho);
@@ -216,11 +216,11 @@ fn backwards<S: Simd, F: Real, P: Footprint<F>, const C: usize, const LONG: bool
         };
         row[MOMENTS + channel] = sum.reduce_sum();
     }
-    for (out, sum) in row[MOMENTS + channels..].iter_mut().zip(sums.slopes).take(P::COLUMNS) {
+    for (out, sum) in row[MOMENTS + channels..].iter_mut().zip(sums.slopes).take(P::EXTRA_COLUMNS) {
         *out = sum.reduce_sum();
     }
     if grad.absolute {
-        let last = MOMENTS + channels + P::COLUMNS;
+        let last = MOMENTS + channels + P::EXTRA_COLUMNS;
         row[last] = sums.absolute[0].reduce_sum();
         row[last + 1] = sums.absolute[1].reduce_sum();
     }

@@ -43,7 +43,7 @@ pub(crate) struct RayFootprint<F> {
 }
 
 impl<F: Real> Footprint<F> for RayFootprint<F> {
-    const COLUMNS: usize = SLOPES;
+    const EXTRA_COLUMNS: usize = SLOPES;
     const ALONG_RAYS: bool = true;
     const UNSCALE: f64 = 1.0;
     type Lanes<S: Simd> = RayLanes<S, F>;

@@ -189,7 +189,7 @@ fn stored_frame(centre: Four, rows: Four, inputs: &SplatInputs) -> ComptimeOptio
 #[cube]
 impl Splat for RayGaussian {
     const VECTORS: usize = 4;
-    const COLUMNS: usize = SLOPES;
+    const EXTRA_COLUMNS: usize = SLOPES;
     const ALONG_RAYS: bool = true;
 
     fn of(inputs: &SplatInputs, gaussian: usize, _top: f32, frame: &RasterFrame) -> RayGaussian {

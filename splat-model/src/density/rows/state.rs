@@ -4,7 +4,7 @@ use burn::tensor::{Device, Tensor};
 
 use super::step::on;
 use super::{Trained, all_rows};
-use crate::gaussians::{Gaussians, Group, GroupOptions, OWN_GROUPS, SH, joined, parameter, row_blocks};
+use crate::gaussians::{BASE_GROUPS, Gaussians, Group, GroupOptions, SH, joined, parameter, row_blocks};
 use crate::optim::{MomentBits, Moments};
 use crate::state::{State, StateError};
 
@@ -19,7 +19,7 @@ impl Trained {
     pub fn save(&self) -> Result<State, StateError> {
         let mut state = State::default();
         let (all, count) = (self.gaussians.groups(), self.gaussians.len());
-        let further: Vec<_> = all[OWN_GROUPS.len()..].iter().map(|group| (group.name(), group.options())).collect();
+        let further: Vec<_> = all[BASE_GROUPS.len()..].iter().map(|group| (group.name(), group.options())).collect();
         if !further.is_empty() {
             state.tell(FURTHER, &further)?;
         }
@@ -50,7 +50,7 @@ impl Trained {
     /// If a value is missing, or if parameters and moments are inconsistent.
     pub fn load(from: &mut State, bits: MomentBits, device: &Device) -> Result<Self, StateError> {
         let further: Vec<(String, GroupOptions)> = if from.has(FURTHER) { from.told(FURTHER)? } else { Vec::new() };
-        let own = OWN_GROUPS.map(|name| (name.to_owned(), GroupOptions::default()));
+        let own = BASE_GROUPS.map(|name| (name.to_owned(), GroupOptions::default()));
         let (mut groups, mut moments) = (Vec::new(), Vec::new());
         let mut count = None;
         for (name, options) in own.into_iter().chain(further) {
@@ -73,7 +73,7 @@ fn load_group(
 ) -> Result<(Group, Vec<Moments<2>>), StateError> {
     let plain = device.clone().inner();
     // One array may be too large for the device.
-    let at_first = if name == OWN_GROUPS[SH] { Device::flex() } else { plain.clone() };
+    let at_first = if name == BASE_GROUPS[SH] { Device::flex() } else { plain.clone() };
     let (values, moments) = from.load_part(name, |part| {
         let values = part.take::<2>("values", &at_first)?;
         let shape @ [rows, width] = values.dims();
@@ -93,7 +93,7 @@ fn load_group(
 
 /// Whether rows of a group may have so many numbers.
 fn fits(name: &str, width: usize) -> bool {
-    match OWN_GROUPS.iter().position(|own| *own == name) {
+    match BASE_GROUPS.iter().position(|own| *own == name) {
         Some(SH) => (1..=splat_op::sh::SH_DEGREE_MAX + 1).any(|side| 3 * side * side == width),
         Some(own) => width == [3, 4, 3, 1][own],
         None => width > 0,

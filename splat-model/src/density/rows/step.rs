@@ -5,7 +5,7 @@ use burn::tensor::{DType, Device, Int, Shape, Tensor};
 use splat_op::adam::{GroupStep, Stepped, has_kernel, step_groups};
 
 use super::{Gradients, Trained};
-use crate::gaussians::{Group, GroupOptions, OWN_GROUPS, SH, parameter};
+use crate::gaussians::{BASE_GROUPS, Group, GroupOptions, SH, parameter};
 use crate::optim::moments::{Moments, Stored};
 use crate::optim::{Adam, LearningRates, MomentBits, Rates};
 
@@ -25,7 +25,7 @@ pub struct StepRates {
 impl StepRates {
     fn of(&self, group: &Group) -> Rates {
         let LearningRates { scales, rotations, sh_dc, sh_rest, opacities, .. } = self.rates;
-        match OWN_GROUPS.iter().position(|own| *own == group.name()) {
+        match BASE_GROUPS.iter().position(|own| *own == group.name()) {
             Some(SH) => Rates { first: sh_dc, others: sh_rest, width: 3 },
             Some(own) => [self.means, rotations, scales, opacities][own].into(),
             None => {
@@ -59,7 +59,7 @@ impl Trained {
             let rate = rates.of(group);
             let found = gradients.0.iter().position(|found| found.name == group.name());
             let Some(gradients) = found.map(|found| gradients.0.swap_remove(found)) else { continue };
-            if place >= OWN_GROUPS.len() && rate.others == 0.0 {
+            if place >= BASE_GROUPS.len() && rate.others == 0.0 {
                 continue;
             }
             let shapes = group.blocks.iter().map(|block| block.val().dims());

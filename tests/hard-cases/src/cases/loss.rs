@@ -3,7 +3,7 @@
 use burn::tensor::{DType, Device};
 use splat_model::density::rows::{Gradients, RowEdit, StepRates, Trained};
 use splat_model::density::rows_on;
-use splat_model::gaussians::{GaussianRows, Gaussians, OWN_GROUPS};
+use splat_model::gaussians::{BASE_GROUPS, GaussianRows, Gaussians};
 use splat_model::loss::{Truth, d_ssim, photometric, ssim};
 use splat_model::metrics::{LARGEST_PSNR_DB, psnr};
 use splat_model::optim::{Adam, LearningRates, Moments};
@@ -239,7 +239,7 @@ fn step(scene: &mut Trained, ids: &[usize], step: usize, device: &Device) {
     };
     let all = |kind: usize, columns: usize| ids.iter().flat_map(|id| of(kind, columns, *id)).collect::<Vec<f64>>();
     let count = ids.len();
-    let gradients = (OWN_GROUPS.into_iter().zip([3, 4, 3, 1, 3]).enumerate()).fold(
+    let gradients = (BASE_GROUPS.into_iter().zip([3, 4, 3, 1, 3]).enumerate()).fold(
         Gradients::default(),
         |gradients, (kind, (name, width))| {
             gradients.with(name, tensor(&all(kind, width), [count, width], device, DType::F32))
