@@ -39,7 +39,7 @@ const CROSS: f64 = 9.0;
 const MATVEC: f64 = 3.0 * DOT;
 const MATMUL: f64 = 9.0 * DOT;
 
-/// Operations of `sh/basis.rs` by degree, each including the lower degrees.
+/// Operations of `stages/sh/basis.rs` by degree, each including the lower degrees.
 const BASIS: [f64; 5] = [0.0, 3.0, 18.0, 43.0, 69.0];
 const BASIS_BACKWARD: [f64; 5] = [0.0, 3.0, 33.0, 105.0, 183.0];
 
@@ -247,7 +247,7 @@ impl Sizes {
     }
 }
 
-/// Operations of `project/mod.rs`: centre to the camera frame; slopes; unit quaternion (length, root, four divisions) and its
+/// Operations of `stages/project/mod.rs`: centre to the camera frame; slopes; unit quaternion (length, root, four divisions) and its
 /// matrix (nine products, nine sums, nine doublings, three differences); axes to the camera frame; two rows of the Jacobian's
 /// product (lean, scale), times the scales; `sigma_u`; `n`, `m1/sigma_u`; `n × m1` and its square; `sigma_v`; shear; the centre
 /// in px.
@@ -296,7 +296,7 @@ const LAYER: f64 = 1.0 + 1.0 + (2.0 + 1.0) + (1.0 + 2.0 + 1.0) + (EXP + 1.0) + 2
 /// gradient of the colours.
 const LAYER_BACKWARD: f64 = LAYER + 2.0 * CHANNELS + 1.0 + 2.0 + 2.0 + 2.0 + (3.0 + 3.0 * 2.0) + 2.0 * CHANNELS;
 
-/// Operations from six moments to the gradient of the ellipse, see `rasterize/cpu.rs`.
+/// Operations from six moments to the gradient of the ellipse, see `stages/rasterize/cpu.rs`.
 const ELLIPSE_BACKWARD: f64 = 1.0 + 3.0 + 1.0 + 2.0 + 1.0 + 1.0;
 
 /// Operations of a symmetric window of 11 taps along one axis: six products, ten sums.

@@ -102,85 +102,44 @@
 #![warn(missing_docs)]
 
 mod abilities;
+pub mod backend;
 pub mod camera;
 mod check;
-mod colour;
 mod counters;
-mod custom_grad;
+mod effects;
 pub mod error;
 pub mod exact;
-pub mod options;
-
-// Maps the unconstrained parameters of an optimiser to the inputs of the stages.
-pub mod activate;
-
-pub mod smooth;
-
-// The stages, in the order in which data flows; the blank lines keep rustfmt from sorting them.
-pub mod project;
-
-pub mod sh;
-
-pub mod intersect;
-
-pub mod rasterize;
-
-// What `rasterize` takes in place of ellipses for Gaussians seen along rays.
-pub mod ray_space;
-
-pub mod rasterize_rays;
-
-// What effects do to a camera, to ellipses, and to a render before the loss.
-pub mod pose;
-
-pub mod bilateral;
-
-pub mod colour_map;
-
-pub mod depth_miss;
-
-pub mod environment;
-
-pub mod optics;
-
-pub mod loss;
-
-pub mod adam;
-
-pub mod tally;
-
-pub mod argsort;
-
-pub mod backend;
 #[cfg(feature = "cube")]
 mod gpu;
 mod limits;
 mod linalg;
 mod read;
 mod record;
-mod render;
 mod simd;
-mod splats;
 mod stages;
 mod tasks;
 #[doc(hidden)]
 pub mod test_hooks;
+#[cfg(test)]
+mod testing;
+mod training;
 
 #[cfg(feature = "cube")]
 pub use abilities::Abilities;
 pub use abilities::{is_gpu, largest_tensor};
-pub use activate::RawSplats;
+pub use backend::custom_grad::with_gradient;
 pub use camera::{Camera, CameraModel, Intrinsics, Projector};
-pub use colour::{colours, colours_up_to, evaluate_sh, visible_colours};
-pub use custom_grad::with_gradient;
+pub use effects::{bilateral, colour_map, depth_miss, environment, optics, pose, smooth};
 pub use error::SplatError;
-pub use options::{Accumulation, MAX_UNCULLED_INTERSECTIONS, Projection, RenderOptions, Storage};
 pub use read::read_back;
-pub use render::{render, render_view};
-pub use splats::{Colour, Extras, Splats};
+pub use stages::colour::{colours, colours_up_to, evaluate_sh, visible_colours};
+pub use stages::options::{Accumulation, MAX_UNCULLED_INTERSECTIONS, Projection, RenderOptions, Storage};
+pub use stages::render::{render, render_view};
+pub use stages::splats::{Colour, Extras, Splats};
+// Names of stages are those of functions and of their modules.
 pub use stages::{Ellipses, Intersections, Projected, Rendered, intersect, project, rasterize};
+pub use stages::{options, rasterize_rays, ray_space, sh};
+pub use training::activate::RawSplats;
+pub use training::{activate, adam, argsort, loss, tally};
 // Re-exports of the crates in public signatures, so that callers use the same versions.
 pub use {burn, glam};
-
-#[cfg(test)]
-mod testing;

@@ -100,7 +100,7 @@ fn a_plain_step_compiles_the_kernels_it_always_did() {
     assert!(forward.is_some_and(|text| text.contains("workgroupUniformLoad(")), "a race for the flag of open pixels");
     let found = kernels(&log);
     assert!(
-        found.iter().any(|line| line.starts_with("rasterize::")) && found.len() > 20,
+        found.iter().any(|line| line.starts_with("stages::rasterize::")) && found.len() > 20,
         "not the log of a step: {found:#?}"
     );
     if env::var("SPLAT_KERNELS").is_ok_and(|wish| wish == "accept") {

@@ -8,6 +8,7 @@
 mod autodiff;
 #[cfg(feature = "cube")]
 pub(crate) mod cube;
+pub(crate) mod custom_grad;
 pub(crate) mod host;
 mod list;
 mod operation;

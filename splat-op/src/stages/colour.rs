@@ -2,6 +2,7 @@
 
 use burn::tensor::Tensor;
 
+use super::splats::{Colour, Splats, sh_need, up_to_degree};
 use crate::backend::apply;
 use crate::camera::{Camera, Intrinsics};
 use crate::check::Reference;
@@ -10,7 +11,6 @@ use crate::options::RenderOptions;
 use crate::project::{COLUMNS, ProjectSpec};
 use crate::sh::operation::EvaluateSh;
 use crate::sh::sh_degree;
-use crate::splats::{Colour, Splats, sh_need, up_to_degree};
 use crate::stages::Projected;
 
 /// Evaluates spherical harmonics for the directions from a camera to Gaussians.

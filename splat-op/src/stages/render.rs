@@ -4,19 +4,19 @@ use std::borrow::Cow;
 
 use burn::tensor::Tensor;
 
+use super::colour::visible_colours;
+use super::splats::{Extras, Splats};
 use crate::camera::Camera;
 use crate::check::check_positive;
-use crate::colour::visible_colours;
 use crate::error::SplatError;
 use crate::options::{RenderOptions, Storage};
-use crate::splats::{Extras, Splats};
 use crate::stages::{Rendered, check_render_fits, intersect, project, rasterize};
 
 /// Renders Gaussians as seen by one or several cameras with pictures of one size.
 ///
-/// Returns `B` pictures, `[B, H, W, C]`, for `B` cameras. For each camera it runs [`project`], [`visible_colours`],
-/// [`intersect`] and [`rasterize`]. Differentiable in all tensors of `splats`, in the poses and in the background; gradients of
-/// shared inputs are summed over the cameras.
+/// Returns `B` pictures, `[B, H, W, C]`, for `B` cameras. For each camera it runs [`project`](fn@project), [`visible_colours`],
+/// [`intersect`](fn@intersect) and [`rasterize`](fn@rasterize). Differentiable in all tensors of `splats`, in the poses and in the
+/// background; gradients of shared inputs are summed over the cameras.
 ///
 /// # Errors
 /// If there is no camera, if the sizes of their pictures differ, if a tensor's shape, type or device does not fit, if a camera or

@@ -15,8 +15,8 @@ mod tests;
 use burn::tensor::{DType, Int, Tensor};
 
 use crate::abilities::is_gpu;
+use crate::backend::custom_grad::constant;
 use crate::check::Reference;
-use crate::custom_grad::constant;
 use crate::error::SplatError;
 
 /// The least alpha of a pixel whose depth counts.

@@ -1,7 +1,28 @@
 //! The stages of a render as public functions. Tensor code may run between them.
 
+// The stages, in the order in which data flows; the blank lines keep rustfmt from sorting them.
+pub mod project;
+
+pub mod sh;
+
+pub mod intersect;
+
+pub mod rasterize;
+
+// What `rasterize` takes in place of ellipses for Gaussians seen along rays.
+pub mod ray_space;
+
+pub mod rasterize_rays;
+
+// Their inputs, and all of them in one call.
+pub(crate) mod colour;
+pub mod options;
+pub(crate) mod render;
+pub(crate) mod splats;
+
 use burn::tensor::{Int, Tensor};
 
+use self::splats::{Colour, Extras, Splats, sh_need};
 use crate::abilities::check_fits;
 use crate::backend::{Slot, apply};
 use crate::camera::{Camera, Intrinsics};
@@ -16,7 +37,6 @@ use crate::project::{COLUMNS, Geometry, ProjectSpec};
 use crate::rasterize::operation::Rasterize;
 use crate::rasterize::{RasterizeSpec, TraceCell};
 use crate::ray_space::operation::{Bounds, RaySpace};
-use crate::splats::{Colour, Extras, Splats, sh_need};
 
 /// The screen-space ellipses of a view, one tensor per field.
 ///
@@ -38,7 +58,7 @@ pub struct Ellipses {
     pub opacity: Tensor<1>,
 }
 
-/// The projected Gaussians of one camera, as [`project`] returns them.
+/// The projected Gaussians of one camera, as [`project`](fn@project) returns them.
 #[derive(Clone, Debug)]
 pub struct Projected {
     packed: Tensor<2>,
@@ -47,7 +67,7 @@ pub struct Projected {
     intrinsics: Intrinsics,
 }
 
-/// The intersections of Gaussians and tiles of one view, as [`intersect`] returns them.
+/// The intersections of Gaussians and tiles of one view, as [`intersect`](fn@intersect) returns them.
 #[derive(Clone, Debug)]
 pub struct Intersections {
     /// `[tiles along y, tiles along x]`: number of Gaussians listed in each tile of 16 × 16 px.
@@ -136,7 +156,7 @@ impl Intersections {
 }
 
 impl Ellipses {
-    /// Packs the fields for [`intersect`] and [`rasterize`], for a camera with `intrinsics`.
+    /// Packs the fields for [`intersect`](fn@intersect) and [`rasterize`](fn@rasterize), for a camera with `intrinsics`.
     ///
     /// The fields do not contain the Gaussians in ray space. Packed ellipses can therefore only be rendered with
     /// [`Projection::Affine`](crate::Projection).
@@ -239,7 +259,7 @@ pub fn rasterize(
     rasterized(projected, features, intersections, extras, options, None)
 }
 
-/// [`rasterize`] without extras, which keeps a trace.
+/// [`rasterize`](fn@rasterize) without extras, which keeps a trace.
 #[cfg(feature = "cube")]
 pub(crate) fn traced(
     projected: &Projected,

@@ -2,7 +2,7 @@
 
 use burn::tensor::Tensor;
 
-use crate::backend::*;
+use super::*;
 
 /// Takes a variable, a value, `[1]`, and the derivative of the value with respect to the variable; returns the value.
 #[derive(Clone, Debug)]

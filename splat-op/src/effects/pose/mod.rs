@@ -32,8 +32,8 @@ mod tests;
 use burn::tensor::Tensor;
 
 use crate::backend::apply;
+use crate::backend::custom_grad::constant;
 use crate::check::Reference;
-use crate::custom_grad::constant;
 use crate::error::SplatError;
 use crate::record::record;
 

@@ -2,7 +2,7 @@
 //! differentiable.
 //!
 //! `order[k]` is the row of the `k`-th smallest key; rows of equal keys keep their order. On a GPU this is the radix sort of
-//! `intersect/` (`intersect/sort.rs`), on a CPU a parallel sort whose result does not depend on the number of threads.
+//! `stages/intersect/sort.rs`, on a CPU a parallel sort whose result does not depend on the number of threads.
 //!
 //! Shapes: keys `[N]` → order `[N]`, i32.
 
