@@ -13,7 +13,7 @@ pub(crate) trait Entry:
 impl<T: Copy + Add<Output = T> + Sub<Output = T> + Mul<Output = T> + Neg<Output = T>> Entry for T {}
 
 /// 3 × 3 matrix, row-major.
-pub(crate) type Mat3<F> = [[F; 3]; 3];
+pub(crate) type Matrix3<F> = [[F; 3]; 3];
 
 #[inline(always)]
 pub(crate) fn add<F: Entry>(a: [F; 3], b: [F; 3]) -> [F; 3] {
@@ -62,30 +62,30 @@ pub(crate) fn norm<F: Real>(v: [F; 3]) -> F {
 }
 
 #[inline(always)]
-pub(crate) fn matmul<F: Entry>(a: &Mat3<F>, b: &Mat3<F>) -> Mat3<F> {
+pub(crate) fn matmul<F: Entry>(a: &Matrix3<F>, b: &Matrix3<F>) -> Matrix3<F> {
     [transposed_matvec(b, a[0]), transposed_matvec(b, a[1]), transposed_matvec(b, a[2])]
 }
 
 /// `a v`.
 #[inline(always)]
-pub(crate) fn matvec<F: Entry>(a: &Mat3<F>, v: [F; 3]) -> [F; 3] {
+pub(crate) fn matvec<F: Entry>(a: &Matrix3<F>, v: [F; 3]) -> [F; 3] {
     [dot(a[0], v), dot(a[1], v), dot(a[2], v)]
 }
 
 /// `aᵀ v`.
 #[inline(always)]
-pub(crate) fn transposed_matvec<F: Entry>(a: &Mat3<F>, v: [F; 3]) -> [F; 3] {
+pub(crate) fn transposed_matvec<F: Entry>(a: &Matrix3<F>, v: [F; 3]) -> [F; 3] {
     add(add(scale(a[0], v[0]), scale(a[1], v[1])), scale(a[2], v[2]))
 }
 
 #[inline(always)]
-pub(crate) fn transpose<F: Entry>(a: &Mat3<F>) -> Mat3<F> {
+pub(crate) fn transpose<F: Entry>(a: &Matrix3<F>) -> Matrix3<F> {
     [[a[0][0], a[1][0], a[2][0]], [a[0][1], a[1][1], a[2][1]], [a[0][2], a[1][2], a[2][2]]]
 }
 
 /// Rotation matrix of a unit quaternion wxyz.
 #[inline(always)]
-pub(crate) fn rotation_of<L: Entry>(one: L, [w, x, y, z]: [L; 4]) -> Mat3<L> {
+pub(crate) fn rotation_of<L: Entry>(one: L, [w, x, y, z]: [L; 4]) -> Matrix3<L> {
     let twice = |value: L| value + value;
     [
         [one - twice(y * y + z * z), twice(x * y - w * z), twice(x * z + w * y)],

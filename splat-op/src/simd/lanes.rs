@@ -4,6 +4,9 @@ use fearless_simd::prelude::*;
 
 use crate::simd::real::{LANES, Real};
 
+/// A vector of Gaussians.
+pub(crate) type Lanes<S, F> = <F as Real>::Lanes<S>;
+
 /// Number of lanes of [`Real::Lanes`].
 #[inline(always)]
 pub(crate) const fn width<S: Simd, F: Real>() -> usize {
@@ -12,22 +15,22 @@ pub(crate) const fn width<S: Simd, F: Real>() -> usize {
 
 /// Number of rows transposed at a time: enough that stores have completed when lanes read them, few enough to stay in the nearest
 /// cache.
-pub(crate) const BLOCK: usize = 64;
+pub(crate) const ROW_BLOCK: usize = 64;
 
-/// Up to [`BLOCK`] rows of `C` numbers, stored by columns.
-pub(crate) struct Columns<F, const C: usize>([[F; BLOCK]; C]);
+/// Up to [`ROW_BLOCK`] rows of `C` numbers, stored by columns.
+pub(crate) struct Columns<F, const C: usize>([[F; ROW_BLOCK]; C]);
 
 impl<F: Real, const C: usize> Columns<F, C> {
     /// Returns columns of zeros.
     #[inline(always)]
     pub fn new() -> Self {
-        Self([[F::ZERO; BLOCK]; C])
+        Self([[F::ZERO; ROW_BLOCK]; C])
     }
 
-    /// Reads up to [`BLOCK`] rows. Rows beyond those read keep their values.
+    /// Reads up to [`ROW_BLOCK`] rows. Rows beyond those read keep their values.
     #[inline(always)]
     pub fn read(&mut self, rows: &[F]) {
-        for (i, row) in (0..BLOCK).zip(rows.as_chunks::<C>().0) {
+        for (i, row) in (0..ROW_BLOCK).zip(rows.as_chunks::<C>().0) {
             for column in 0..C {
                 self.0[column][i] = row[column];
             }
@@ -37,7 +40,7 @@ impl<F: Real, const C: usize> Columns<F, C> {
     /// Writes the rows back; the inverse of [`Self::read`].
     #[inline(always)]
     pub fn write(&self, rows: &mut [F]) {
-        for (i, row) in (0..BLOCK).zip(rows.as_chunks_mut::<C>().0) {
+        for (i, row) in (0..ROW_BLOCK).zip(rows.as_chunks_mut::<C>().0) {
             for column in 0..C {
                 row[column] = self.0[column][i];
             }
@@ -46,7 +49,7 @@ impl<F: Real, const C: usize> Columns<F, C> {
 
     /// Returns all rows of one column.
     #[inline(always)]
-    pub fn column(&self, column: usize) -> &[F; BLOCK] {
+    pub fn column(&self, column: usize) -> &[F; ROW_BLOCK] {
         &self.0[column]
     }
 

@@ -104,13 +104,13 @@ impl<S: Simd, F: Real> Pixels<S, F> {
 }
 
 /// The columns of the grid around the vectors of a row of pixels.
-struct Columns<F> {
+struct GridColumns<F> {
     /// Places of the pixels along the columns.
     x: Vec<F>,
     count: usize,
 }
 
-impl<F: Real> Columns<F> {
+impl<F: Real> GridColumns<F> {
     fn new(size: SliceSize) -> Self {
         Self { x: places(size.width, size.columns), count: size.columns }
     }
@@ -138,7 +138,7 @@ fn planes_mut<F>(values: &mut [F], size: SliceSize) -> Vec<[&mut [F]; 3]> {
 /// `[3, H, W]`: the mapped picture.
 pub(crate) fn slice_cpu<F: Real>(inputs: Sliced<&[F]>, size: SliceSize) -> Vec<F> {
     let mut out = vec![F::ZERO; inputs.image.len()];
-    let (maps, columns) = (by_place(inputs.grid, size), Columns::new(size));
+    let (maps, columns) = (by_place(inputs.grid, size), GridColumns::new(size));
     let len = size.columns * size.levels * MAP;
     let down: Vec<F> = places(size.height, size.rows);
     tasks::map_with(
@@ -163,7 +163,7 @@ fn row_forward<S: Simd, F: Real>(
     simd: S,
     maps: &[F],
     levels: usize,
-    (image, columns): ([&[F]; 3], &Columns<F>),
+    (image, columns): ([&[F]; 3], &GridColumns<F>),
     out: [&mut [F]; 3],
 ) {
     let (zero, width) = (splat::<S, F>(simd, F::ZERO), image[0].len());
@@ -202,7 +202,7 @@ pub(crate) fn slice_backward_cpu<F: Real>(
     needs: Sliced<bool>,
 ) -> Sliced<Vec<F>> {
     let mut of_image = vec![F::ZERO; if needs.image { inputs.image.len() } else { 0 }];
-    let (maps, columns) = (by_place(inputs.grid, size), Columns::new(size));
+    let (maps, columns) = (by_place(inputs.grid, size), GridColumns::new(size));
     let len = size.columns * size.levels * MAP;
     let mut of_rows = planes_mut(&mut of_image, size).into_iter();
     let mut bands: Vec<(usize, Vec<Row<F>>)> = (0..size.rows - 1).map(|upper| (upper, Vec::new())).collect();
@@ -213,7 +213,7 @@ pub(crate) fn slice_backward_cpu<F: Real>(
     // The sums of a band go to the rows of the grid above and below it.
     let sums = tasks::map(bands, |_, (upper, mut rows)| {
         let mut sums = vec![F::ZERO; 2 * len];
-        let band = Band { inputs, grad, maps: &maps[upper * len..][..2 * len], size, columns: &columns };
+        let band = PixelBand { inputs, grad, maps: &maps[upper * len..][..2 * len], size, columns: &columns };
         dispatch!(F, simd => band.backward(simd, &mut rows, needs.grid, &mut sums));
         (upper, sums)
     });
@@ -228,16 +228,16 @@ pub(crate) fn slice_backward_cpu<F: Real>(
 }
 
 /// The pixels between two rows of the grid.
-struct Band<'a, F> {
+struct PixelBand<'a, F> {
     inputs: Sliced<&'a [F]>,
     grad: &'a [F],
     /// The maps of both rows, by row, then column, then level.
     maps: &'a [F],
     size: SliceSize,
-    columns: &'a Columns<F>,
+    columns: &'a GridColumns<F>,
 }
 
-impl<F: Real> Band<'_, F> {
+impl<F: Real> PixelBand<'_, F> {
     /// Writes the gradients of the rows' colours, where there is room for them, and if `sum` is set adds those of the maps to `sums`.
     #[inline(always)]
     fn backward<S: Simd>(&self, simd: S, rows: &mut [Row<F>], sum: bool, sums: &mut [F]) {
@@ -302,7 +302,7 @@ impl<F: Real> Band<'_, F> {
 }
 
 impl<S: Simd, F: Real> Pixels<S, F> {
-    /// Returns the gradient of the colours from `grad`, that of the mapped colours. `maps` are those of [`Band::mix_columns`], `down` the
+    /// Returns the gradient of the colours from `grad`, that of the mapped colours. `maps` are those of [`PixelBand::mix_columns`], `down` the
     /// share of the lower row of the grid. Adds the gradients of the maps to `sums`, if it is given, in the same order.
     #[inline(always)]
     fn backward(

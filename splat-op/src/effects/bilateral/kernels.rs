@@ -29,7 +29,7 @@ impl Sizes {
 /// A colour with its luma.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
-struct Colour {
+struct LumaColour {
     r: f32,
     g: f32,
     b: f32,
@@ -37,11 +37,11 @@ struct Colour {
 }
 
 #[cube]
-fn colour_at(image: &[f32], pixel: usize, sizes: Sizes) -> Colour {
+fn colour_at(image: &[f32], pixel: usize, sizes: Sizes) -> LumaColour {
     let plane = sizes.pixels();
     let (r, g, b) = (image[pixel], image[plane + pixel], image[2 * plane + pixel]);
     let luma = comptime!(LUMA[0] as f32) * r + comptime!(LUMA[1] as f32) * g + comptime!(LUMA[2] as f32) * b;
-    Colour { r, g, b, luma }
+    LumaColour { r, g, b, luma }
 }
 
 /// The place of a pixel's centre along an axis of the grid.

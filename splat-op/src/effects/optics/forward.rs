@@ -51,7 +51,7 @@ impl Twist {
     }
 }
 
-/// The twin's `Moving`.
+/// The twin's `MovingSimd`.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub(super) struct Moving {
@@ -83,7 +83,7 @@ pub(super) fn moving(e: &PackedEllipse, twist: &Twist, change: &Change) -> Movin
     }
 }
 
-/// The twin's `Widened`.
+/// The twin's `WidenedSimd`.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub(super) struct Widened {
@@ -133,7 +133,7 @@ pub(super) fn blur(velocity: Vec2) -> Vec2 {
     velocity.times(comptime!((1.0 / 12_f64.sqrt()) as f32))
 }
 
-/// The twin's `Rolled`.
+/// The twin's `RolledSimd`.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub(super) struct Rolled {

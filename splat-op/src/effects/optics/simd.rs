@@ -7,13 +7,12 @@ use super::{Exposure, LARGEST_SHARE, OpticsSpec, PARAMETERS};
 use crate::project::COLUMNS;
 use crate::project::simd::{MaskOf, norm};
 use crate::simd::each;
+use crate::simd::lanes::Lanes;
 use crate::simd::real::Real;
-
-type Lanes<S, F> = <F as Real>::Lanes<S>;
 
 /// A packed ellipse, or its gradient.
 #[derive(Clone, Copy)]
-pub(super) struct Ellipse<L> {
+pub(super) struct EllipseSimd<L> {
     x: L,
     y: L,
     sigma_u: L,
@@ -23,7 +22,7 @@ pub(super) struct Ellipse<L> {
     opacity: L,
 }
 
-impl<L: Copy> Ellipse<L> {
+impl<L: Copy> EllipseSimd<L> {
     #[inline(always)]
     pub fn of_row([x, y, sigma_u, shear, sigma_v, depth, opacity]: [L; COLUMNS]) -> Self {
         Self { x, y, sigma_u, shear, sigma_v, depth, opacity }
@@ -48,7 +47,7 @@ fn hypotenuse<S: Simd, F: Real>(a: Lanes<S, F>, b: Lanes<S, F>) -> Lanes<S, F> {
 }
 
 /// A widening by `w wᵀ`, and its parts that the derivative needs.
-pub(super) struct Widened<S: Simd, F: Real> {
+pub(super) struct WidenedSimd<S: Simd, F: Real> {
     w: [Lanes<S, F>; 2],
     sigma_u: Lanes<S, F>,
     sigma_v: Lanes<S, F>,
@@ -62,13 +61,13 @@ pub(super) struct Widened<S: Simd, F: Real> {
 
 /// Gradients of a widening.
 pub(super) struct WidenedGrad<L> {
-    pub ellipse: Ellipse<L>,
+    pub ellipse: EllipseSimd<L>,
     pub w: [L; 2],
 }
 
-impl<S: Simd, F: Real> Widened<S, F> {
+impl<S: Simd, F: Real> WidenedSimd<S, F> {
     #[inline(always)]
-    pub fn new(e: &Ellipse<Lanes<S, F>>, w: [Lanes<S, F>; 2]) -> Self {
+    pub fn new(e: &EllipseSimd<Lanes<S, F>>, w: [Lanes<S, F>; 2]) -> Self {
         let sigma_u = hypotenuse::<S, F>(e.sigma_u, w[0]);
         let [share, across, along] = each!([e.sigma_u, w[0], w[1]], |part| part / sigma_u);
         let off = w[1] - e.shear * w[0];
@@ -76,14 +75,14 @@ impl<S: Simd, F: Real> Widened<S, F> {
     }
 
     #[inline(always)]
-    pub fn of(&self, e: Ellipse<Lanes<S, F>>) -> Ellipse<Lanes<S, F>> {
+    pub fn of(&self, e: EllipseSimd<Lanes<S, F>>) -> EllipseSimd<Lanes<S, F>> {
         let &Self { sigma_u, sigma_v, share, across, along, .. } = self;
         let shear = share * share * e.shear + across * along;
-        Ellipse { sigma_u, shear, sigma_v, opacity: e.opacity * share * (e.sigma_v / sigma_v), ..e }
+        EllipseSimd { sigma_u, shear, sigma_v, opacity: e.opacity * share * (e.sigma_v / sigma_v), ..e }
     }
 
     #[inline(always)]
-    pub fn backward(&self, e: &Ellipse<Lanes<S, F>>, grad: &Ellipse<Lanes<S, F>>) -> WidenedGrad<Lanes<S, F>> {
+    pub fn backward(&self, e: &EllipseSimd<Lanes<S, F>>, grad: &EllipseSimd<Lanes<S, F>>) -> WidenedGrad<Lanes<S, F>> {
         let &Self { share, across, along, off, .. } = self;
         let one = lanes::<S, F>(off.token(), F::ONE);
         let [of_u, of_v] = [one / self.sigma_u, one / self.sigma_v];
@@ -100,7 +99,7 @@ impl<S: Simd, F: Real> Widened<S, F> {
         // `share` and `across` are the sides of a triangle of length one: what changes both alike changes neither.
         let turned = (grad_across * share - grad_share * across) * of_u;
         let radial = grad.sigma_u - grad_along * along * of_u;
-        let ellipse = Ellipse {
+        let ellipse = EllipseSimd {
             sigma_u: radial * share - turned * across,
             shear: grad.shear * share * share - grad_off * self.w[0],
             sigma_v,
@@ -113,7 +112,7 @@ impl<S: Simd, F: Real> Widened<S, F> {
 }
 
 /// The motion of a centre, and its parts that the derivative needs.
-pub(super) struct Moving<S: Simd, F: Real> {
+pub(super) struct MovingSimd<S: Simd, F: Real> {
     /// px.
     pub velocity: [Lanes<S, F>; 2],
     slope: [Lanes<S, F>; 2],
@@ -124,9 +123,9 @@ pub(super) struct Moving<S: Simd, F: Real> {
     pull: [Lanes<S, F>; 2],
 }
 
-impl<S: Simd, F: Real> Moving<S, F> {
+impl<S: Simd, F: Real> MovingSimd<S, F> {
     #[inline(always)]
-    pub fn new(e: &Ellipse<Lanes<S, F>>, twist: &[Lanes<S, F>; PARAMETERS], axes: &[[Lanes<S, F>; 4]; 2]) -> Self {
+    pub fn new(e: &EllipseSimd<Lanes<S, F>>, twist: &[Lanes<S, F>; PARAMETERS], axes: &[[Lanes<S, F>; 4]; 2]) -> Self {
         let &[wx, wy, wz, tx, ty, tz] = twist;
         let one = lanes::<S, F>(e.x.token(), F::ONE);
         let inverse_depth = one / e.depth;
@@ -149,7 +148,7 @@ impl<S: Simd, F: Real> Moving<S, F> {
         twist: &[Lanes<S, F>; PARAMETERS],
         axes: &[[Lanes<S, F>; 4]; 2],
         grad: [Lanes<S, F>; 2],
-        of: &mut Ellipse<Lanes<S, F>>,
+        of: &mut EllipseSimd<Lanes<S, F>>,
     ) -> [Lanes<S, F>; PARAMETERS] {
         let &[wx, wy, wz, _, _, tz] = twist;
         let &Self { slope: [x, y], inverse_depth, .. } = self;
@@ -173,12 +172,12 @@ impl<S: Simd, F: Real> Moving<S, F> {
 
 /// Gradients of a map by a rolling shutter.
 struct RolledGrad<L> {
-    ellipse: Ellipse<L>,
+    ellipse: EllipseSimd<L>,
     velocity: [L; 2],
 }
 
 /// A map of an ellipse by a rolling shutter, and its parts that the derivative needs.
-pub(super) struct Rolled<S: Simd, F: Real> {
+pub(super) struct RolledSimd<S: Simd, F: Real> {
     /// Velocity over the picture's height.
     shares: [Lanes<S, F>; 2],
     /// Whether the vertical velocity is not clamped.
@@ -198,9 +197,9 @@ pub(super) struct Rolled<S: Simd, F: Real> {
     turned: Lanes<S, F>,
 }
 
-impl<S: Simd, F: Real> Rolled<S, F> {
+impl<S: Simd, F: Real> RolledSimd<S, F> {
     #[inline(always)]
-    pub fn new(e: &Ellipse<Lanes<S, F>>, velocity: [Lanes<S, F>; 2], height: Lanes<S, F>) -> Self {
+    pub fn new(e: &EllipseSimd<Lanes<S, F>>, velocity: [Lanes<S, F>; 2], height: Lanes<S, F>) -> Self {
         let simd = e.x.token();
         let (one, largest) = (lanes::<S, F>(simd, F::ONE), lanes::<S, F>(simd, F::of(LARGEST_SHARE)));
         let vertical = velocity[1] / height;
@@ -217,18 +216,18 @@ impl<S: Simd, F: Real> Rolled<S, F> {
     }
 
     #[inline(always)]
-    pub fn of(&self, e: Ellipse<Lanes<S, F>>) -> Ellipse<Lanes<S, F>> {
+    pub fn of(&self, e: EllipseSimd<Lanes<S, F>>) -> EllipseSimd<Lanes<S, F>> {
         let &Self { shares, k, lag, sigma_u, share, turned, .. } = self;
         let (x, y) = (e.x + shares[0] * lag, e.y + shares[1] * lag);
-        Ellipse { x, y, sigma_u, shear: k * turned, sigma_v: k * e.sigma_v * share, ..e }
+        EllipseSimd { x, y, sigma_u, shear: k * turned, sigma_v: k * e.sigma_v * share, ..e }
     }
 
     /// Returns the gradients of the ellipse and of the velocity.
     #[inline(always)]
     fn backward(
         &self,
-        e: &Ellipse<Lanes<S, F>>,
-        grad: &Ellipse<Lanes<S, F>>,
+        e: &EllipseSimd<Lanes<S, F>>,
+        grad: &EllipseSimd<Lanes<S, F>>,
         height: Lanes<S, F>,
     ) -> RolledGrad<Lanes<S, F>> {
         let &Self { shares, k, q, sigma_u, along, across, share, ratio, turned, .. } = self;
@@ -241,7 +240,7 @@ impl<S: Simd, F: Real> Rolled<S, F> {
         let grad_k = grad.shear * turned + grad.sigma_v * e.sigma_v * share + grad_q * shares[0];
         let grad_k = grad_k + grad_lag * self.below;
         let grad_down = grad.y * self.lag + grad_k * k * k;
-        let ellipse = Ellipse {
+        let ellipse = EllipseSimd {
             y: grad.y + grad_lag * k,
             sigma_u: grad.sigma_u * along * (q * e.shear + F::ONE) - twisted * ratio
                 + grad_narrow * ratio * across * across,
@@ -257,14 +256,14 @@ impl<S: Simd, F: Real> Rolled<S, F> {
 }
 
 /// Constants and the motion of a change.
-pub(super) struct Change<S: Simd, F: Real> {
+pub(super) struct ChangeSimd<S: Simd, F: Real> {
     exposure: Exposure,
     axes: [[Lanes<S, F>; 4]; 2],
     height: Lanes<S, F>,
     twist: [Lanes<S, F>; PARAMETERS],
 }
 
-impl<S: Simd, F: Real> Change<S, F> {
+impl<S: Simd, F: Real> ChangeSimd<S, F> {
     #[inline(always)]
     pub fn new(simd: S, twist: &[F], spec: &OpticsSpec) -> Self {
         Self {
@@ -283,11 +282,11 @@ impl<S: Simd, F: Real> Change<S, F> {
 
     /// Returns changed ellipses; those of culled Gaussians stay.
     #[inline(always)]
-    pub fn of(&self, e: Ellipse<Lanes<S, F>>) -> Ellipse<Lanes<S, F>> {
-        let velocity = Moving::<S, F>::new(&e, &self.twist, &self.axes).velocity;
+    pub fn of(&self, e: EllipseSimd<Lanes<S, F>>) -> EllipseSimd<Lanes<S, F>> {
+        let velocity = MovingSimd::<S, F>::new(&e, &self.twist, &self.axes).velocity;
         let found = match self.exposure {
-            Exposure::MotionBlur => Widened::<S, F>::new(&e, Self::blur(velocity)).of(e),
-            Exposure::RollingShutter => Rolled::<S, F>::new(&e, velocity, self.height).of(e),
+            Exposure::MotionBlur => WidenedSimd::<S, F>::new(&e, Self::blur(velocity)).of(e),
+            Exposure::RollingShutter => RolledSimd::<S, F>::new(&e, velocity, self.height).of(e),
         };
         Self::kept(&e, found, e)
     }
@@ -295,32 +294,33 @@ impl<S: Simd, F: Real> Change<S, F> {
     /// Returns `found`, and `other` in the lanes of culled Gaussians.
     #[inline(always)]
     fn kept(
-        e: &Ellipse<Lanes<S, F>>,
-        found: Ellipse<Lanes<S, F>>,
-        other: Ellipse<Lanes<S, F>>,
-    ) -> Ellipse<Lanes<S, F>> {
+        e: &EllipseSimd<Lanes<S, F>>,
+        found: EllipseSimd<Lanes<S, F>>,
+        other: EllipseSimd<Lanes<S, F>>,
+    ) -> EllipseSimd<Lanes<S, F>> {
         let culled = e.depth.simd_eq(lanes::<S, F>(e.depth.token(), F::ZERO));
         let (found, other) = (found.to_row(), other.to_row());
-        Ellipse::of_row(each!([0, 1, 2, 3, 4, 5, 6], |column| culled.select(other[column], found[column])))
+        EllipseSimd::of_row(each!([0, 1, 2, 3, 4, 5, 6], |column| culled.select(other[column], found[column])))
     }
 
     /// Returns the gradients of the ellipses, and adds those of the twist.
     #[inline(always)]
     pub fn backward(
         &self,
-        e: &Ellipse<Lanes<S, F>>,
-        grad: &Ellipse<Lanes<S, F>>,
+        e: &EllipseSimd<Lanes<S, F>>,
+        grad: &EllipseSimd<Lanes<S, F>>,
         sums: &mut [Lanes<S, F>; PARAMETERS],
-    ) -> Ellipse<Lanes<S, F>> {
-        let moving = Moving::<S, F>::new(e, &self.twist, &self.axes);
+    ) -> EllipseSimd<Lanes<S, F>> {
+        let moving = MovingSimd::<S, F>::new(e, &self.twist, &self.axes);
         let (mut ellipse, of_velocity) = match self.exposure {
             Exposure::MotionBlur => {
-                let WidenedGrad { ellipse, w } = Widened::<S, F>::new(e, Self::blur(moving.velocity)).backward(e, grad);
+                let WidenedGrad { ellipse, w } =
+                    WidenedSimd::<S, F>::new(e, Self::blur(moving.velocity)).backward(e, grad);
                 (ellipse, Self::blur(w))
             }
             Exposure::RollingShutter => {
                 let RolledGrad { ellipse, velocity } =
-                    Rolled::<S, F>::new(e, moving.velocity, self.height).backward(e, grad, self.height);
+                    RolledSimd::<S, F>::new(e, moving.velocity, self.height).backward(e, grad, self.height);
                 (ellipse, velocity)
             }
         };

@@ -3,7 +3,7 @@ use fearless_simd::prelude::*;
 use glam::{DQuat, DVec3};
 
 use super::cpu::{expose_backward_cpu, expose_cpu};
-use super::simd::{Ellipse, Moving, Rolled, Widened};
+use super::simd::{EllipseSimd, MovingSimd, RolledSimd, WidenedSimd};
 use super::*;
 use crate::project::COLUMNS;
 use crate::simd::dispatch;
@@ -90,8 +90,8 @@ fn widened<F: Real>(row: &[f64], w: [f64; 2]) -> [f64; COLUMNS] {
 
 fn widened_by<S: Simd, F: Real>(simd: S, row: &[f64], w: [f64; 2]) -> [f64; COLUMNS] {
     let lanes = |value: f64| F::Lanes::<S>::splat(simd, F::of(value));
-    let e = Ellipse::of_row(std::array::from_fn(|i| lanes(row[i])));
-    Widened::<S, F>::new(&e, w.map(lanes)).of(e).to_row().map(first::<S, F>)
+    let e = EllipseSimd::of_row(std::array::from_fn(|i| lanes(row[i])));
+    WidenedSimd::<S, F>::new(&e, w.map(lanes)).of(e).to_row().map(first::<S, F>)
 }
 
 fn rolled<F: Real>(row: &[f64], velocity: [f64; 2], height: f64) -> [f64; COLUMNS] {
@@ -100,22 +100,22 @@ fn rolled<F: Real>(row: &[f64], velocity: [f64; 2], height: f64) -> [f64; COLUMN
 
 fn rolled_by<S: Simd, F: Real>(simd: S, row: &[f64], velocity: [f64; 2], height: f64) -> [f64; COLUMNS] {
     let lanes = |value: f64| F::Lanes::<S>::splat(simd, F::of(value));
-    let e = Ellipse::of_row(std::array::from_fn(|i| lanes(row[i])));
-    Rolled::<S, F>::new(&e, velocity.map(lanes), lanes(height)).of(e).to_row().map(first::<S, F>)
+    let e = EllipseSimd::of_row(std::array::from_fn(|i| lanes(row[i])));
+    RolledSimd::<S, F>::new(&e, velocity.map(lanes), lanes(height)).of(e).to_row().map(first::<S, F>)
 }
 
 fn velocity_by<S: Simd>(simd: S, row: [f64; COLUMNS], twist: [f64; PARAMETERS], axes: [[f64; 4]; 2]) -> [f64; 2] {
     let lanes = |value: f64| <f64 as Real>::Lanes::<S>::splat(simd, value);
     let moving =
-        Moving::<S, f64>::new(&Ellipse::of_row(row.map(lanes)), &twist.map(lanes), &axes.map(|a| a.map(lanes)));
+        MovingSimd::<S, f64>::new(&EllipseSimd::of_row(row.map(lanes)), &twist.map(lanes), &axes.map(|a| a.map(lanes)));
     moving.velocity.map(first::<S, f64>)
 }
 
 /// The gradients of `sigma_u`, the shear, `sigma_v`, the opacity and `w`.
 fn widened_backward<S: Simd, F: Real>(simd: S, [row, grad]: [[f64; COLUMNS]; 2], w: [f64; 2]) -> [f64; 6] {
     let lanes = |value: f64| F::Lanes::<S>::splat(simd, F::of(value));
-    let [e, grad] = [row, grad].map(|row| Ellipse::of_row(row.map(lanes)));
-    let of = Widened::<S, F>::new(&e, w.map(lanes)).backward(&e, &grad);
+    let [e, grad] = [row, grad].map(|row| EllipseSimd::of_row(row.map(lanes)));
+    let of = WidenedSimd::<S, F>::new(&e, w.map(lanes)).backward(&e, &grad);
     let row = of.ellipse.to_row();
     [row[2], row[3], row[4], row[6], of.w[0], of.w[1]].map(first::<S, F>)
 }

@@ -1,16 +1,16 @@
 //! CPU twin of the correction.
 
 use super::Corrected;
-use crate::linalg::{Mat3, add, cross, dot, matvec, scale, sub, transpose};
+use crate::linalg::{Matrix3, add, cross, dot, matvec, scale, sub, transpose};
 use crate::simd::real::Real;
 
 /// Rotation and translation of a pose.
-fn split<F: Real>(pose: &[F]) -> (Mat3<F>, [F; 3]) {
+fn split<F: Real>(pose: &[F]) -> (Matrix3<F>, [F; 3]) {
     let row = |i: usize| [pose[4 * i], pose[4 * i + 1], pose[4 * i + 2]];
     ([row(0), row(1), row(2)], [pose[3], pose[7], pose[11]])
 }
 
-fn joined<F: Real>(rotation: Mat3<F>, translation: [F; 3]) -> Vec<F> {
+fn joined<F: Real>(rotation: Matrix3<F>, translation: [F; 3]) -> Vec<F> {
     rotation.into_iter().zip(translation).flat_map(|([x, y, z], t)| [x, y, z, t]).collect()
 }
 
@@ -38,7 +38,7 @@ pub(crate) fn corrected_cpu<F: Real>(inputs: Corrected<&[F]>, unit: f64) -> Vec<
 pub(crate) fn corrected_backward_cpu<F: Real>(inputs: Corrected<&[F]>, grad: &[F], unit: f64) -> Vec<F> {
     let (h, _, f) = half(inputs.correction);
     let ((rotation, translation), (of_rotation, of_translation)) = (split(inputs.cam_from_world), split(grad));
-    let b: Mat3<F> = std::array::from_fn(|i| {
+    let b: Matrix3<F> = std::array::from_fn(|i| {
         std::array::from_fn(|k| dot(of_rotation[i], rotation[k]) + of_translation[i] * translation[k])
     });
     let axial = [b[2][1] - b[1][2], b[0][2] - b[2][0], b[1][0] - b[0][1]];

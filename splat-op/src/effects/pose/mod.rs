@@ -42,7 +42,7 @@ use crate::record::record;
 pub(crate) const POSE: usize = 12;
 
 /// The least square of a distance that a direction is divided by.
-const LEAST: f64 = 1e-30;
+const LEAST_SQUARE: f64 = 1e-30;
 
 record! {
     /// Inputs of a correction, or their gradients.
@@ -86,7 +86,7 @@ pub fn miss(pose: &Tensor<2>, points: &Tensor<2>, directions: &Tensor<2>, scale:
     }
     let turned = constant(points, tracked).matmul(pose.clone().narrow(1, 0, 3).transpose());
     let cam = turned + pose.clone().narrow(1, 3, 1).transpose();
-    let length = cam.clone().square().sum_dim(1).clamp_min(LEAST).sqrt();
+    let length = cam.clone().square().sum_dim(1).clamp_min(LEAST_SQUARE).sqrt();
     let squared = (cam / length - constant(directions, tracked)).square().sum_dim(1);
     Ok((squared + scale * scale).sqrt().mean() - scale)
 }

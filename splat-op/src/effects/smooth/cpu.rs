@@ -1,4 +1,4 @@
-//! CPU twin of the convolution, parallel over runs of Gaussians, a vector of them at a time.
+//! CPU twin of the convolution, parallel over chunks of Gaussians, a vector of them at a time.
 
 use fearless_simd::prelude::*;
 
@@ -10,7 +10,7 @@ use crate::simd::real::Real;
 use crate::tasks;
 
 /// Number of Gaussians per task.
-const RUN: usize = 2048;
+const CHUNK: usize = 2048;
 
 /// `√(a² + b²)`, without intermediate overflow or underflow.
 #[inline(always)]
@@ -29,8 +29,8 @@ fn hypotenuse<S: Simd, F: Real>(a: F::Block<S>, b: F::Block<S>) -> F::Block<S> {
 /// `[N, 3]`: the new standard deviations.
 pub(crate) fn smoothed_scales_cpu<F: Real>(scales: &[F], widths: &[F]) -> Vec<F> {
     let mut out = vec![F::ZERO; scales.len()];
-    let runs = out.chunks_mut(3 * RUN).zip(scales.chunks(3 * RUN).zip(widths.chunks(RUN)));
-    tasks::for_each(runs, |_, (out, (scales, widths))| {
+    let chunks = out.chunks_mut(3 * CHUNK).zip(scales.chunks(3 * CHUNK).zip(widths.chunks(CHUNK)));
+    tasks::for_each(chunks, |_, (out, (scales, widths))| {
         dispatch!(F, simd => scales_of_run(simd, scales, widths, out));
     });
     out
@@ -78,9 +78,9 @@ impl<S: Simd, F: Real> Shares<S, F> {
 /// `[N]`: the new opacities.
 pub(crate) fn smoothed_opacities_cpu<F: Real>(inputs: Smooth<&[F]>) -> Vec<F> {
     let mut out = vec![F::ZERO; inputs.opacities.len()];
-    let scales = inputs.scales.as_chunks::<3>().0.chunks(RUN);
-    let runs = scales.zip(inputs.widths.chunks(RUN)).zip(inputs.opacities.chunks(RUN));
-    tasks::for_each(out.chunks_mut(RUN).zip(runs), |_, (out, (gaussians, opacities))| {
+    let scales = inputs.scales.as_chunks::<3>().0.chunks(CHUNK);
+    let chunks = scales.zip(inputs.widths.chunks(CHUNK)).zip(inputs.opacities.chunks(CHUNK));
+    tasks::for_each(out.chunks_mut(CHUNK).zip(chunks), |_, (out, (gaussians, opacities))| {
         dispatch!(F, simd => opacities_of_run(simd, gaussians, opacities, out));
     });
     out
@@ -97,10 +97,10 @@ fn opacities_of_run<S: Simd, F: Real>(simd: S, (scales, widths): (&[[F; 3]], &[F
 /// Returns the gradients of the standard deviations and of the opacities from `grad`, `[N]`, that of the new opacities.
 pub(crate) fn smoothed_opacities_backward_cpu<F: Real>(inputs: Smooth<&[F]>, grad: &[F]) -> Smooth<Vec<F>> {
     let (mut scales, mut opacities) = (vec![F::ZERO; inputs.scales.len()], vec![F::ZERO; inputs.opacities.len()]);
-    let of = inputs.scales.as_chunks::<3>().0.chunks(RUN).zip(inputs.widths.chunks(RUN));
-    let runs = of.zip(inputs.opacities.chunks(RUN).zip(grad.chunks(RUN)));
-    let out = scales.as_chunks_mut::<3>().0.chunks_mut(RUN).zip(opacities.chunks_mut(RUN));
-    tasks::for_each(out.zip(runs), |_, (out, (gaussians, grads))| {
+    let of = inputs.scales.as_chunks::<3>().0.chunks(CHUNK).zip(inputs.widths.chunks(CHUNK));
+    let chunks = of.zip(inputs.opacities.chunks(CHUNK).zip(grad.chunks(CHUNK)));
+    let out = scales.as_chunks_mut::<3>().0.chunks_mut(CHUNK).zip(opacities.chunks_mut(CHUNK));
+    tasks::for_each(out.zip(chunks), |_, (out, (gaussians, grads))| {
         dispatch!(F, simd => run_backward(simd, gaussians, grads, out));
     });
     Smooth { scales, opacities, widths: Vec::new() }

@@ -8,7 +8,7 @@ use super::{Cut, IntersectionLists, PixelBox, tile_grid};
 use crate::camera::Intrinsics;
 use crate::project::{COLUMNS, Ellipse};
 use crate::simd::dispatch;
-use crate::simd::lanes::BLOCK;
+use crate::simd::lanes::ROW_BLOCK;
 use crate::simd::real::Real;
 use crate::tasks;
 
@@ -96,7 +96,7 @@ impl<F: Real> ChunkIntersections<F> {
             tiles: Vec::with_capacity(4 * count),
             boxes: Vec::new(),
         };
-        for (first, rows) in (first..).step_by(BLOCK).zip(rows.chunks(BLOCK * COLUMNS)) {
+        for (first, rows) in (first..).step_by(ROW_BLOCK).zip(rows.chunks(ROW_BLOCK * COLUMNS)) {
             let counts = dispatch!(F, simd => {
                 extent.emit(simd, rows, scratch, (&mut found.tiles, &mut found.boxes))
             });

@@ -9,10 +9,10 @@ use crate::gpu::UNITS;
 use crate::gpu::reduce::{SUM_ROOM, cube_exclusive_sum};
 
 /// Number of intersections that a cube writes.
-pub(super) const BLOCK: usize = 4 * UNITS;
+pub(super) const LIST_BLOCK: usize = 4 * UNITS;
 
 /// Bits of a word.
-const BITS: usize = 32;
+const WORD_BITS: usize = 32;
 
 /// Returns the ranks of this cube: the first, and the one after the last.
 #[cube]
@@ -53,7 +53,7 @@ pub(super) fn count_kernel(
 }
 
 /// Largest number of an intersection: a multiple of a block, above every length of a list.
-const MOST: u32 = 0u32.wrapping_sub(BLOCK as u32);
+const MOST: u32 = 0u32.wrapping_sub(LIST_BLOCK as u32);
 
 /// Returns the sum of two numbers of at most [`MOST`], or [`MOST`] if it is larger.
 #[cube]
@@ -84,7 +84,7 @@ pub(super) fn number_kernel(
     capacity: u32,
 ) {
     let mut shared = Shared::<[u32]>::new_slice(comptime!(SUM_ROOM));
-    let blocks = capacity.div_ceil(comptime!(BLOCK as u32));
+    let blocks = capacity.div_ceil(comptime!(LIST_BLOCK as u32));
     let mut low = 0u32;
     let mut high = 0u32;
     let mut other = UNIT_POS as usize;
@@ -112,8 +112,8 @@ pub(super) fn number_kernel(
             let start = plus(carried, before);
             first_intersection[rank as usize] = start;
             let next = plus(start, count);
-            let mut block = start.div_ceil(comptime!(BLOCK as u32));
-            while block < blocks && block * comptime!(BLOCK as u32) < next {
+            let mut block = start.div_ceil(comptime!(LIST_BLOCK as u32));
+            while block < blocks && block * comptime!(LIST_BLOCK as u32) < next {
                 rank_of_block[block as usize] = rank;
                 block += 1;
             }
@@ -142,19 +142,19 @@ pub(super) fn emit_kernel(
     tiles_x: u32,
 ) {
     // A bit for each intersection of the block: whether it is the first of its Gaussian.
-    let firsts = Shared::<[Atomic<u32>]>::new_slice(comptime!(BLOCK / BITS));
+    let firsts = Shared::<[Atomic<u32>]>::new_slice(comptime!(LIST_BLOCK / WORD_BITS));
     // Number of bits in the words before each.
-    let mut earlier = Shared::<[u32]>::new_slice(comptime!(BLOCK / BITS));
+    let mut earlier = Shared::<[u32]>::new_slice(comptime!(LIST_BLOCK / WORD_BITS));
     // A dispatch may hold more cubes than there are blocks.
     if CUBE_POS < blocks as usize {
         let unit = UNIT_POS as usize;
-        if unit < comptime!(BLOCK / BITS) {
+        if unit < comptime!(LIST_BLOCK / WORD_BITS) {
             firsts[unit].store(0u32);
         }
         sync_cube();
-        let first = CUBE_POS as u32 * comptime!(BLOCK as u32);
+        let first = CUBE_POS as u32 * comptime!(LIST_BLOCK as u32);
         let (listed, visible) = (sizes[0], sizes[1]);
-        let end = min(first + comptime!(BLOCK as u32), listed);
+        let end = min(first + comptime!(LIST_BLOCK as u32), listed);
         // A block behind the list belongs to no rank.
         let mut rank_of_first = visible;
         if first < listed {
@@ -169,13 +169,14 @@ pub(super) fn emit_kernel(
                 within = start < end;
                 if within {
                     let at = start - first;
-                    firsts[(at / comptime!(BITS as u32)) as usize].fetch_or(1u32 << (at % comptime!(BITS as u32)));
+                    firsts[(at / comptime!(WORD_BITS as u32)) as usize]
+                        .fetch_or(1u32 << (at % comptime!(WORD_BITS as u32)));
                 }
             }
             rank += comptime!(UNITS as u32);
         }
         sync_cube();
-        if unit < comptime!(BLOCK / BITS) {
+        if unit < comptime!(LIST_BLOCK / WORD_BITS) {
             let mut count = 0u32;
             for word in 0..unit {
                 count += firsts[word].load().count_ones();
@@ -184,12 +185,12 @@ pub(super) fn emit_kernel(
         }
         sync_cube();
         #[unroll]
-        for i in 0..comptime!(BLOCK / UNITS) {
+        for i in 0..comptime!(LIST_BLOCK / UNITS) {
             let at = UNIT_POS + comptime!((i * UNITS) as u32);
             let intersection = first + at;
             if intersection < end {
-                let word = (at / comptime!(BITS as u32)) as usize;
-                let up_to_here = firsts[word].load() & (0xffff_ffffu32 >> (31 - at % comptime!(BITS as u32)));
+                let word = (at / comptime!(WORD_BITS as u32)) as usize;
+                let up_to_here = firsts[word].load() & (0xffff_ffffu32 >> (31 - at % comptime!(WORD_BITS as u32)));
                 let rank = (rank_of_first + earlier[word] + up_to_here.count_ones()) as usize;
                 let gaussian = order[rank];
                 let cover = TileCoverage::load(covers, gaussian as usize);

@@ -4,11 +4,11 @@ use std::ops::Range;
 
 use fearless_simd::prelude::*;
 
-use super::{Cut, PixelBox, TILE, tile_grid};
+use super::{Cut, PixelBox, TILE_SIZE, tile_grid};
 use crate::camera::Intrinsics;
 use crate::project::{COLUMNS, Ellipse};
 use crate::simd::each;
-use crate::simd::lanes::{BLOCK, Columns, width};
+use crate::simd::lanes::{Columns, ROW_BLOCK, width};
 use crate::simd::real::{LANES, Real};
 
 /// Returns the largest `u² + v²` at which a Gaussian's alpha reaches `alpha_min`; negative if there is none.
@@ -53,7 +53,7 @@ impl<F: Real> ExtentRules<F> {
         }
     }
 
-    /// Appends to `tiles` the tiles of up to [`BLOCK`] Gaussians, one Gaussian after another: the tiles whose rectangle
+    /// Appends to `tiles` the tiles of up to [`ROW_BLOCK`] Gaussians, one Gaussian after another: the tiles whose rectangle
     /// of pixel centres its ellipse meets. Returns each Gaussian's number of tiles. Appends their boxes to `boxes` if they are
     /// asked for.
     #[inline(always)]
@@ -63,17 +63,17 @@ impl<F: Real> ExtentRules<F> {
         rows: &[F],
         scratch: &mut ExtentScratch<F>,
         (tiles, boxes): (&mut Vec<u32>, &mut Vec<PixelBox>),
-    ) -> [u32; BLOCK] {
+    ) -> [u32; ROW_BLOCK] {
         let count = rows.len() / COLUMNS;
         scratch.ellipses.read(rows);
         let opacities = scratch.ellipses.column(6);
         for (limit, opacity) in scratch.limits.iter_mut().zip(opacities).take(count) {
             *limit = widened_limit(*opacity, self.alpha_min);
         }
-        let mut counts = [0; BLOCK];
+        let mut counts = [0; ROW_BLOCK];
         let width = width::<S, F>();
         for first in (0..count).step_by(width) {
-            let eight = Eight::read(simd, self, scratch, first);
+            let eight = ExtentsSimd::read(simd, self, scratch, first);
             let [mut top, mut end] = [[F::ZERO; LANES]; 2];
             eight.rows.0.store_slice(&mut top[..width]);
             eight.rows.1.store_slice(&mut end[..width]);
@@ -105,24 +105,24 @@ impl<F: Real> ExtentRules<F> {
 /// Buffers that one thread reuses.
 pub(super) struct ExtentScratch<F> {
     ellipses: Columns<F, COLUMNS>,
-    limits: [F; BLOCK],
+    limits: [F; ROW_BLOCK],
     /// For each row of tiles: the first tile and the tile after the last.
     spans: Vec<[[F; LANES]; 2]>,
 }
 
 impl<F: Real> Default for ExtentScratch<F> {
     fn default() -> Self {
-        Self { ellipses: Columns::new(), limits: [F::ZERO; BLOCK], spans: Vec::new() }
+        Self { ellipses: Columns::new(), limits: [F::ZERO; ROW_BLOCK], spans: Vec::new() }
     }
 }
 
-/// Eight Gaussians.
+/// The extents of a vector of Gaussians.
 ///
 /// The part of the ellipse `u² + v² <= r²` on a row of tiles spans an interval of `x`. With `V` its standard deviation
 /// along `y` and `c = dy / V`, the ends of its chord at `dy` are `sigma_u (c k ± h √(r² − c²))`, where
 /// `k = shear sigma_u / V` and `h = sigma_v / V`. The farthest ends lie at `c = ± r k`, or, if that is outside the row,
 /// at the row's nearer edge.
-struct Eight<S: Simd, F: Real> {
+struct ExtentsSimd<S: Simd, F: Real> {
     mean: [F::Lanes<S>; 2],
     sigma_u: F::Lanes<S>,
     r: F::Lanes<S>,
@@ -140,7 +140,7 @@ struct Eight<S: Simd, F: Real> {
     rows: (F::Lanes<S>, F::Lanes<S>),
 }
 
-impl<S: Simd, F: Real> Eight<S, F> {
+impl<S: Simd, F: Real> ExtentsSimd<S, F> {
     #[inline(always)]
     fn read(simd: S, extent: &ExtentRules<F>, scratch: &ExtentScratch<F>, first: usize) -> Self {
         let lanes = |value: F| F::Lanes::<S>::splat(simd, value);
@@ -203,8 +203,8 @@ impl<S: Simd, F: Real> Eight<S, F> {
     #[inline(always)]
     fn span(&self, extent: &ExtentRules<F>, row: F) -> (F::Lanes<S>, F::Lanes<S>) {
         let lanes = |value: F| F::Lanes::<S>::splat(self.r.token(), value);
-        let first = (self.rows.0 + row) * F::of(TILE as f64);
-        let last = (first + F::of((TILE - 1) as f64)).min(lanes(extent.size[1] - F::ONE));
+        let first = (self.rows.0 + row) * F::of(TILE_SIZE as f64);
+        let last = (first + F::of((TILE_SIZE - 1) as f64)).min(lanes(extent.size[1] - F::ONE));
         let top = (first + F::of(0.5) - self.mean[1] - self.slip) * self.inverse;
         let bottom = (last + F::of(0.5) - self.mean[1] + self.slip) * self.inverse;
         let tip = self.r * self.k;
@@ -228,7 +228,7 @@ fn tiles<S: Simd, L: SimdFloat<S, Element = F>, F: Real<Lanes<S> = L>>(
     pixels: F,
 ) -> (L, L) {
     let lanes = |value: F| L::splat(margin.token(), value);
-    let (zero, pixels, tile) = (lanes(F::ZERO), lanes(pixels), F::of(1.0 / TILE as f64));
+    let (zero, pixels, tile) = (lanes(F::ZERO), lanes(pixels), F::of(1.0 / TILE_SIZE as f64));
     // Pixel `i` has its centre at `i + 0.5`. The comparisons are written so that NaN widens the interval.
     let low = low - margin - F::of(0.5);
     let low = low.simd_gt(zero).select(low, zero).ceil();

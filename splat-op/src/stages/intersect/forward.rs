@@ -8,7 +8,7 @@
 
 use cubecl::prelude::*;
 
-use super::TILE;
+use super::TILE_SIZE;
 use super::sort::HIDDEN;
 use crate::gpu::math::{Vec3, finite, undefined, within};
 use crate::project::COLUMNS;
@@ -232,8 +232,8 @@ fn tile_range(mean: f32, half: f32, pixels: u32) -> (u32, u32) {
     let mut first = 0u32;
     let mut end = 0u32;
     if high >= 0.0 && low <= last {
-        first = u32::cast_from(within(low, 0.0, last)) / comptime!(TILE as u32);
-        end = u32::cast_from(within(high, 0.0, last)) / comptime!(TILE as u32) + 1;
+        first = u32::cast_from(within(low, 0.0, last)) / comptime!(TILE_SIZE as u32);
+        end = u32::cast_from(within(high, 0.0, last)) / comptime!(TILE_SIZE as u32) + 1;
     }
     (first, end)
 }
@@ -303,10 +303,10 @@ fn covered_cells(cover: &TileCoverage, extent: &EllipseExtent, width: u32, heigh
         let mut bit = bits_of_row;
         let mut x = 0u32;
         while x < cover.width {
-            let first_x = (cover.x + x) * comptime!(TILE as u32);
-            let first_y = (cover.y + y) * comptime!(TILE as u32);
-            let end_x = (cover.x + min(x + cell_width, cover.width)) * comptime!(TILE as u32);
-            let end_y = (cover.y + min(y + cell_height, cover.height)) * comptime!(TILE as u32);
+            let first_x = (cover.x + x) * comptime!(TILE_SIZE as u32);
+            let first_y = (cover.y + y) * comptime!(TILE_SIZE as u32);
+            let end_x = (cover.x + min(x + cell_width, cover.width)) * comptime!(TILE_SIZE as u32);
+            let end_y = (cover.y + min(y + cell_height, cover.height)) * comptime!(TILE_SIZE as u32);
             if extent.meets(first_x, min(end_x, width), first_y, min(end_y, height)) {
                 let mask = 1u32 << (bit & 31);
                 if bit < 32 {

@@ -10,11 +10,11 @@ use cubecl::logging::{LaunchObservation, LaunchObserver};
 use cubecl::prelude::*;
 
 use super::cpu::intersect_cpu;
-use super::emit::BLOCK;
+use super::emit::LIST_BLOCK;
 use super::forward::TileCoverage;
 use super::launch::{Counted, DeviceIntersections, Room, launch_intersect, launch_intersect_within};
 use super::sort::{HIDDEN, Sorted, launch_sort};
-use super::{Cut, IntersectionLists, TILE, tile_grid};
+use super::{Cut, IntersectionLists, TILE_SIZE, tile_grid};
 use crate::camera::Intrinsics;
 use crate::gpu::reduce::{SUM_ROOM, cube_exclusive_sum};
 use crate::gpu::{Buffer, Gpu, UNITS, cubes, elementwise};
@@ -227,14 +227,14 @@ const GUARD: u32 = 0xfeed_beef;
 /// Checks what is written into room for `capacity` intersections, and that nothing is written behind it.
 fn check_room(gpu: &Gpu, counted: &Counted, capacity: usize, all: Option<&[u32]>) {
     let guarded = |len: usize| Buffer::from_slice(gpu, &vec![GUARD; len + 300]);
-    let blocks = capacity.div_ceil(BLOCK);
+    let blocks = capacity.div_ceil(LIST_BLOCK);
     let room =
         Room { capacity, rank_of_block: guarded(blocks), tiles: guarded(capacity), gaussians: guarded(capacity) };
     let [_, sizes] = counted.emit(gpu, &room);
     let listed = sizes.read(gpu)[0] as usize;
     assert_eq!(listed, all.map_or(capacity, |all| capacity.min(all.len())), "room for {capacity}");
     for (name, list, len) in [
-        ("ranks", &room.rank_of_block, listed.div_ceil(BLOCK)),
+        ("ranks", &room.rank_of_block, listed.div_ceil(LIST_BLOCK)),
         ("tiles", &room.tiles, listed),
         ("Gaussians", &room.gaussians, listed),
     ] {
@@ -256,7 +256,9 @@ fn nothing_is_written_behind_the_expected_length() {
     let all = launch_intersect_within(&gpu, &projected, &camera, cut, None).gaussian_of_intersection.read(&gpu);
     let counted = Counted::launch(&gpu, &projected, &camera, cut);
     let needed = all.len();
-    for capacity in [1, 255, BLOCK, BLOCK + 1, needed / 2, needed - 1, needed, needed + 1, needed + 3 * BLOCK] {
+    for capacity in
+        [1, 255, LIST_BLOCK, LIST_BLOCK + 1, needed / 2, needed - 1, needed, needed + 1, needed + 3 * LIST_BLOCK]
+    {
         check_room(&gpu, &counted, capacity, Some(&all));
     }
     // Numbers of intersections around 2^32, and of 3,000 Gaussians that cover all 2,048 × 2,048 tiles.
@@ -335,7 +337,7 @@ fn by_tile(lists: &IntersectionLists) -> Vec<&[u32]> {
 fn coarse(row: &[f32], alpha_min: f64) -> bool {
     let ellipse = Ellipse::from_row(row);
     let limit = super::extent::whitened_limit(ellipse.opacity, alpha_min as f32);
-    super::extent::half_extent(&ellipse, limit).iter().any(|half| 2.0 * half > (TILE * 6) as f32)
+    super::extent::half_extent(&ellipse, limit).iter().any(|half| 2.0 * half > (TILE_SIZE * 6) as f32)
 }
 
 fn check_lists(count: usize, [width, height]: [usize; 2], alpha_min: f64) {

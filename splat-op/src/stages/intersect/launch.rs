@@ -2,7 +2,7 @@
 
 use cubecl::prelude::CubeDim;
 
-use super::emit::{BLOCK, count_kernel, emit_kernel, number_kernel, ranges_kernel};
+use super::emit::{LIST_BLOCK, count_kernel, emit_kernel, number_kernel, ranges_kernel};
 use super::expected::{expected, remember};
 use super::forward::{COVER, TileListsLaunch, cover_kernel};
 use super::sort::{Sorted, launch_sort};
@@ -143,7 +143,7 @@ pub(super) struct Lists {
 impl Room {
     pub fn new(gpu: &Gpu, capacity: usize) -> Self {
         let [tiles, gaussians] = [(); 2].map(|()| Buffer::with_headroom(gpu, capacity));
-        Self { capacity, rank_of_block: Buffer::with_headroom(gpu, capacity.div_ceil(BLOCK)), tiles, gaussians }
+        Self { capacity, rank_of_block: Buffer::with_headroom(gpu, capacity.div_ceil(LIST_BLOCK)), tiles, gaussians }
     }
 }
 
@@ -192,7 +192,7 @@ impl Counted {
     pub fn emit(&self, gpu: &Gpu, room: &Room) -> [Buffer<u32>; 2] {
         let Self { covers, by_depth, counts, sums, .. } = self;
         let (first_intersection, sizes) = (Buffer::<u32>::new(gpu, counts.len), Buffer::<u32>::new(gpu, 2));
-        let (client, dim, blocks) = (&gpu.client, CubeDim::new_1d(UNITS as u32), room.capacity.div_ceil(BLOCK));
+        let (client, dim, blocks) = (&gpu.client, CubeDim::new_1d(UNITS as u32), room.capacity.div_ceil(LIST_BLOCK));
         // SAFETY: ranks are guarded by the number of visible Gaussians, blocks and intersections by the capacity.
         unsafe {
             number_kernel::launch_unchecked(

@@ -32,14 +32,14 @@ use std::sync::{Arc, OnceLock};
 use crate::options::RenderOptions;
 
 /// Pixels along each side of a tile.
-pub const TILE: usize = 16;
+pub const TILE_SIZE: usize = 16;
 
 /// Number of pixels in a tile.
-pub(crate) const TILE_PIXELS: usize = TILE * TILE;
+pub(crate) const TILE_PIXELS: usize = TILE_SIZE * TILE_SIZE;
 
 /// Number of tiles along x and y that cover a picture.
 pub(crate) fn tile_grid(width: usize, height: usize) -> [usize; 2] {
-    [width.div_ceil(TILE), height.div_ceil(TILE)]
+    [width.div_ceil(TILE_SIZE), height.div_ceil(TILE_SIZE)]
 }
 
 /// Parameters that decide which tiles list a Gaussian.

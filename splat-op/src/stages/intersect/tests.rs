@@ -1,7 +1,7 @@
 //! Tests of `intersect` against brute force: no Gaussian that shows is missing, and the lists are as documented.
 
 use super::cpu::intersect_cpu;
-use super::{IntersectionLists, TILE, tile_grid};
+use super::{IntersectionLists, TILE_SIZE, tile_grid};
 use crate::camera::Intrinsics;
 use crate::project::{COLUMNS, Ellipse};
 use crate::simd::real::Real;
@@ -61,7 +61,7 @@ fn assert_nothing_is_missing<F: Real>(seed: u64) {
             for (i, row) in packed.chunks_exact(COLUMNS).enumerate() {
                 let ellipse = Ellipse::from_row(row);
                 for (x, y) in (0..size.1).flat_map(|y| (0..size.0).map(move |x| (x, y))) {
-                    let tile = y / TILE * tiles_x + x / TILE;
+                    let tile = y / TILE_SIZE * tiles_x + x / TILE_SIZE;
                     if alpha(&ellipse, x, y) >= alpha_min {
                         assert!(listed[tile][i], "{size:?}, alpha_min {alpha_min}: Gaussian {i} shows at {x}, {y}");
                         needed += usize::from(!intersections[tile][i]);

@@ -30,15 +30,15 @@ pub(crate) fn any(packed: &PackedEllipse) -> bool {
 
 /// Gradients of `m0` and `m1`.
 #[cube]
-fn factor_backward(f: &ProjectionTerms, lens: &ProjectCamera, opacity: f32, grad: &PackedEllipse) -> (Vec3, Vec3) {
+fn factor_backward(f: &ProjectionTerms, camera: &ProjectCamera, opacity: f32, grad: &PackedEllipse) -> (Vec3, Vec3) {
     let inverse_v = 1.0 / f.sigma_v;
     // Both factors are at most one for all scales.
-    let blur = lens.blur_sigma * inverse_v;
+    let blur = camera.blur_sigma * inverse_v;
     let blur_along = f.along.times(blur);
     // Not by `p` times a quotient, which leaves the range of f32 where the Gaussian is large.
     let mut grad_p = f.p.times(inverse_v).times(grad.sigma_v);
-    let mut along_weight = lens.blur_sigma * grad.sigma_v;
-    if comptime!(lens.antialias) {
+    let mut along_weight = camera.blur_sigma * grad.sigma_v;
+    if comptime!(camera.antialias) {
         let grad_compensation = grad.opacity * opacity;
         if f.compensation_free {
             let weight = grad_compensation * inverse_v * (blur * blur + blur_along.dot(blur_along));
@@ -87,16 +87,16 @@ fn row_backward(
 #[cube]
 pub(crate) fn seen_backward(
     p: &ProjectionTerms,
-    lens: &ProjectCamera,
+    camera: &ProjectCamera,
     grad_j: (Vec3, Vec3),
     grad: &PackedEllipse,
 ) -> SeenGrad {
     #[comptime]
     match p.bent {
-        ComptimeOption::Some(bent) => bent_backward(&bent, lens, grad_j, grad),
+        ComptimeOption::Some(bent) => bent_backward(&bent, camera, grad_j, grad),
         ComptimeOption::None => {
-            let x = row_backward(p, &p.x, &lens.x, grad_j.0, grad.x);
-            let y = row_backward(p, &p.y, &lens.y, grad_j.1, grad.y);
+            let x = row_backward(p, &p.x, &camera.x, grad_j.0, grad.x);
+            let y = row_backward(p, &p.y, &camera.y, grad_j.1, grad.y);
             let to_last = x.row.times(p.x.slope).plus(y.row.times(p.y.slope));
             SeenGrad {
                 turned: Mat3 { x: x.row, y: y.row, z: Vec3::new(0.0, 0.0, 0.0).minus(to_last) },
@@ -174,25 +174,25 @@ pub(crate) fn world_backward(
 pub(crate) fn gaussian_backward(
     g: &Gaussian,
     pose: &Pose,
-    lens: &ProjectCamera,
+    camera: &ProjectCamera,
     grad: &PackedEllipse,
     #[comptime] wanted: GeometryGradMask,
 ) -> GaussianGrad {
     let through_rows = comptime!(wanted.means || wanted.rotations || wanted.pose);
     let mut of = no_gradient();
-    let p = project_one(g, pose, lens);
+    let p = project_one(g, pose, camera);
     if p.visible {
         of.mean2d_x = grad.x;
         of.mean2d_y = grad.y;
         of.opacity = grad.opacity * p.compensation;
         if comptime!(through_rows || wanted.scales) {
-            let (grad_m0, grad_m1) = factor_backward(&p, lens, g.opacity, grad);
+            let (grad_m0, grad_m1) = factor_backward(&p, camera, g.opacity, grad);
             if comptime!(wanted.scales) {
                 of.scale = grad_m0.by_axis(p.x.j).plus(grad_m1.by_axis(p.y.j));
             }
             if comptime!(through_rows) {
                 let grad_j = (grad_m0.by_axis(g.scale), grad_m1.by_axis(g.scale));
-                let seen = seen_backward(&p, lens, grad_j, grad);
+                let seen = seen_backward(&p, camera, grad_j, grad);
                 world_backward(&mut of, &seen, g, &p, pose, wanted);
             }
         }
@@ -214,7 +214,7 @@ pub(super) fn project_backward_kernel(
     grad_opacities: ComptimeOption<&mut [f32]>,
     grad_mean2d: ComptimeOption<&mut [f32]>,
     pose_rows: ComptimeOption<&mut [f32]>,
-    lens: ProjectCamera,
+    camera: ProjectCamera,
     count: u32,
 ) {
     let wanted = comptime!(GeometryGradMask {
@@ -230,7 +230,7 @@ pub(super) fn project_backward_kernel(
         // Most Gaussians of a large scene are out of view and have a gradient of exactly zero.
         if any(&grad) {
             let g = Gaussian::load(means, rotations, scales, opacities, gaussian);
-            of = gaussian_backward(&g, &Pose::load(cam_from_world), &lens, &grad, wanted);
+            of = gaussian_backward(&g, &Pose::load(cam_from_world), &camera, &grad, wanted);
         }
         #[comptime]
         if let ComptimeOption::Some(out) = grad_means {

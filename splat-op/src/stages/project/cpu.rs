@@ -7,7 +7,7 @@ use super::simd::{GaussiansSimd, GradientsSimd, ProjectCameraSimd, ProjectionTer
 use super::{COLUMNS, Ellipse, Geometry, ProjectSpec, WIDTHS};
 use crate::camera::CameraModel;
 use crate::simd::dispatch;
-use crate::simd::lanes::{BLOCK, Columns, width};
+use crate::simd::lanes::{Columns, ROW_BLOCK, width};
 use crate::simd::real::Real;
 use crate::tasks;
 
@@ -15,7 +15,7 @@ use crate::tasks;
 /// changes a result.
 const CHUNK: usize = 1024;
 
-/// The parameters of up to [`BLOCK`] Gaussians, column by column.
+/// The parameters of up to [`ROW_BLOCK`] Gaussians, column by column.
 struct Parameters<F> {
     means: Columns<F, 3>,
     rotations: Columns<F, 4>,
@@ -80,9 +80,9 @@ pub(crate) trait GaussianStage<const C: usize> {
 }
 
 /// Packed ellipses.
-struct Project;
+struct ProjectStage;
 
-impl GaussianStage<COLUMNS> for Project {
+impl GaussianStage<COLUMNS> for ProjectStage {
     #[inline(always)]
     fn rows<S: Simd, F: Real, const BENDS: bool>(
         simd: S,
@@ -108,8 +108,8 @@ impl GaussianStage<COLUMNS> for Project {
 /// `[N, 7]` packed ellipses.
 pub(crate) fn project_cpu<F: Real>(inputs: Geometry<&[F]>, spec: &ProjectSpec) -> Vec<F> {
     match spec.intrinsics.model {
-        CameraModel::Pinhole => stage_rows::<F, Project, COLUMNS, false>(inputs, spec),
-        _ => stage_rows::<F, Project, COLUMNS, true>(inputs, spec),
+        CameraModel::Pinhole => stage_rows::<F, ProjectStage, COLUMNS, false>(inputs, spec),
+        _ => stage_rows::<F, ProjectStage, COLUMNS, true>(inputs, spec),
     }
 }
 
@@ -121,8 +121,8 @@ pub(crate) fn project_backward_cpu<F: Real>(
     needs: Geometry<bool>,
 ) -> Geometry<Vec<F>> {
     match spec.intrinsics.model {
-        CameraModel::Pinhole => stage_gradients::<F, Project, COLUMNS, false>(inputs, grad, spec, needs),
-        _ => stage_gradients::<F, Project, COLUMNS, true>(inputs, grad, spec, needs),
+        CameraModel::Pinhole => stage_gradients::<F, ProjectStage, COLUMNS, false>(inputs, grad, spec, needs),
+        _ => stage_gradients::<F, ProjectStage, COLUMNS, true>(inputs, grad, spec, needs),
     }
 }
 
@@ -131,8 +131,8 @@ pub(crate) fn stage_rows<F: Real, T: GaussianStage<C>, const C: usize, const BEN
     inputs: Geometry<&[F]>,
     spec: &ProjectSpec,
 ) -> Vec<F> {
-    chunks_of_rows(&inputs, spec, C, |inputs, lens, first, rows| {
-        dispatch!(F, simd => rows_of_chunk::<_, F, T, C, BENDS>(simd, inputs, lens, first, rows));
+    chunks_of_rows(&inputs, spec, C, |inputs, camera, first, rows| {
+        dispatch!(F, simd => rows_of_chunk::<_, F, T, C, BENDS>(simd, inputs, camera, first, rows));
     })
 }
 
@@ -146,9 +146,9 @@ fn chunks_of_rows<F: Real>(
     columns: usize,
     rows_of_chunk: RowsOfChunk<F>,
 ) -> Vec<F> {
-    let lens = ProjectCameraSimd::new(inputs.cam_from_world, spec);
+    let camera = ProjectCameraSimd::new(inputs.cam_from_world, spec);
     let mut all = vec![F::ZERO; inputs.opacities.len() * columns];
-    tasks::for_each(all.chunks_mut(CHUNK * columns), |chunk, rows| rows_of_chunk(inputs, &lens, chunk * CHUNK, rows));
+    tasks::for_each(all.chunks_mut(CHUNK * columns), |chunk, rows| rows_of_chunk(inputs, &camera, chunk * CHUNK, rows));
     all
 }
 
@@ -156,17 +156,17 @@ fn chunks_of_rows<F: Real>(
 fn rows_of_chunk<S: Simd, F: Real, T: GaussianStage<C>, const C: usize, const BENDS: bool>(
     simd: S,
     inputs: &Geometry<&[F]>,
-    lens: &ProjectCameraSimd<F>,
+    camera: &ProjectCameraSimd<F>,
     first: usize,
     rows: &mut [F],
 ) {
-    let lens = lens.lanes(simd);
+    let camera = camera.lanes(simd);
     let (mut parameters, mut found) = (Parameters::new(), Columns::<F, C>::new());
-    for (block, rows) in rows.chunks_mut(BLOCK * C).enumerate() {
-        parameters.read(inputs, first + block * BLOCK);
+    for (block, rows) in rows.chunks_mut(ROW_BLOCK * C).enumerate() {
+        parameters.read(inputs, first + block * ROW_BLOCK);
         for at in (0..rows.len() / C).step_by(width::<S, F>()) {
             let eight = parameters.eight(simd, at);
-            for (column, value) in T::rows::<S, F, BENDS>(simd, &eight, &lens).into_iter().enumerate() {
+            for (column, value) in T::rows::<S, F, BENDS>(simd, &eight, &camera).into_iter().enumerate() {
                 found.store(column, at, value);
             }
         }
@@ -186,7 +186,7 @@ pub(crate) fn stage_gradients<F: Real, T: GaussianStage<C>, const C: usize, cons
         (grad, C),
         spec,
         needs,
-        |inputs, lens, part, pose, out| dispatch!(F, simd => gradients_of_chunk::<_, F, T, C, BENDS>(simd, inputs, lens, part, pose, out)),
+        |inputs, camera, part, pose, out| dispatch!(F, simd => gradients_of_chunk::<_, F, T, C, BENDS>(simd, inputs, camera, part, pose, out)),
     )
 }
 
@@ -201,7 +201,7 @@ fn chunks_of_gradients<F: Real>(
     needs: Geometry<bool>,
     gradients_of_chunk: GradientsOfChunk<F>,
 ) -> Geometry<Vec<F>> {
-    let lens = ProjectCameraSimd::new(inputs.cam_from_world, spec);
+    let camera = ProjectCameraSimd::new(inputs.cam_from_world, spec);
     let count = inputs.opacities.len();
     let mut grads = needs.zip(WIDTHS).map(|(needed, width)| vec![F::ZERO; if needed { count * width } else { 0 }]);
     let mut rows = grads.each_mut().zip(WIDTHS).map(|(rows, width)| rows.chunks_mut((CHUNK * width).max(1)));
@@ -209,7 +209,7 @@ fn chunks_of_gradients<F: Real>(
     let pose = tasks::map(chunks, |chunk, mut out| {
         let first = chunk * CHUNK;
         let grad = &grad[first * columns..count.min(first + CHUNK) * columns];
-        gradients_of_chunk(inputs, &lens, (first, grad), needs.cam_from_world, &mut out)
+        gradients_of_chunk(inputs, &camera, (first, grad), needs.cam_from_world, &mut out)
     });
     if needs.cam_from_world {
         let mut total = [F::ZERO; 12];
@@ -246,37 +246,37 @@ fn write<F: Real>(
 fn gradients_of_chunk<S: Simd, F: Real, T: GaussianStage<C>, const C: usize, const BENDS: bool>(
     simd: S,
     inputs: &Geometry<&[F]>,
-    lens: &ProjectCameraSimd<F>,
+    camera: &ProjectCameraSimd<F>,
     (first, grad): (usize, &[F]),
     needs_pose: bool,
     out: &mut Geometry<&mut [F]>,
 ) -> [F; 12] {
-    let lens = lens.lanes(simd);
+    let camera = camera.lanes(simd);
     let mut pose = [F::Lanes::<S>::splat(simd, F::ZERO); 12];
     let (mut parameters, mut found) = (Parameters::new(), Parameters::new());
     let (mut grads, mut mean2d) = (Columns::<F, C>::new(), Columns::new());
-    for (block, grad) in grad.chunks(BLOCK * C).enumerate() {
+    for (block, grad) in grad.chunks(ROW_BLOCK * C).enumerate() {
         // Most Gaussians of a large scene are out of view and have a gradient of exactly zero.
         if grad.iter().all(|value| *value == F::ZERO) {
             continue;
         }
         let count = grad.len() / C;
         // Values of a previous, longer block must not enter the pose's sum.
-        if count < BLOCK {
+        if count < ROW_BLOCK {
             grads = Columns::new();
         }
         grads.read(grad);
-        parameters.read(inputs, first + block * BLOCK);
+        parameters.read(inputs, first + block * ROW_BLOCK);
         for at in (0..count).step_by(width::<S, F>()) {
             let eight = parameters.eight(simd, at);
             let row = grads.all_lanes(simd, at);
-            let one = T::gradients::<S, F, BENDS>(simd, &eight, &lens, &row, needs_pose.then_some(&mut pose));
+            let one = T::gradients::<S, F, BENDS>(simd, &eight, &camera, &row, needs_pose.then_some(&mut pose));
             found.store::<S>(at, &one.parameters);
             for (axis, value) in one.mean2d.into_iter().enumerate() {
                 mean2d.store(axis, at, value);
             }
         }
-        write(out, &found, &mean2d, (block * BLOCK, count));
+        write(out, &found, &mean2d, (block * ROW_BLOCK, count));
     }
     let mut sums = [F::ZERO; 12];
     for (sum, lanes) in sums.iter_mut().zip(pose) {

@@ -173,18 +173,18 @@ fn seen_rows(
     mean_cam: Vec3,
     cam_from_gaussian: Mat3,
     scale: Vec3,
-    lens: &ProjectCamera,
+    camera: &ProjectCamera,
 ) -> (JacobianRow, JacobianRow, ComptimeOption<LensProjection>) {
     #[comptime]
-    match lens.distortion {
+    match camera.distortion {
         ComptimeOption::Some(distortion) => {
-            let (x, y, bent) = bent_rows(mean_cam, cam_from_gaussian, scale, lens, &distortion);
+            let (x, y, bent) = bent_rows(mean_cam, cam_from_gaussian, scale, camera, &distortion);
             (x, y, ComptimeOption::new_Some(bent))
         }
         ComptimeOption::None => {
             let (depth, last) = (mean_cam.z, cam_from_gaussian.z);
-            let x = lens.x.project(mean_cam.x, depth, cam_from_gaussian.x, last, scale);
-            let y = lens.y.project(mean_cam.y, depth, cam_from_gaussian.y, last, scale);
+            let x = camera.x.project(mean_cam.x, depth, cam_from_gaussian.x, last, scale);
+            let y = camera.y.project(mean_cam.y, depth, cam_from_gaussian.y, last, scale);
             (x, y, ComptimeOption::new_None())
         }
     }
@@ -201,31 +201,31 @@ fn within_domain(drawn: bool, bent: ComptimeOption<LensProjection>) -> bool {
 }
 
 #[cube]
-pub(crate) fn project_one(gaussian: &Gaussian, pose: &Pose, lens: &ProjectCamera) -> ProjectionTerms {
+pub(crate) fn project_one(gaussian: &Gaussian, pose: &Pose, camera: &ProjectCamera) -> ProjectionTerms {
     let mean_cam = pose.apply(gaussian.mean);
     let (quaternion, quaternion_length) = gaussian.rotation.unit();
     let world_from_gaussian = quaternion.matrix();
     let cam_from_gaussian = pose.matrix.times(world_from_gaussian);
     let (depth, last, scale) = (mean_cam.z, cam_from_gaussian.z, gaussian.scale);
-    let (x, y, bent) = seen_rows(mean_cam, cam_from_gaussian, scale, lens);
+    let (x, y, bent) = seen_rows(mean_cam, cam_from_gaussian, scale, camera);
 
-    let sigma_u = Vec3::new(x.m.length(), lens.blur_sigma, 0.0).length();
+    let sigma_u = Vec3::new(x.m.length(), camera.blur_sigma, 0.0).length();
     let inverse = 1.0 / sigma_u;
     let n = x.m.times(inverse);
     let along = y.m.times(inverse);
     let p = n.cross(y.m);
     let p_length = p.length();
-    let sigma_v = Vec3::new(p_length, lens.blur_sigma, lens.blur_sigma * along.length()).length();
+    let sigma_v = Vec3::new(p_length, camera.blur_sigma, camera.blur_sigma * along.length()).length();
     let shear = n.dot(along);
 
-    let in_front = depth > lens.near && depth > 0.0 && finite(depth) && finite(x.ratio) && finite(y.ratio);
+    let in_front = depth > camera.near && depth > 0.0 && finite(depth) && finite(x.ratio) && finite(y.ratio);
     let wide = sigma_u > 0.0 && finite(sigma_u) && sigma_v > 0.0 && finite(sigma_v) && finite(shear);
     let drawn = gaussian.finite() && in_front && quaternion_length > 0.0 && wide;
     let visible = within_domain(drawn, bent);
 
     let mut compensation = 1.0f32;
     let mut compensation_free = false;
-    if comptime!(lens.antialias) {
+    if comptime!(camera.antialias) {
         let floor = comptime!(COMPENSATION_MIN as f32);
         let areas = p_length / sigma_v;
         compensation = max(areas, floor);
@@ -255,10 +255,10 @@ pub(crate) fn project_one(gaussian: &Gaussian, pose: &Pose, lens: &ProjectCamera
 
 /// Row of a Gaussian; that of a culled one is zero except `sigma_u = sigma_v = 1`.
 #[cube]
-pub(crate) fn packed_of(gaussian: &Gaussian, p: &ProjectionTerms, lens: &ProjectCamera) -> PackedEllipse {
+pub(crate) fn packed_of(gaussian: &Gaussian, p: &ProjectionTerms, camera: &ProjectCamera) -> PackedEllipse {
     PackedEllipse {
-        x: select(p.visible, lens.x.focal * p.x.ratio + lens.x.principal, 0.0),
-        y: select(p.visible, lens.y.focal * p.y.ratio + lens.y.principal, 0.0),
+        x: select(p.visible, camera.x.focal * p.x.ratio + camera.x.principal, 0.0),
+        y: select(p.visible, camera.y.focal * p.y.ratio + camera.y.principal, 0.0),
         sigma_u: select(p.visible, p.sigma_u, 1.0),
         shear: select(p.visible, p.shear, 0.0),
         sigma_v: select(p.visible, p.sigma_v, 1.0),
@@ -275,12 +275,12 @@ pub(super) fn project_forward_kernel(
     opacities: &[f32],
     cam_from_world: &[f32],
     projected: &mut [f32],
-    lens: ProjectCamera,
+    camera: ProjectCamera,
     count: u32,
 ) {
     if ABSOLUTE_POS < count as usize {
         let gaussian = Gaussian::load(means, rotations, scales, opacities, ABSOLUTE_POS);
-        let p = project_one(&gaussian, &Pose::load(cam_from_world), &lens);
-        packed_of(&gaussian, &p, &lens).store(projected, ABSOLUTE_POS);
+        let p = project_one(&gaussian, &Pose::load(cam_from_world), &camera);
+        packed_of(&gaussian, &p, &camera).store(projected, ABSOLUTE_POS);
     }
 }

@@ -7,7 +7,7 @@ use cubecl::prelude::{ComptimeOptionArgs, CubeCount, CubeDim};
 use self::scene::*;
 use super::backward::project_backward_kernel;
 use super::cpu::{project_backward_cpu, project_cpu};
-use super::launch::{launch_project, launch_project_backward, lens};
+use super::launch::{launch_project, launch_project_backward, project_camera};
 use super::{COLUMNS, Geometry};
 use crate::gpu::{Buffer, UNITS};
 use crate::testing::ceiling::{PerturbedReference, to_f32};
@@ -198,7 +198,7 @@ fn surplus_cubes_write_nothing() {
                 ComptimeOptionArgs::Some(opacities.arg()),
                 nothing(),
                 ComptimeOptionArgs::Some(rows.arg()),
-                lens(&view.spec(&view.lens)),
+                project_camera(&view.spec(&view.lens)),
                 count as u32,
             );
         }

@@ -10,7 +10,7 @@ use crate::gpu::reduce::launch_column_sums;
 use crate::gpu::{Buffer, Gpu, UNITS, elementwise};
 
 /// Camera and options as an argument of the kernels, computed in f64 and rounded once.
-pub(crate) fn lens(spec: &ProjectSpec) -> ProjectCameraLaunch {
+pub(crate) fn project_camera(spec: &ProjectSpec) -> ProjectCameraLaunch {
     let (camera, options) = (&spec.intrinsics, &spec.options);
     let axis = |focal: f64, principal: f64, [low, high]: [f64; 2]| {
         CameraAxisLaunch::new(focal as f32, principal as f32, low as f32, high as f32)
@@ -60,7 +60,7 @@ pub(crate) fn launch_project(gpu: &Gpu, inputs: &Geometry<Buffer<f32>>, spec: &P
             inputs.opacities.arg(),
             inputs.cam_from_world.arg(),
             projected.arg(),
-            lens(spec),
+            project_camera(spec),
             count as u32,
         );
     }
@@ -117,7 +117,7 @@ pub(crate) fn launch_project_backward(
                 output(&grads.opacities),
                 output(&grads.mean2d),
                 output(&grads.cam_from_world),
-                lens(spec),
+                project_camera(spec),
                 count as u32,
             );
         }

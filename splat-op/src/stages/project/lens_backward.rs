@@ -21,12 +21,12 @@ fn second(distortion: &Distortion, at: &PlanarMap, m: &Mat2) -> Vec2 {
 #[cube]
 pub(crate) fn bent_backward(
     bent: &LensProjection,
-    lens: &ProjectCamera,
+    camera: &ProjectCamera,
     grad_j: (Vec3, Vec3),
     grad: &PackedEllipse,
 ) -> SeenGrad {
-    let distortion = lens.distortion.unwrap();
-    let (x, y, by) = (grad_j.0.times(lens.x.focal), grad_j.1.times(lens.y.focal), bent.held.by);
+    let distortion = camera.distortion.unwrap();
+    let (x, y, by) = (grad_j.0.times(camera.x.focal), grad_j.1.times(camera.y.focal), bent.held.by);
     let base_x = x.times(by.x.x).plus(y.times(by.y.x));
     let base_y = x.times(by.x.y).plus(y.times(by.y.y));
     let of_by = Mat2 {
@@ -34,7 +34,7 @@ pub(crate) fn bent_backward(
         y: Vec2::new(y.dot(bent.base_x), y.dot(bent.base_y)),
     };
     let of_held = second(&distortion, &bent.held, &of_by);
-    let of_centre = bent.centre.by.apply_transposed(Vec2::new(grad.x * lens.x.focal, grad.y * lens.y.focal));
+    let of_centre = bent.centre.by.apply_transposed(Vec2::new(grad.x * camera.x.focal, grad.y * camera.y.focal));
     let out = first_backward(bent, (base_x, base_y), of_held, of_centre);
     SeenGrad { turned: out.turned, centre: Vec3::new(out.centre.x, out.centre.y, out.centre.z + grad.depth) }
 }

@@ -168,15 +168,15 @@ pub(crate) fn bent_rows(
     mean_cam: Vec3,
     rows: Mat3,
     scale: Vec3,
-    lens: &ProjectCamera,
+    camera: &ProjectCamera,
     distortion: &Distortion,
 ) -> (JacobianRow, JacobianRow, LensProjection) {
     let bent = if comptime!(distortion.model.is_fisheye()) {
         fisheye(mean_cam, rows, distortion)
     } else {
-        perspective(mean_cam, rows, lens, distortion)
+        perspective(mean_cam, rows, camera, distortion)
     };
-    let (by, focal_x, focal_y) = (bent.held.by, lens.x.focal, lens.y.focal);
+    let (by, focal_x, focal_y) = (bent.held.by, camera.x.focal, camera.y.focal);
     let j_x = bent.base_x.times(focal_x * by.x.x).plus(bent.base_y.times(focal_x * by.x.y));
     let j_y = bent.base_x.times(focal_y * by.y.x).plus(bent.base_y.times(focal_y * by.y.y));
     let (seen_at, s) = (bent.centre.value, bent.held.s);
@@ -186,10 +186,10 @@ pub(crate) fn bent_rows(
 }
 
 #[cube]
-fn perspective(mean_cam: Vec3, rows: Mat3, lens: &ProjectCamera, distortion: &Distortion) -> LensProjection {
+fn perspective(mean_cam: Vec3, rows: Mat3, camera: &ProjectCamera, distortion: &Distortion) -> LensProjection {
     let inverse_depth = 1.0 / mean_cam.z;
     let ratio = Vec2::new(mean_cam.x / mean_cam.z, mean_cam.y / mean_cam.z);
-    let s = Vec2::new(within(ratio.x, lens.x.low, lens.x.high), within(ratio.y, lens.y.low, lens.y.high));
+    let s = Vec2::new(within(ratio.x, camera.x.low, camera.x.high), within(ratio.y, camera.y.low, camera.y.high));
     let (free_x, free_y) = (s.x == ratio.x, s.y == ratio.y);
     LensProjection {
         within: ratio.dot(ratio) < distortion.max_radius_squared,

@@ -4,15 +4,12 @@ use burn::tensor::DType;
 use fearless_simd::prelude::*;
 
 use super::lens::{HALF_ANGLE_F32, HALF_ANGLE_F64};
-use super::simd::norm;
+use super::simd::{MaskOf, Vector, norm};
 use crate::camera::{CameraModel, Intrinsics};
-use crate::linalg::{Entry, Mat3, add, dot, scale, sub};
+use crate::linalg::{Entry, Matrix3, add, dot, scale, sub};
 use crate::simd::each;
+use crate::simd::lanes::Lanes;
 use crate::simd::real::Real;
-
-type MaskOf<S, F> = <<F as Real>::Lanes<S> as SimdBase<S>>::Mask;
-type Lanes<S, F> = <F as Real>::Lanes<S>;
-type Vector<S, F> = [<F as Real>::Lanes<S>; 3];
 
 /// A lens's planar map, as numbers or broadcast to all lanes.
 #[derive(Clone, Copy)]
@@ -179,13 +176,13 @@ pub(crate) struct LensProjectionSimd<S: Simd, F: Real> {
     held: PlanarMapSimd<Lanes<S, F>>,
     /// `b₀, b₁`
     base: [Vector<S, F>; 2],
-    rows: Mat3<Lanes<S, F>>,
+    rows: Matrix3<Lanes<S, F>>,
 }
 
 /// Gradients of the centre in the camera's frame and of `W R`.
 pub(crate) struct LensProjectionGrad<L> {
     pub mean_cam: [L; 3],
-    pub rows: Mat3<L>,
+    pub rows: Matrix3<L>,
 }
 
 impl<S: Simd, F: Real> LensProjectionSimd<S, F> {
@@ -194,7 +191,7 @@ impl<S: Simd, F: Real> LensProjectionSimd<S, F> {
     pub fn new(
         distortion: &DistortionSimd<Lanes<S, F>>,
         mean_cam: Vector<S, F>,
-        rows: &Mat3<Lanes<S, F>>,
+        rows: &Matrix3<Lanes<S, F>>,
         [low, high]: [[Lanes<S, F>; 2]; 2],
     ) -> Self {
         let (first, s, slope, base) = if distortion.model.is_fisheye() {
@@ -285,7 +282,7 @@ impl<S: Simd, F: Real> PerspectiveSimd<S, F> {
 
 impl<S: Simd, F: Real> FisheyeSimd<S, F> {
     #[inline(always)]
-    fn new([x, y, z]: Vector<S, F>, rows: &Mat3<Lanes<S, F>>) -> Self {
+    fn new([x, y, z]: Vector<S, F>, rows: &Matrix3<Lanes<S, F>>) -> Self {
         let lanes = |value: f64| F::Lanes::<S>::splat(z.token(), F::of(value));
         let length = norm::<S, F>(z.token(), [x, y, z]);
         let (p, c) = ([x / length, y / length], z / length);
@@ -305,7 +302,7 @@ impl<S: Simd, F: Real> FisheyeSimd<S, F> {
 
     /// `b₀, b₁`
     #[inline(always)]
-    fn rows(&self, rows: &Mat3<Lanes<S, F>>) -> [Vector<S, F>; 2] {
+    fn rows(&self, rows: &Matrix3<Lanes<S, F>>) -> [Vector<S, F>; 2] {
         let inverse = F::Lanes::<S>::splat(self.c.token(), F::ONE) / self.length;
         let [x, y] = self.p;
         let aside = scale(sub(scale(rows[1], x), scale(rows[0], y)), self.beta);
@@ -319,7 +316,7 @@ impl<S: Simd, F: Real> FisheyeSimd<S, F> {
     #[inline(always)]
     fn backward(
         &self,
-        rows: &Mat3<Lanes<S, F>>,
+        rows: &Matrix3<Lanes<S, F>>,
         grad_base: [Vector<S, F>; 2],
         grad_s: [Lanes<S, F>; 2],
     ) -> LensProjectionGrad<Lanes<S, F>> {

@@ -5,13 +5,13 @@ use fearless_simd::prelude::*;
 
 use super::lens_simd::{DistortionSimd, LensProjectionGrad, LensProjectionSimd};
 use super::{COMPENSATION_MIN, Ellipse, ProjectSpec};
-use crate::linalg::{Mat3, add, cross, dot, hadamard, matmul, matvec, rotation_of, scale, sub, transposed_matvec};
+use crate::linalg::{Matrix3, add, cross, dot, hadamard, matmul, matvec, rotation_of, scale, sub, transposed_matvec};
 use crate::simd::each;
 use crate::simd::real::Real;
 
 /// The camera, as numbers or broadcast to all lanes.
 pub(crate) struct ProjectCameraSimd<L> {
-    pub rotation: Mat3<L>,
+    pub rotation: Matrix3<L>,
     pub translation: [L; 3],
     pub focal: [L; 2],
     principal: [L; 2],
@@ -105,8 +105,8 @@ pub(crate) struct ProjectionTermsSimd<S: Simd, F: Real> {
     slope_free: [MaskOf<S, F>; 2],
     quaternion: [F::Lanes<S>; 4],
     quaternion_length: F::Lanes<S>,
-    world_from_gaussian: Mat3<F::Lanes<S>>,
-    pub cam_from_gaussian: Mat3<F::Lanes<S>>,
+    world_from_gaussian: Matrix3<F::Lanes<S>>,
+    pub cam_from_gaussian: Matrix3<F::Lanes<S>>,
     /// `j0, j1`: rows of `J W R`; `m0, m1`: those rows times the scales.
     pub j: [Vector<S, F>; 2],
     pub m: [Vector<S, F>; 2],
@@ -130,46 +130,46 @@ impl<S: Simd, F: Real> ProjectionTermsSimd<S, F> {
     pub fn new<const BENDS: bool>(
         simd: S,
         g: &GaussiansSimd<F::Lanes<S>>,
-        lens: &ProjectCameraSimd<F::Lanes<S>>,
+        camera: &ProjectCameraSimd<F::Lanes<S>>,
     ) -> Self {
         let lanes = |value: F| F::Lanes::<S>::splat(simd, value);
         let (zero, one, largest) = (lanes(F::ZERO), lanes(F::ONE), lanes(F::MAX));
         let finite = |value: F::Lanes<S>| value.abs().simd_le(largest);
 
-        let mean_cam = add(matvec(&lens.rotation, g.mean), lens.translation);
+        let mean_cam = add(matvec(&camera.rotation, g.mean), camera.translation);
         let [x, y, z] = mean_cam;
         let mut ratio = [x / z, y / z];
         let (quaternion, quaternion_length) = unit_quaternion::<S, F>(simd, g.rotation);
-        let mut seen = g.all(finite) & z.simd_gt(lens.near) & z.simd_gt(zero) & finite(z);
+        let mut seen = g.all(finite) & z.simd_gt(camera.near) & z.simd_gt(zero) & finite(z);
         let world_from_gaussian = rotation_of(one, quaternion);
-        let cam_from_gaussian = matmul(&lens.rotation, &world_from_gaussian);
+        let cam_from_gaussian = matmul(&camera.rotation, &world_from_gaussian);
 
-        let slope = [ratio[0].max(lens.low[0]).min(lens.high[0]), ratio[1].max(lens.low[1]).min(lens.high[1])];
+        let slope = [ratio[0].max(camera.low[0]).min(camera.high[0]), ratio[1].max(camera.low[1]).min(camera.high[1])];
         let slope_free = [slope[0].simd_eq(ratio[0]), slope[1].simd_eq(ratio[1])];
         let mut j = each!([0, 1], |axis| {
             let leaning = sub(cam_from_gaussian[axis], scale(cam_from_gaussian[2], slope[axis]));
-            scale(leaning, lens.focal[axis] / z)
+            scale(leaning, camera.focal[axis] / z)
         });
         let mut bent = None;
-        if BENDS && let Some(distortion) = &lens.distortion {
+        if BENDS && let Some(distortion) = &camera.distortion {
             let found =
-                LensProjectionSimd::<S, F>::new(distortion, mean_cam, &cam_from_gaussian, [lens.low, lens.high]);
-            (ratio, j) = (found.seen_at(), found.rows(lens.focal));
+                LensProjectionSimd::<S, F>::new(distortion, mean_cam, &cam_from_gaussian, [camera.low, camera.high]);
+            (ratio, j) = (found.seen_at(), found.rows(camera.focal));
             seen &= found.within;
             bent = Some(found);
         }
         seen = seen & finite(ratio[0]) & finite(ratio[1]) & quaternion_length.simd_gt(zero);
         let m = [hadamard(j[0], g.scale), hadamard(j[1], g.scale)];
 
-        let sigma_u = norm::<S, F>(simd, [norm::<S, F>(simd, m[0]), lens.blur_sigma, zero]);
+        let sigma_u = norm::<S, F>(simd, [norm::<S, F>(simd, m[0]), camera.blur_sigma, zero]);
         let n = scale(m[0], one / sigma_u);
         let along = scale(m[1], one / sigma_u);
         let p = cross(n, m[1]);
         let p_norm = norm::<S, F>(simd, p);
-        let sigma_v = norm::<S, F>(simd, [lens.blur_sigma, p_norm, lens.blur_sigma * norm::<S, F>(simd, along)]);
+        let sigma_v = norm::<S, F>(simd, [camera.blur_sigma, p_norm, camera.blur_sigma * norm::<S, F>(simd, along)]);
         let shear = dot(n, along);
         seen = seen & sigma_u.simd_gt(zero) & finite(sigma_u) & sigma_v.simd_gt(zero) & finite(sigma_v) & finite(shear);
-        let (compensation, compensation_free) = if lens.antialias {
+        let (compensation, compensation_free) = if camera.antialias {
             let (areas, floor) = (p_norm / sigma_v, lanes(F::of(COMPENSATION_MIN)));
             let free = areas.simd_gt(floor);
             (free.select(areas, floor), free)
@@ -209,12 +209,12 @@ impl<S: Simd, F: Real> ProjectionTermsSimd<S, F> {
     #[inline(always)]
     pub fn ellipse(
         &self,
-        lens: &ProjectCameraSimd<F::Lanes<S>>,
+        camera: &ProjectCameraSimd<F::Lanes<S>>,
         g: &GaussiansSimd<F::Lanes<S>>,
     ) -> Ellipse<F::Lanes<S>> {
         let (zero, one) = (self.lanes(F::ZERO), self.lanes(F::ONE));
-        let mean_px =
-            each!([0, 1], |axis| self.seen.select(lens.focal[axis] * self.ratio[axis] + lens.principal[axis], zero));
+        let (focal, principal) = (camera.focal, camera.principal);
+        let mean_px = each!([0, 1], |axis| self.seen.select(focal[axis] * self.ratio[axis] + principal[axis], zero));
         Ellipse {
             mean_px,
             sigma_u: self.seen.select(self.sigma_u, one),
@@ -227,28 +227,28 @@ impl<S: Simd, F: Real> ProjectionTermsSimd<S, F> {
 
     /// Returns the distance of the centre from the point of the picture at which the Jacobian is evaluated, px, for a pinhole.
     #[inline(always)]
-    pub fn away(&self, lens: &ProjectCameraSimd<F::Lanes<S>>) -> [F::Lanes<S>; 2] {
-        each!([0, 1], |axis| lens.focal[axis] * (self.ratio[axis] - self.slope[axis]))
+    pub fn away(&self, camera: &ProjectCameraSimd<F::Lanes<S>>) -> [F::Lanes<S>; 2] {
+        each!([0, 1], |axis| camera.focal[axis] * (self.ratio[axis] - self.slope[axis]))
     }
 
     /// Gradients of `m0, m1` and of the opacity from those of the ellipse.
     #[inline(always)]
     fn factor_backward(
         &self,
-        lens: &ProjectCameraSimd<F::Lanes<S>>,
+        camera: &ProjectCameraSimd<F::Lanes<S>>,
         opacity: F::Lanes<S>,
         grad: &Ellipse<F::Lanes<S>>,
     ) -> ([Vector<S, F>; 2], F::Lanes<S>) {
         let zero = self.lanes(F::ZERO);
         let mut grad_p = [zero; 3];
         let mut grad_along = scale(self.n, grad.shear);
-        if lens.antialias {
+        if camera.antialias {
             // With P = |p| and S = sigma_v, whose square is ε + P² + ε |along|²:
             // d(P/S) = (ε + ε |along|²)/S² dP/S − P/S ε along·d along / S². Without blur every term is exactly zero; there is
             // no difference of almost equal numbers.
             let (simd, one) = (self.simd, self.lanes(F::ONE));
             let grad_compensation = grad.opacity * opacity;
-            let blurred = lens.blur_sigma / self.sigma_v;
+            let blurred = camera.blur_sigma / self.sigma_v;
             let lost = blurred * norm::<S, F>(simd, [one, norm::<S, F>(simd, self.along), zero]);
             let unit = scale(self.p, one / norm::<S, F>(simd, self.p));
             let through_p = scale(unit, grad_compensation * lost * lost / self.sigma_v);
@@ -262,8 +262,8 @@ impl<S: Simd, F: Real> ProjectionTermsSimd<S, F> {
         // the range of the float.
         let inverse_v = self.lanes(F::ONE) / self.sigma_v;
         grad_p = add(grad_p, scale(scale(self.p, inverse_v), grad.sigma_v));
-        let blur_along = scale(self.along, lens.blur_sigma * inverse_v);
-        grad_along = add(grad_along, scale(blur_along, lens.blur_sigma * grad.sigma_v));
+        let blur_along = scale(self.along, camera.blur_sigma * inverse_v);
+        grad_along = add(grad_along, scale(blur_along, camera.blur_sigma * grad.sigma_v));
         let grad_n = add(scale(self.along, grad.shear), cross(self.m[1], grad_p));
         let inverse = self.lanes(F::ONE) / self.sigma_u;
         let grad_sigma_u = grad.sigma_u - (dot(grad_along, self.along) + dot(grad_n, self.n)) * inverse;
@@ -277,13 +277,13 @@ impl<S: Simd, F: Real> ProjectionTermsSimd<S, F> {
     #[inline(always)]
     pub fn rows_backward<const BENDS: bool>(
         &self,
-        lens: &ProjectCameraSimd<F::Lanes<S>>,
+        camera: &ProjectCameraSimd<F::Lanes<S>>,
         grad_j: [Vector<S, F>; 2],
         grad: &Ellipse<F::Lanes<S>>,
     ) -> LensProjectionGrad<F::Lanes<S>> {
-        if BENDS && let (Some(bent), Some(distortion)) = (&self.bent, &lens.distortion) {
-            let grad_seen_at = [grad.mean_px[0] * lens.focal[0], grad.mean_px[1] * lens.focal[1]];
-            let mut out = bent.backward(distortion, lens.focal, grad_j, grad_seen_at);
+        if BENDS && let (Some(bent), Some(distortion)) = (&self.bent, &camera.distortion) {
+            let grad_seen_at = [grad.mean_px[0] * camera.focal[0], grad.mean_px[1] * camera.focal[1]];
+            let mut out = bent.backward(distortion, camera.focal, grad_j, grad_seen_at);
             out.mean_cam[2] += grad.depth;
             return out;
         }
@@ -292,12 +292,13 @@ impl<S: Simd, F: Real> ProjectionTermsSimd<S, F> {
         let mut out = LensProjectionGrad { mean_cam: [zero, zero, grad.depth], rows: [[zero; 3]; 3] };
         for axis in 0..2 {
             // j = (focal / z) (row - slope · last row)
-            let grad_leaning = scale(grad_j[axis], lens.focal[axis] * inverse_z);
+            let grad_leaning = scale(grad_j[axis], camera.focal[axis] * inverse_z);
             out.rows[axis] = grad_leaning;
             out.rows[2] = sub(out.rows[2], scale(grad_leaning, self.slope[axis]));
             out.mean_cam[2] -= dot(grad_j[axis], self.j[axis]) * inverse_z;
             let through_slope = dot(grad_leaning, self.cam_from_gaussian[2]);
-            let grad_ratio = grad.mean_px[axis] * lens.focal[axis] - self.slope_free[axis].select(through_slope, zero);
+            let grad_ratio =
+                grad.mean_px[axis] * camera.focal[axis] - self.slope_free[axis].select(through_slope, zero);
             out.mean_cam[axis] = grad_ratio * inverse_z;
             out.mean_cam[2] -= grad_ratio * self.ratio[axis] * inverse_z;
         }
@@ -309,19 +310,19 @@ impl<S: Simd, F: Real> ProjectionTermsSimd<S, F> {
     #[inline(always)]
     pub(super) fn backward<const BENDS: bool>(
         &self,
-        lens: &ProjectCameraSimd<F::Lanes<S>>,
+        camera: &ProjectCameraSimd<F::Lanes<S>>,
         g: &GaussiansSimd<F::Lanes<S>>,
         grad: &Ellipse<F::Lanes<S>>,
         pose: Option<&mut [F::Lanes<S>; 12]>,
     ) -> GradientsSimd<F::Lanes<S>> {
         let zero = self.lanes(F::ZERO);
         let takes_part = self.seen & any_not_zero::<S, F>(&grad.to_row());
-        let (grad_m, opacity) = self.factor_backward(lens, g.opacity, grad);
+        let (grad_m, opacity) = self.factor_backward(camera, g.opacity, grad);
         let scales = add(hadamard(grad_m[0], self.j[0]), hadamard(grad_m[1], self.j[1]));
         let grad_j = [hadamard(grad_m[0], g.scale), hadamard(grad_m[1], g.scale)];
-        let through = self.rows_backward::<BENDS>(lens, grad_j, grad);
+        let through = self.rows_backward::<BENDS>(camera, grad_j, grad);
         GradientsSimd {
-            parameters: self.parameters_backward(lens, g, takes_part, &through, (scales, opacity), pose),
+            parameters: self.parameters_backward(camera, g, takes_part, &through, (scales, opacity), pose),
             mean2d: each!(grad.mean_px, |value| takes_part.select(value, zero)),
         }
     }
@@ -331,7 +332,7 @@ impl<S: Simd, F: Real> ProjectionTermsSimd<S, F> {
     #[inline(always)]
     pub fn parameters_backward(
         &self,
-        lens: &ProjectCameraSimd<F::Lanes<S>>,
+        camera: &ProjectCameraSimd<F::Lanes<S>>,
         g: &GaussiansSimd<F::Lanes<S>>,
         takes_part: MaskOf<S, F>,
         through: &LensProjectionGrad<F::Lanes<S>>,
@@ -352,7 +353,7 @@ impl<S: Simd, F: Real> ProjectionTermsSimd<S, F> {
         let mut grad_world_from_gaussian = [[zero; 3]; 3];
         for column in 0..3 {
             let of_camera = each!([0, 1, 2], |row| through.rows[row][column]);
-            let of_world = transposed_matvec(&lens.rotation, of_camera);
+            let of_world = transposed_matvec(&camera.rotation, of_camera);
             for row in 0..3 {
                 grad_world_from_gaussian[row][column] = of_world[row];
             }
@@ -360,7 +361,7 @@ impl<S: Simd, F: Real> ProjectionTermsSimd<S, F> {
         let rotation = self.quaternion_backward(&grad_world_from_gaussian);
         let kept = |value: F::Lanes<S>| takes_part.select(value, zero);
         GaussiansSimd {
-            mean: each!(transposed_matvec(&lens.rotation, through.mean_cam), |value| kept(value)),
+            mean: each!(transposed_matvec(&camera.rotation, through.mean_cam), |value| kept(value)),
             rotation: each!(rotation, |value| kept(value)),
             scale: each!(scales, |value| kept(value)),
             opacity: kept(opacity),
@@ -371,7 +372,7 @@ impl<S: Simd, F: Real> ProjectionTermsSimd<S, F> {
     /// normalisation `q / |q|`, which leaves only the component normal to the unit quaternion. If the length is so short that the
     /// gradient exceeds the float's range, the gradient is clamped to that range.
     #[inline(always)]
-    fn quaternion_backward(&self, g: &Mat3<F::Lanes<S>>) -> [F::Lanes<S>; 4] {
+    fn quaternion_backward(&self, g: &Matrix3<F::Lanes<S>>) -> [F::Lanes<S>; 4] {
         let [w, x, y, z] = self.quaternion;
         let two = F::of(2.0);
         // The antisymmetric part of `g`, and its symmetric sums.

@@ -6,14 +6,14 @@ use super::{Layers, RasterizeSpec};
 use crate::camera::Intrinsics;
 use crate::gpu::Buffer;
 use crate::intersect::launch::launch_intersect;
-use crate::intersect::{Cut, TILE};
+use crate::intersect::{Cut, TILE_SIZE};
 use crate::options::{Accumulation, RenderOptions};
 use crate::testing::gpu::gpu;
 use crate::testing::random::Random;
 
 /// Tiles along each side of the picture, one Gaussian each.
 const TILES: usize = 32;
-const SIZE: usize = TILES * TILE;
+const SIZE: usize = TILES * TILE_SIZE;
 
 #[test]
 fn both_passes_see_the_same_bits_of_alpha() {
@@ -21,7 +21,7 @@ fn both_passes_see_the_same_bits_of_alpha() {
     let mut random = Random::new(41);
     let mut projected = Vec::new();
     for tile in 0..TILES * TILES {
-        let mut near = |tile: usize| (tile * TILE) as f64 + random.between(6.0, 10.0);
+        let mut near = |tile: usize| (tile * TILE_SIZE) as f64 + random.between(6.0, 10.0);
         let mean = [near(tile % TILES), near(tile / TILES)];
         let [sigma_u, sigma_v] = [(); 2].map(|()| random.between(0.6, 1.2));
         let (shear, opacity) = (random.between(-0.8, 0.8), random.between(0.3, 1.0));
@@ -29,7 +29,7 @@ fn both_passes_see_the_same_bits_of_alpha() {
     }
     let options = RenderOptions::standard().with_accumulation(Accumulation::Ordered);
     let in_f64 = |column: usize, row: usize| {
-        let tile = row / TILE * TILES + column / TILE;
+        let tile = row / TILE_SIZE * TILES + column / TILE_SIZE;
         let ellipse: [f64; 7] = std::array::from_fn(|i| projected[7 * tile + i].into());
         let [x, y, sigma_u, shear, sigma_v, _, opacity] = ellipse;
         let (dx, dy) = (column as f64 + 0.5 - x, row as f64 + 0.5 - y);
@@ -61,7 +61,7 @@ fn both_passes_see_the_same_bits_of_alpha() {
         assert!(shown > 20 * TILES * TILES, "{shown} pixels prove little");
         // A gradient at one pixel of each tile makes the gradient of a Gaussian's feature that pixel's alpha.
         for pixel in [[7, 7], [8, 9], [5, 8], [9, 6], [10, 10], [8, 4]] {
-            let at = |tile: usize| (tile / TILES * TILE + pixel[1]) * SIZE + tile % TILES * TILE + pixel[0];
+            let at = |tile: usize| (tile / TILES * TILE_SIZE + pixel[1]) * SIZE + tile % TILES * TILE_SIZE + pixel[0];
             let mut grad = vec![0.0; channels * SIZE * SIZE];
             (0..TILES * TILES).for_each(|tile| grad[at(tile)] = 1.0);
             let grad = Buffer::from_slice(&gpu, &grad);

@@ -11,8 +11,9 @@
 
 use cubecl::prelude::*;
 
+use super::MOMENTS;
 use super::backward_block::{add_block, pass_pixels};
-use super::blocks::{BLOCK, BLOCKS, pixel_of};
+use super::blocks::{BLOCK_PIXELS, BLOCKS, pixel_of};
 use super::forward::WORDS;
 use super::layer::{BUCKET, BUCKETS, Four, KernelShape, RasterFrame, TilePixel, tile_origin};
 use super::segment::{KeptTrace, RowCells, Segment, SegmentRange, clear_rows};
@@ -21,14 +22,11 @@ use crate::gpu::atomic::FloatCell;
 use crate::intersect::TILE_PIXELS;
 
 /// Number of units of a cube: of the pixels in a block and of the places in a bucket.
-pub(super) const LANES: usize = 32;
-const _: () = assert!(BLOCK == LANES && BUCKET == LANES && WORDS == LANES);
+pub(super) const SEGMENT_UNITS: usize = 32;
+const _: () = assert!(BLOCK_PIXELS == SEGMENT_UNITS && BUCKET == SEGMENT_UNITS && WORDS == SEGMENT_UNITS);
 
 /// Distance of the rows of a table of places and pixels. Neither direction of reading has bank conflicts.
-pub(super) const STRIDE: usize = LANES + 1;
-
-/// Number of moments: the sums of `h, h u, h v, h u², h u v, h v²` with `h = α ∂L/∂α` where alpha is not at its limit.
-pub(crate) const MOMENTS: usize = 6;
+pub(super) const STRIDE: usize = SEGMENT_UNITS + 1;
 
 /// Number of values in a row: the moments, the channels, those of the splat, and the two sums of absolute values if they are wanted.
 pub(crate) const fn row_len<S: Splat>(shape: KernelShape, absolute: bool) -> usize {
@@ -76,7 +74,7 @@ impl SegmentMemory {
             targets: Shared::<[u32]>::new_slice(comptime!(BUCKET)),
             alphas: Shared::<[f32]>::new_slice(comptime!(BUCKET * STRIDE)),
             weights: Shared::<[f32]>::new_slice(comptime!(BUCKET * STRIDE)),
-            gradients: Shared::<[f32]>::new_slice(comptime!(if shares { BLOCK * shape.channels() } else { 1 })),
+            gradients: Shared::<[f32]>::new_slice(comptime!(if shares { BLOCK_PIXELS * shape.channels() } else { 1 })),
         }
     }
 }
@@ -120,7 +118,7 @@ pub(super) fn rasterize_backward_kernel<S: Splat, A: FloatCell>(
             let origin = tile_origin(segment.tile, &frame);
             memory.words[lane as usize] = trace.words[(slot * comptime!(WORDS as u32) + lane) as usize];
             for block in 0..comptime!(BLOCKS as u32) {
-                let unit = (block * comptime!(BLOCK as u32) + lane) as usize;
+                let unit = (block * comptime!(BLOCK_PIXELS as u32) + lane) as usize;
                 memory.checkpoints[unit] = trace.kept[slot as usize * comptime!(shape.kept() * TILE_PIXELS) + unit];
                 memory.rho[unit] = trace.suffix_rho[slot as usize * comptime!(TILE_PIXELS) + unit];
             }
@@ -201,7 +199,7 @@ fn pass_bucket<S: Splat>(
     frame: &RasterFrame,
 ) {
     for block in 0..comptime!(BLOCKS as u32) {
-        let unit = block * comptime!(BLOCK as u32) + UNIT_POS;
+        let unit = block * comptime!(BLOCK_PIXELS as u32) + UNIT_POS;
         let pixel = TilePixel::of(origin, pixel_of(unit), inputs, frame);
         let at = (bucket * comptime!(TILE_PIXELS as u32) + unit) as usize;
         let before = memory.checkpoints[at];
@@ -241,7 +239,7 @@ fn store_rows<A: FloatCell>(
             let sum = memory.alphas[(place * comptime!(STRIDE as u32) + column) as usize];
             let target = memory.targets[place as usize];
             store_cell::<A>(sum, target, column as usize, rows, sums, cells.rows, columns, add);
-            i += comptime!(LANES as u32);
+            i += comptime!(SEGMENT_UNITS as u32);
         }
     } else if lane < cells.here {
         let target = memory.targets[lane as usize];

@@ -2,15 +2,16 @@
 
 use cubecl::prelude::*;
 
-use super::backward::{MOMENTS, STRIDE, SegmentMemory, shares_colours};
-use super::blocks::{BLOCK, HEIGHT, WIDTH, pixel_of};
+use super::MOMENTS;
+use super::backward::{STRIDE, SegmentMemory, shares_colours};
+use super::blocks::{BLOCK_HEIGHT, BLOCK_PIXELS, BLOCK_WIDTH, pixel_of};
 use super::layer::{KernelShape, RasterFrame, TilePixel, layer};
 use super::splat::{BlockPairs, Splat, SplatInputs, colour};
 use super::suffix::plane_of;
 use crate::intersect::TILE_PIXELS;
 
 /// Number of channels, of many, that are read together.
-const GROUP: usize = 8;
+const CHANNELS_AT_ONCE: usize = 8;
 
 /// Passes the places of a block's word, of a bucket: leaves `h` and the weights of each place and pixel in the tables, and `ρ` in
 /// front of the bucket. The units are pixels.
@@ -30,7 +31,7 @@ pub(super) fn pass_pixels<S: Splat>(
     let shares = comptime!(shares_colours::<S>(shape));
     let lane = UNIT_POS;
     let plane = (frame.width * frame.height) as usize;
-    let unit = block * comptime!(BLOCK as u32) + lane;
+    let unit = block * comptime!(BLOCK_PIXELS as u32) + lane;
     let pixel = TilePixel::of(origin, pixel_of(unit), inputs, frame);
     let before = memory.checkpoints[(bucket * comptime!(TILE_PIXELS as u32) + unit) as usize];
     let mut through = select(before >= 0.0, 1.0f32, -1.0f32);
@@ -56,7 +57,7 @@ pub(super) fn pass_pixels<S: Splat>(
                 value = grad[plane_of(channel, shape) * plane + pixel.index];
             }
             gradient[channel] = value;
-            memory.gradients[channel * comptime!(BLOCK) + lane as usize] = value;
+            memory.gradients[channel * comptime!(BLOCK_PIXELS) + lane as usize] = value;
         }
     }
     let mut behind = memory.rho[unit as usize];
@@ -109,15 +110,15 @@ pub(super) fn add_block<S: Splat>(
     let plane = (frame.width * frame.height) as usize;
     let at = lane as usize * comptime!(STRIDE);
     let splat = S::load(&memory.splats, lane as usize, inputs);
-    let first_unit = block * comptime!(BLOCK as u32);
+    let first_unit = block * comptime!(BLOCK_PIXELS as u32);
     let pairs = BlockPairs { origin, first_unit, at: at as u32 };
     S::add_pairs(row, &splat, pairs, &memory.alphas, &memory.weights, grad, inputs, frame, shape, absolute);
     if comptime!(shares_colours::<S>(shape)) {
         #[unroll]
         for channel in 0..comptime!(shape.channels()) {
             let mut sum = 0.0f32;
-            for other in 0..comptime!(BLOCK) {
-                sum += memory.weights[at + other] * memory.gradients[channel * comptime!(BLOCK) + other];
+            for other in 0..comptime!(BLOCK_PIXELS) {
+                sum += memory.weights[at + other] * memory.gradients[channel * comptime!(BLOCK_PIXELS) + other];
             }
             row[comptime!(MOMENTS) + channel] += sum;
         }
@@ -127,10 +128,10 @@ pub(super) fn add_block<S: Splat>(
         for channel in 0..comptime!(if S::ALONG_RAYS { shape.features } else { shape.channels() }) {
             let first = plane_of(channel, shape) * plane + corner.index;
             let mut sum = 0.0f32;
-            for step in 0..comptime!(HEIGHT) {
+            for step in 0..comptime!(BLOCK_HEIGHT) {
                 #[unroll]
-                for column in 0..comptime!(WIDTH) {
-                    let weight = memory.weights[at + step * comptime!(WIDTH) + column];
+                for column in 0..comptime!(BLOCK_WIDTH) {
+                    let weight = memory.weights[at + step * comptime!(BLOCK_WIDTH) + column];
                     // A pixel outside the picture has no weight.
                     if weight > 0.0 {
                         sum += weight * grad[first + step * frame.width as usize + column];
@@ -154,19 +155,19 @@ fn along_channels<S: Splat>(
     depth: f32,
     #[comptime] shape: KernelShape,
 ) -> f32 {
-    let groups = comptime!(shape.channels() / GROUP);
+    let groups = comptime!(shape.channels() / CHANNELS_AT_ONCE);
     let mut sum = 0.0f32;
     for group in 0..groups {
         #[unroll]
-        for k in 0..comptime!(GROUP) {
-            let channel = group * comptime!(GROUP) + k;
+        for k in 0..comptime!(CHANNELS_AT_ONCE) {
+            let channel = group * comptime!(CHANNELS_AT_ONCE) + k;
             let gradient = grad[plane_of(channel, shape) * plane + index];
             sum += gradient * colour::<S>(inputs, gaussian, channel, depth, shape);
         }
     }
     #[unroll]
-    for k in 0..comptime!(shape.channels() % GROUP) {
-        let channel = comptime!(groups * GROUP + k);
+    for k in 0..comptime!(shape.channels() % CHANNELS_AT_ONCE) {
+        let channel = comptime!(groups * CHANNELS_AT_ONCE + k);
         sum += grad[plane_of(channel, shape) * plane + index] * colour::<S>(inputs, gaussian, channel, depth, shape);
     }
     sum

@@ -6,8 +6,9 @@
 
 use cubecl::prelude::*;
 
-use super::backward::{MOMENTS, row_len, store_cell};
-use super::blocks::{BLOCK, BLOCKS, WIDTH, pixel_of};
+use super::MOMENTS;
+use super::backward::{row_len, store_cell};
+use super::blocks::{BLOCK_PIXELS, BLOCK_WIDTH, BLOCKS, pixel_of};
 use super::ellipse::LayerEllipse;
 use super::forward::WORDS;
 use super::layer::{BUCKET, Four, KernelShape, RasterFrame, SEGMENT, TilePixel, layer, tile_origin};
@@ -21,7 +22,7 @@ use crate::intersect::TILE_PIXELS;
 const TOGETHER: usize = 8;
 
 /// Number of pixels that a unit sums: a row of a block.
-const RUN: usize = WIDTH;
+const RUN_PIXELS: usize = BLOCK_WIDTH;
 
 /// Sizes of planes that the kernel is written for. A block's pixels are whole planes.
 pub(crate) const PLANES: [u32; 2] = [8, 32];
@@ -85,7 +86,7 @@ pub(super) fn rasterize_backward_planes_kernel<A: FloatCell>(
     let slot = CUBE_POS as u32;
     if slot < range.slots {
         let unit = UNIT_POS;
-        let block = unit / comptime!(BLOCK as u32);
+        let block = unit / comptime!(BLOCK_PIXELS as u32);
         let plane_index = unit / plane_units;
         let lane = unit % plane_units;
         let segment = Segment::of(slot, &inputs.lists, &trace, &range, add);
@@ -126,8 +127,8 @@ pub(super) fn rasterize_backward_planes_kernel<A: FloatCell>(
                 gradients[comptime!(channel * TILE_PIXELS) + unit as usize] = gradient[channel];
             }
             // The layer of the group and the pixels that this unit sums.
-            let own_layer = lane / comptime!(plane_units / RUN as u32);
-            let run_in_plane = lane % comptime!(plane_units / RUN as u32) * comptime!(RUN as u32);
+            let own_layer = lane / comptime!(plane_units / RUN_PIXELS as u32);
+            let run_in_plane = lane % comptime!(plane_units / RUN_PIXELS as u32) * comptime!(RUN_PIXELS as u32);
             let run_start = plane_index * plane_units + run_in_plane;
             let first_of_run = TilePixel::of(origin, pixel_of(run_start), &inputs, &frame);
             let run_x = first_of_run.x;
@@ -244,7 +245,7 @@ pub(super) fn rasterize_backward_planes_kernel<A: FloatCell>(
                             let ellipse = LayerEllipse::load(&ellipses, place, &inputs);
                             let at = table + own_layer as usize * table_row + run_in_plane as usize;
                             #[unroll]
-                            for i in 0..comptime!(RUN) {
+                            for i in 0..comptime!(RUN_PIXELS) {
                                 let h = heights[at + i];
                                 let share = shares[at + i];
                                 let (u, below) = ellipse.along_column(run_x + comptime!(i as f32));
@@ -290,7 +291,7 @@ pub(super) fn rasterize_backward_planes_kernel<A: FloatCell>(
                             let mut sum = 0.0f32;
                             #[unroll]
                             for other in 0..comptime!(TILE_PIXELS as u32 / plane_units) {
-                                let of_block = comptime!(other * plane_units / BLOCK as u32);
+                                let of_block = comptime!(other * plane_units / BLOCK_PIXELS as u32);
                                 let word = words[(bucket * comptime!(BLOCKS as u32) + of_block) as usize];
                                 if ((word >> (first_place + in_order)) & 1) != 0 {
                                     let row = comptime!(other * part_places) + in_order;
@@ -327,7 +328,7 @@ fn store_sums<A: FloatCell>(
     #[comptime] direct: bool,
 ) {
     let (row, stores) = target;
-    let steps = comptime!((plane_units / RUN as u32).trailing_zeros());
+    let steps = comptime!((plane_units / RUN_PIXELS as u32).trailing_zeros());
     let mut own = Array::<f32>::new(columns);
     #[unroll]
     for column in 0..columns {

@@ -6,23 +6,23 @@ use cubecl::prelude::*;
 use super::ellipse::LayerEllipse;
 use super::layer::RasterFrame;
 use crate::gpu::math::{finite, within};
-use crate::intersect::TILE;
+use crate::intersect::TILE_SIZE;
 
 /// Width and height of a block, px.
-pub(crate) const WIDTH: usize = 8;
-pub(crate) const HEIGHT: usize = 4;
+pub(crate) const BLOCK_WIDTH: usize = 8;
+pub(crate) const BLOCK_HEIGHT: usize = 4;
 
 /// Number of pixels in a block, one unit each.
-pub(crate) const BLOCK: usize = WIDTH * HEIGHT;
+pub(crate) const BLOCK_PIXELS: usize = BLOCK_WIDTH * BLOCK_HEIGHT;
 
 /// Number of blocks side by side in a tile.
-const ACROSS: usize = TILE / WIDTH;
+const ACROSS: usize = TILE_SIZE / BLOCK_WIDTH;
 
 /// Number of blocks in a tile.
-pub(crate) const BLOCKS: usize = ACROSS * (TILE / HEIGHT);
+pub(crate) const BLOCKS: usize = ACROSS * (TILE_SIZE / BLOCK_HEIGHT);
 
 /// Number of blocks in a half of a tile, the upper or the lower.
-pub(crate) const HALF: usize = BLOCKS / 2;
+pub(crate) const HALF_BLOCKS: usize = BLOCKS / 2;
 
 /// Bound of the rounding error of a coordinate, relative to the largest coordinate in its formula: 16 roundings of f32.
 const SLIP: f32 = 1e-6;
@@ -30,11 +30,12 @@ const SLIP: f32 = 1e-6;
 /// Returns the index within the tile, counted row by row, of the pixel of unit `unit`.
 #[cube]
 pub(crate) fn pixel_of(unit: u32) -> u32 {
-    let block = unit / comptime!(BLOCK as u32);
-    let lane = unit % comptime!(BLOCK as u32);
-    let column = block % comptime!(ACROSS as u32) * comptime!(WIDTH as u32) + lane % comptime!(WIDTH as u32);
-    let row = block / comptime!(ACROSS as u32) * comptime!(HEIGHT as u32) + lane / comptime!(WIDTH as u32);
-    row * comptime!(TILE as u32) + column
+    let block = unit / comptime!(BLOCK_PIXELS as u32);
+    let lane = unit % comptime!(BLOCK_PIXELS as u32);
+    let column =
+        block % comptime!(ACROSS as u32) * comptime!(BLOCK_WIDTH as u32) + lane % comptime!(BLOCK_WIDTH as u32);
+    let row = block / comptime!(ACROSS as u32) * comptime!(BLOCK_HEIGHT as u32) + lane / comptime!(BLOCK_WIDTH as u32);
+    row * comptime!(TILE_SIZE as u32) + column
 }
 
 /// Returns the blocks in half `half` of a tile whose pixel centres the ellipse `alpha >= alpha_min` meets, one bit each.
@@ -45,7 +46,7 @@ pub(crate) fn pixel_of(unit: u32) -> u32 {
 /// or not: a point of the rectangle has no less than the least.
 #[cube]
 pub(super) fn blocks_met(ellipse: &LayerEllipse, left: f32, half: u32, frame: &RasterFrame) -> u32 {
-    let last = comptime!((TILE - 1) as f32);
+    let last = comptime!((TILE_SIZE - 1) as f32);
     let dx = left - ellipse.x;
     let dy = ellipse.rise;
     let farthest_x = max(dx.abs(), (dx + last).abs());
@@ -67,12 +68,12 @@ pub(super) fn blocks_met(ellipse: &LayerEllipse, left: f32, half: u32, frame: &R
 
     let mut met = 0u32;
     #[unroll]
-    for block in 0..comptime!(HALF) {
-        let low_x = dx + comptime!((block % ACROSS * WIDTH) as f32);
-        let high_x = low_x + comptime!((WIDTH - 1) as f32);
-        let row = half * comptime!((TILE / 2) as u32) + comptime!((block / ACROSS * HEIGHT) as u32);
+    for block in 0..comptime!(HALF_BLOCKS) {
+        let low_x = dx + comptime!((block % ACROSS * BLOCK_WIDTH) as f32);
+        let high_x = low_x + comptime!((BLOCK_WIDTH - 1) as f32);
+        let row = half * comptime!((TILE_SIZE / 2) as u32) + comptime!((block / ACROSS * BLOCK_HEIGHT) as u32);
         let low_y = dy + f32::cast_from(row);
-        let high_y = low_y + comptime!((HEIGHT - 1) as f32);
+        let high_y = low_y + comptime!((BLOCK_HEIGHT - 1) as f32);
         let near_x = within(0.0, low_x, high_x);
         let near_y = within(0.0, low_y, high_y);
         let beside = whitened(ellipse, near_x, within(ellipse.shear * near_x, low_y, high_y));
@@ -115,11 +116,11 @@ mod tests {
         if CUBE_POS < count as usize {
             let tile = tiles[CUBE_POS];
             let pixel = TilePixel::of(tile_origin(tile, &frame), pixel_of(UNIT_POS), &inputs, &frame);
-            let left = f32::cast_from(tile % frame.tiles_x * comptime!(TILE as u32)) + 0.5;
+            let left = f32::cast_from(tile % frame.tiles_x * comptime!(TILE_SIZE as u32)) + 0.5;
             let ellipse = LayerEllipse::of(&inputs, CUBE_POS, pixel.top, &frame);
-            let block = UNIT_POS / comptime!(BLOCK as u32);
-            let half = block / comptime!(HALF as u32);
-            let met = (blocks_met(&ellipse, left, half, &frame) >> (block % comptime!(HALF as u32))) & 1;
+            let block = UNIT_POS / comptime!(BLOCK_PIXELS as u32);
+            let half = block / comptime!(HALF_BLOCKS as u32);
+            let met = (blocks_met(&ellipse, left, half, &frame) >> (block % comptime!(HALF_BLOCKS as u32))) & 1;
             let alpha = ellipse.alpha(pixel.x, pixel.row, &frame);
             sees[CUBE_POS * comptime!(TILE_PIXELS) + UNIT_POS as usize] = met * 2 + select(alpha > 0.0, 1u32, 0u32);
         }
@@ -159,10 +160,10 @@ mod tests {
     fn counts(random: &mut Random, options: RenderOptions, ordinary: bool, opacity: [f64; 2]) -> Option<[usize; 4]> {
         const COUNT: usize = 5_000;
         let gpu = gpu()?;
-        let across = SIZE / TILE;
+        let across = SIZE / TILE_SIZE;
         let tiles: Vec<u32> = (0..COUNT).map(|i| (i * 7919 % (across * across)) as u32).collect();
         let rows = tiles.iter().flat_map(|&tile| {
-            let corner = [tile as usize % across, tile as usize / across].map(|tile| (tile * TILE) as f64);
+            let corner = [tile as usize % across, tile as usize / across].map(|tile| (tile * TILE_SIZE) as f64);
             ellipse(random, corner, ordinary, opacity).to_row()
         });
         let rows: Vec<f32> = rows.map(|v| v as f32).collect();
@@ -189,7 +190,7 @@ mod tests {
             );
         }
         let sees = sees.read(&gpu);
-        let blocks = || sees.chunks_exact(BLOCK);
+        let blocks = || sees.chunks_exact(BLOCK_PIXELS);
         assert!(blocks().all(|block| block.iter().all(|pixel| pixel / 2 == block[0] / 2)), "one answer a block");
         Some([
             sees.iter().filter(|pixel| *pixel % 2 == 1).count(),

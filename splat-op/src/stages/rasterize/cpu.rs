@@ -9,10 +9,10 @@ use super::pixels::{Plane, in_block_order};
 use super::prepared::Prepared;
 use super::splat_cpu::Footprint;
 use super::tile::{Thresholds, TileTrace, rasterize_tile};
-use super::tile_backward::{MOMENTS, TileGrad, TileScratch, rasterize_tile_backward};
-use super::tile_blocks::WIDTH;
-use super::{Layers, PlaneParts, RasterizeSpec};
-use crate::intersect::{IntersectionLists, TILE, TILE_PIXELS, tile_grid};
+use super::tile_backward::{TileGrad, TileScratch, rasterize_tile_backward};
+use super::tile_blocks::SIMD_WIDTH;
+use super::{Layers, MOMENTS, PlaneParts, RasterizeSpec};
+use crate::intersect::{IntersectionLists, TILE_PIXELS, TILE_SIZE, tile_grid};
 use crate::rasterize_rays::footprint::RayFootprint;
 use crate::ray_space;
 use crate::simd::real::Real;
@@ -141,7 +141,7 @@ fn picture<F: Real, T: Send>(
     // Each row of tiles has its rows in every plane.
     let mut strips: Vec<Vec<&mut [F]>> = (0..grid[1]).map(|_| Vec::with_capacity(plane_count)).collect();
     for plane in planes.chunks_mut(width * height) {
-        strips.iter_mut().zip(plane.chunks_mut(TILE * width)).for_each(|(strip, rows)| strip.push(rows));
+        strips.iter_mut().zip(plane.chunks_mut(TILE_SIZE * width)).for_each(|(strip, rows)| strip.push(rows));
     }
     let rasterize_strip = |y: usize, mut strip: Vec<&mut [F]>| {
         let mut by_tile = vec![F::ZERO; grid[0] * plane_count * TILE_PIXELS];
@@ -160,10 +160,10 @@ fn compose<F: Real>(by_tile: &[F], background: &[F], size: &PictureSize, strip: 
     let plane_count = size.channels() + 1;
     for (plane, rows) in strip.iter_mut().enumerate() {
         for (y, row) in rows.chunks_mut(width).enumerate() {
-            for (tile, out) in row.chunks_mut(TILE).enumerate() {
+            for (tile, out) in row.chunks_mut(TILE_SIZE).enumerate() {
                 let of = |plane: usize| {
-                    let first = (tile * plane_count + plane) * TILE_PIXELS + y * TILE;
-                    &by_tile[first..first + TILE]
+                    let first = (tile * plane_count + plane) * TILE_PIXELS + y * TILE_SIZE;
+                    &by_tile[first..first + TILE_SIZE]
                 };
                 let transmittance = of(size.channels());
                 match plane {
@@ -307,20 +307,20 @@ impl<F: Real> TilePlanes<F> {
             if grad.is_empty() {
                 continue;
             }
-            for row in 0..TILE.min(height - origin[1]) {
+            for row in 0..TILE_SIZE.min(height - origin[1]) {
                 let first = (source * height + origin[1] + row) * width + origin[0];
-                let values = &grad[first..first + TILE.min(width - origin[0])];
-                for (half, values) in values.chunks(WIDTH).enumerate() {
+                let values = &grad[first..first + TILE_SIZE.min(width - origin[0])];
+                for (half, values) in values.chunks(SIMD_WIDTH).enumerate() {
                     // Eight values are copied as a vector, fewer of them by a call.
                     let eight = values.as_array().copied().unwrap_or_else(|| {
-                        let mut eight = [F::ZERO; WIDTH];
+                        let mut eight = [F::ZERO; SIMD_WIDTH];
                         eight[..values.len()].copy_from_slice(values);
                         eight
                     });
-                    let place = in_block_order(row * (TILE / WIDTH) + half);
+                    let place = in_block_order(row * (TILE_SIZE / SIMD_WIDTH) + half);
                     self.planes[plane].as_chunks_mut().0[place] = eight;
                     if plane < features {
-                        let background_rho = &mut self.background_rho.as_chunks_mut::<WIDTH>().0[place];
+                        let background_rho = &mut self.background_rho.as_chunks_mut::<SIMD_WIDTH>().0[place];
                         background_rho.iter_mut().zip(eight).for_each(|(sum, g)| *sum += g * background[plane]);
                     }
                 }

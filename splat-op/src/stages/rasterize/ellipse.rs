@@ -2,8 +2,8 @@
 
 use cubecl::prelude::*;
 
-use super::backward::MOMENTS;
-use super::blocks::{HEIGHT, WIDTH, blocks_met, pixel_of};
+use super::MOMENTS;
+use super::blocks::{BLOCK_HEIGHT, BLOCK_WIDTH, blocks_met, pixel_of};
 use super::layer::{Four, KernelShape, RasterFrame, TilePixel, four};
 use super::splat::{BlockPairs, Splat, SplatInputs};
 use crate::gpu::math::Vec3;
@@ -122,15 +122,15 @@ impl Splat for LayerEllipse {
     ) {
         let corner = TilePixel::of(pairs.origin, pixel_of(pairs.first_unit), inputs, frame);
         let slope = splat.inverse_v * splat.shear;
-        for column in 0..comptime!(WIDTH as u32) {
+        for column in 0..comptime!(BLOCK_WIDTH as u32) {
             let (u, below) = splat.along_column(corner.x + f32::cast_from(column));
             // Down the column `u` is the same.
             let mut h_sum = 0.0f32;
             let mut hv_sum = 0.0f32;
             let mut hvv_sum = 0.0f32;
             #[unroll]
-            for step in 0..comptime!(HEIGHT) {
-                let h = heights[pairs.at as usize + column as usize + comptime!(step * WIDTH)];
+            for step in 0..comptime!(BLOCK_HEIGHT) {
+                let h = heights[pairs.at as usize + column as usize + comptime!(step * BLOCK_WIDTH)];
                 let v = (below + (corner.row + comptime!(step as f32))) * splat.inverse_v;
                 let hv = h * v;
                 h_sum += h;

@@ -34,7 +34,7 @@ impl<F: Real> Footprint<F> for EllipseFootprint<F> {
     const EXTRA_COLUMNS: usize = 0;
     const ALONG_RAYS: bool = false;
     const UNSCALE: f64 = UNWHITEN;
-    type Lanes<S: Simd> = EllipseLanes<S, F>;
+    type Broadcast<S: Simd> = EllipseLanes<S, F>;
 
     fn read(inputs: &Layers<&[F]>, i: usize, view: &FootprintView<F>) -> Self {
         let ellipse = Ellipse::from_row(&inputs.projected[i * project::COLUMNS..][..project::COLUMNS]);

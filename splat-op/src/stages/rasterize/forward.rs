@@ -6,14 +6,14 @@
 
 use cubecl::prelude::*;
 
-use super::blocks::{BLOCK, BLOCKS, HALF, pixel_of};
+use super::blocks::{BLOCK_PIXELS, BLOCKS, HALF_BLOCKS, pixel_of};
 use super::layer::{
     BUCKET, BUCKETS, Four, KernelShape, RasterFrame, SEGMENT, TilePixel, add_compensated, first_slot, layer,
     lost_after_bucket, tile_origin, transmittance_after_bucket,
 };
 use super::splat::{Splat, SplatInputs, colour, colours_of};
 use super::trace::TileRun;
-use crate::intersect::{TILE, TILE_PIXELS};
+use crate::intersect::{TILE_PIXELS, TILE_SIZE};
 
 /// Number of words of a segment.
 pub(super) const WORDS: usize = BUCKETS * BLOCKS;
@@ -64,9 +64,9 @@ pub(super) fn rasterize_forward_kernel<S: Splat>(
 
     if tile < run.end_tile {
         let unit = UNIT_POS;
-        let block = unit / comptime!(BLOCK as u32);
+        let block = unit / comptime!(BLOCK_PIXELS as u32);
         let pixel = TilePixel::of(tile_origin(tile, &frame), pixel_of(unit), &inputs, &frame);
-        let left = f32::cast_from(tile % frame.tiles_x * comptime!(TILE as u32)) + 0.5;
+        let left = f32::cast_from(tile % frame.tiles_x * comptime!(TILE_SIZE as u32)) + 0.5;
         let first = inputs.lists.start(tile);
         let end = inputs.lists.start(tile + 1);
         let places = end - first;
@@ -122,10 +122,11 @@ pub(super) fn rasterize_forward_kernel<S: Splat>(
                     colours[i as usize] = colours_of::<S>(&inputs, gaussian as usize, shape);
                 }
                 let bits = S::blocks_met(&splat, left, half, &frame);
-                let word = i / comptime!(BUCKET as u32) * comptime!(BLOCKS as u32) + half * comptime!(HALF as u32);
+                let word =
+                    i / comptime!(BUCKET as u32) * comptime!(BLOCKS as u32) + half * comptime!(HALF_BLOCKS as u32);
                 let bit = 1u32 << (i % comptime!(BUCKET as u32));
                 #[unroll]
-                for k in 0..comptime!(HALF) {
+                for k in 0..comptime!(HALF_BLOCKS) {
                     if (bits & comptime!(1u32 << k)) != 0 {
                         met[word as usize + k].fetch_or(bit);
                     }
@@ -227,11 +228,11 @@ pub(super) fn rasterize_forward_kernel<S: Splat>(
                     let places = needed[unit as usize].load();
                     kept_words[((slot + segment) * comptime!(WORDS as u32) + unit) as usize] = places;
                     if comptime!(count_pairs) {
-                        kept_pairs += comptime!(BLOCK as u32) * places.count_ones();
+                        kept_pairs += comptime!(BLOCK_PIXELS as u32) * places.count_ones();
                     }
                 }
                 if comptime!(count_pairs) {
-                    evaluated += comptime!(BLOCK as u32) * slowest[unit as usize].load();
+                    evaluated += comptime!(BLOCK_PIXELS as u32) * slowest[unit as usize].load();
                     slowest[unit as usize].store(0u32);
                 }
                 met[unit as usize].store(0u32);

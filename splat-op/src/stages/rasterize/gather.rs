@@ -2,7 +2,7 @@
 
 use cubecl::prelude::*;
 
-use super::backward::MOMENTS;
+use super::MOMENTS;
 use super::layer::KernelShape;
 use crate::project::COLUMNS;
 use crate::ray_space::SLOPES;

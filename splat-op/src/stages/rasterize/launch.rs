@@ -2,7 +2,7 @@
 
 use cubecl::prelude::*;
 
-use super::backward::{LANES, rasterize_backward_kernel, row_len};
+use super::backward::{SEGMENT_UNITS, rasterize_backward_kernel, row_len};
 use super::backward_planes::{PLANES, rasterize_backward_planes_kernel, shared_bytes};
 use super::ellipse::LayerEllipse;
 use super::forward::{PAIR_COUNTS, rasterize_forward_kernel};
@@ -281,8 +281,8 @@ impl LayersTask<'_> {
             (Some(units), false) => {
                 launch!(rasterize_backward_planes_kernel::<Atomic<u32>>, TILE_PIXELS, units, false)
             }
-            (None, true) => launch!(rasterize_backward_kernel::<S, Atomic<f32>>, LANES),
-            (None, false) => launch!(rasterize_backward_kernel::<S, Atomic<u32>>, LANES),
+            (None, true) => launch!(rasterize_backward_kernel::<S, Atomic<f32>>, SEGMENT_UNITS),
+            (None, false) => launch!(rasterize_backward_kernel::<S, Atomic<u32>>, SEGMENT_UNITS),
         }
     }
 }

@@ -5,7 +5,7 @@ use cubecl::prelude::*;
 
 use super::splat::SplatInputs;
 use crate::gpu::math::Vec2;
-use crate::intersect::TILE;
+use crate::intersect::TILE_SIZE;
 use crate::options::RenderOptions;
 
 /// Number of places in a bucket. Within a bucket the transmittance of a pixel is relative to that before it, and one
@@ -69,7 +69,7 @@ pub(crate) struct TilePixel {
 /// Returns the column and row of a tile's first pixel.
 #[cube]
 pub(crate) fn tile_origin(tile: u32, frame: &RasterFrame) -> (u32, u32) {
-    (tile % frame.tiles_x * comptime!(TILE as u32), tile / frame.tiles_x * comptime!(TILE as u32))
+    (tile % frame.tiles_x * comptime!(TILE_SIZE as u32), tile / frame.tiles_x * comptime!(TILE_SIZE as u32))
 }
 
 #[cube]
@@ -77,8 +77,8 @@ impl TilePixel {
     /// Returns pixel `in_tile`, counted row by row, of the tile at `origin`.
     pub fn of(origin: (u32, u32), in_tile: u32, inputs: &SplatInputs, frame: &RasterFrame) -> TilePixel {
         let (first_column, first_row) = origin;
-        let column = first_column + in_tile % comptime!(TILE as u32);
-        let row = in_tile / comptime!(TILE as u32);
+        let column = first_column + in_tile % comptime!(TILE_SIZE as u32);
+        let row = in_tile / comptime!(TILE_SIZE as u32);
         let inside = column < frame.width && first_row + row < frame.height;
         let index = ((first_row + row) * frame.width + column) as usize;
         TilePixel {

@@ -69,6 +69,9 @@ use crate::camera::Intrinsics;
 use crate::options::RenderOptions;
 use crate::record::record;
 
+/// Number of moments: the sums of `h, h u, h v, h u², h u v, h v²` with `h = α ∂L/∂α` where alpha is not at its limit.
+pub(crate) const MOMENTS: usize = 6;
+
 record! {
     /// Inputs of the rasterizer.
     pub struct Layers {

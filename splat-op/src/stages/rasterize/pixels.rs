@@ -3,16 +3,16 @@
 use fearless_simd::prelude::*;
 
 use super::tile::TileView;
-use super::tile_blocks::{ROWS, WIDTH};
+use super::tile_blocks::{SIMD_ROWS, SIMD_WIDTH};
 use crate::camera::LEAST_NO_RAY;
-use crate::intersect::{TILE, TILE_PIXELS};
+use crate::intersect::{TILE_PIXELS, TILE_SIZE};
 use crate::simd::real::Real;
 
 /// Number of pixels in a block of a tile.
-pub(crate) const BLOCK: usize = WIDTH * ROWS;
+pub(crate) const SIMD_BLOCK: usize = SIMD_WIDTH * SIMD_ROWS;
 
 /// Number of pixels in a row of blocks.
-pub(crate) const BLOCK_ROW: usize = ROWS * TILE;
+pub(crate) const SIMD_BLOCK_ROW: usize = SIMD_ROWS * TILE_SIZE;
 
 /// One value for each pixel of a tile: block by block, within a block row by row. The blocks run along x, then y.
 pub(crate) type Plane<F> = [F; TILE_PIXELS];
@@ -21,8 +21,8 @@ pub(crate) type Plane<F> = [F; TILE_PIXELS];
 #[inline(always)]
 fn in_blocks<F: Real>(rows: &Plane<F>) -> Plane<F> {
     let mut plane = [F::ZERO; TILE_PIXELS];
-    for (eight, values) in rows.as_chunks::<WIDTH>().0.iter().enumerate() {
-        plane.as_chunks_mut::<WIDTH>().0[in_block_order(eight)] = *values;
+    for (eight, values) in rows.as_chunks::<SIMD_WIDTH>().0.iter().enumerate() {
+        plane.as_chunks_mut::<SIMD_WIDTH>().0[in_block_order(eight)] = *values;
     }
     plane
 }
@@ -31,16 +31,16 @@ fn in_blocks<F: Real>(rows: &Plane<F>) -> Plane<F> {
 #[inline(always)]
 pub(super) fn in_rows<F: Real>(plane: &Plane<F>) -> Plane<F> {
     let mut rows = [F::ZERO; TILE_PIXELS];
-    for (eight, values) in rows.as_chunks_mut::<WIDTH>().0.iter_mut().enumerate() {
-        *values = plane.as_chunks::<WIDTH>().0[in_block_order(eight)];
+    for (eight, values) in rows.as_chunks_mut::<SIMD_WIDTH>().0.iter_mut().enumerate() {
+        *values = plane.as_chunks::<SIMD_WIDTH>().0[in_block_order(eight)];
     }
     rows
 }
 
 /// Returns the place, in the order of blocks, of the eight pixels at place `eight` in the order of rows.
 pub(super) const fn in_block_order(eight: usize) -> usize {
-    let (row, column) = (eight / (TILE / WIDTH), eight % (TILE / WIDTH));
-    (row / ROWS * (TILE / WIDTH) + column) * ROWS + row % ROWS
+    let (row, column) = (eight / (TILE_SIZE / SIMD_WIDTH), eight % (TILE_SIZE / SIMD_WIDTH));
+    (row / SIMD_ROWS * (TILE_SIZE / SIMD_WIDTH) + column) * SIMD_ROWS + row % SIMD_ROWS
 }
 
 /// Number of lanes of a vector of pixels.
@@ -64,7 +64,7 @@ pub(crate) fn store<S: Simd, L: SimdFloat<S>>(lanes: L, plane: &mut [L::Element]
 #[inline(always)]
 fn open_transmittance<F: Real>(size: [usize; 2]) -> Plane<F> {
     let mut transmittance = [-F::ONE; TILE_PIXELS];
-    for row in transmittance.chunks_exact_mut(TILE).take(size[1]) {
+    for row in transmittance.chunks_exact_mut(TILE_SIZE).take(size[1]) {
         row[..size[0]].fill(F::ONE);
     }
     in_blocks(&transmittance)
@@ -74,22 +74,22 @@ fn open_transmittance<F: Real>(size: [usize; 2]) -> Plane<F> {
 #[inline(always)]
 fn pixel_rows<F: Real>() -> Plane<F> {
     let mut rows = [F::ZERO; TILE_PIXELS];
-    for (number, row) in rows.as_chunks_mut::<TILE>().0.iter_mut().enumerate() {
-        *row = [F::of(number as f64); TILE];
+    for (number, row) in rows.as_chunks_mut::<TILE_SIZE>().0.iter_mut().enumerate() {
+        *row = [F::of(number as f64); TILE_SIZE];
     }
     in_blocks(&rows)
 }
 
 /// Centres along x, px, of the pixels of a row of blocks.
 #[inline(always)]
-fn centres<F: Real>(left: F) -> [F; BLOCK_ROW] {
-    std::array::from_fn(|place| left + F::of((place / BLOCK * WIDTH + place % WIDTH) as f64 + 0.5))
+fn centres<F: Real>(left: F) -> [F; SIMD_BLOCK_ROW] {
+    std::array::from_fn(|place| left + F::of((place / SIMD_BLOCK * SIMD_WIDTH + place % SIMD_WIDTH) as f64 + 0.5))
 }
 
 /// The pixels of a tile.
 pub(crate) struct TilePixels<F> {
     /// Centres along x of a row of blocks, px.
-    x: [F; BLOCK_ROW],
+    x: [F; SIMD_BLOCK_ROW],
     /// Centre of the first row, px.
     pub top: F,
     /// The row of each pixel.
@@ -122,8 +122,8 @@ impl<F: Real> TilePixels<F> {
         let mut planes = Box::new([[F::ZERO; TILE_PIXELS]; 2]);
         for row in 0..size[1] {
             let slopes = &slopes[(origin[1] + row) * width + origin[0]..][..size[0]];
-            for (half, slopes) in slopes.chunks(WIDTH).enumerate() {
-                let first = in_block_order(row * (TILE / WIDTH) + half) * WIDTH;
+            for (half, slopes) in slopes.chunks(SIMD_WIDTH).enumerate() {
+                let first = in_block_order(row * (TILE_SIZE / SIMD_WIDTH) + half) * SIMD_WIDTH;
                 for (at, slope) in (first..).zip(slopes) {
                     let sees = slope[0] < LEAST_NO_RAY;
                     planes[0][at] = F::of(if sees { slope[0] } else { 0.0 });

@@ -8,9 +8,9 @@ use super::splat_cpu::{Footprint, FootprintView};
 use super::tile::{TileView, is_finite, is_long};
 use super::{Layers, RasterizeSpec};
 use crate::camera::PictureRays;
-use crate::intersect::{IntersectionLists, TILE, tile_grid};
+use crate::intersect::{IntersectionLists, TILE_SIZE, tile_grid};
 use crate::project::{COLUMNS, Ellipse};
-use crate::ray_space::LensLimits;
+use crate::ray_space::LensLimitsSimd;
 use crate::simd::real::Real;
 use crate::tasks;
 
@@ -75,7 +75,7 @@ impl<'a, F: Real, P: Footprint<F>> Prepared<'a, F, P> {
             footprints: match trace {
                 Some(trace) => trace.footprints.as_slice().into(),
                 None => {
-                    let lens = rays.as_ref().map(|rays| LensLimits::new(&spec.intrinsics, rays));
+                    let lens = rays.as_ref().map(|rays| LensLimitsSimd::new(&spec.intrinsics, rays));
                     let view = FootprintView { spec, lens, boxes: &intersections.boxes };
                     footprints(&inputs, &view).into()
                 }
@@ -99,10 +99,10 @@ impl<'a, F: Real, P: Footprint<F>> Prepared<'a, F, P> {
     }
 
     pub fn view(&self, tile: usize) -> TileView<'_, F, P> {
-        let origin = [tile % self.grid[0] * TILE, tile / self.grid[0] * TILE];
+        let origin = [tile % self.grid[0] * TILE_SIZE, tile / self.grid[0] * TILE_SIZE];
         TileView {
             origin,
-            size: [0, 1].map(|axis| TILE.min(self.size[axis] - origin[axis])),
+            size: [0, 1].map(|axis| TILE_SIZE.min(self.size[axis] - origin[axis])),
             gaussians: &self.intersections.gaussian
                 [self.intersections.tile_start[tile]..self.intersections.tile_start[tile + 1]],
             slopes: self.rays.as_ref().map(|rays| (self.size[0], &rays.slopes[..])),

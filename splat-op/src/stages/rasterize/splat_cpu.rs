@@ -4,16 +4,15 @@
 use fearless_simd::prelude::*;
 
 use super::pixels::TilePixels;
-use super::tile_backward::MOMENTS;
-use super::{Layers, RasterizeSpec};
+use super::{Layers, MOMENTS, RasterizeSpec};
 use crate::intersect::PixelBox;
-use crate::ray_space::{LensLimits, SLOPES};
+use crate::ray_space::{LensLimitsSimd, SLOPES};
 use crate::simd::real::Real;
 
 /// The view that footprints are read for.
 pub(crate) struct FootprintView<'a, F> {
     pub spec: &'a RasterizeSpec,
-    pub lens: Option<LensLimits<F>>,
+    pub lens: Option<LensLimitsSimd<F>>,
     /// `[N]` or empty: boxes of the Gaussians.
     pub boxes: &'a [PixelBox],
 }
@@ -27,7 +26,7 @@ pub(crate) trait Footprint<F: Real>: Copy + Default + Send + Sync + 'static {
     /// The inverse of the factor in whitened coordinates.
     const UNSCALE: f64;
     /// Its constants for a tile, one copy in each lane.
-    type Lanes<S: Simd>: FootprintLanes<S, F>;
+    type Broadcast<S: Simd>: FootprintLanes<S, F>;
 
     /// Reads Gaussian `i`.
     fn read(inputs: &Layers<&[F]>, i: usize, view: &FootprintView<F>) -> Self;
@@ -36,7 +35,7 @@ pub(crate) trait Footprint<F: Real>: Copy + Default + Send + Sync + 'static {
     fn bounds(&self) -> [[F; 2]; 2];
 
     /// Returns its constants for the tile whose upper border is at `top` px.
-    fn lanes<S: Simd>(&self, simd: S, top: F) -> Self::Lanes<S>;
+    fn lanes<S: Simd>(&self, simd: S, top: F) -> Self::Broadcast<S>;
 }
 
 /// A Gaussian's constants, one copy in each lane.

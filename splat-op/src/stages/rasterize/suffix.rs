@@ -2,7 +2,7 @@
 
 use cubecl::prelude::*;
 
-use super::blocks::{BLOCK, BLOCKS, pixel_of};
+use super::blocks::{BLOCK_PIXELS, BLOCKS, pixel_of};
 use super::forward::WORDS;
 use super::layer::{
     BUCKET, BUCKETS, Four, KernelShape, RasterFrame, SEGMENT, TilePixel, add_compensated, first_slot, layer,
@@ -122,7 +122,8 @@ pub(super) fn rasterize_suffix_kernel<S: Splat>(
                 for bucket in 0..comptime!(BUCKETS as u32) {
                     let mut word = 0u32;
                     if transmittance >= 0.0 {
-                        word = words[(bucket * comptime!(BLOCKS as u32) + unit / comptime!(BLOCK as u32)) as usize];
+                        word =
+                            words[(bucket * comptime!(BLOCKS as u32) + unit / comptime!(BLOCK_PIXELS as u32)) as usize];
                     }
                     let mut through = 1.0f32;
                     let mut stopped = 0.0f32;

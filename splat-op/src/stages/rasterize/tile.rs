@@ -3,10 +3,10 @@
 
 use fearless_simd::prelude::*;
 
-use super::pixels::{BLOCK, Plane, TilePixels, in_rows, lanes, len, store};
+use super::pixels::{Plane, SIMD_BLOCK, TilePixels, in_rows, lanes, len, store};
 use super::splat_cpu::{Footprint, FootprintLanes};
-use super::tile_blocks::{ROWS, TileBlocks, TileWindow};
-use crate::intersect::{TILE, TILE_PIXELS};
+use super::tile_blocks::{SIMD_ROWS, TileBlocks, TileWindow};
+use crate::intersect::{TILE_PIXELS, TILE_SIZE};
 use crate::simd::real::{EXP2_CONSTANTS, Real};
 
 /// Number of Gaussians between two checkpoints of a tile's transmittances.
@@ -22,9 +22,9 @@ const SUM_LENGTH: usize = 8 * CHECKPOINT_EVERY;
 /// enough, and if it is not very short, no layer is so faint that it alone would change no digit. Only rounding depends
 /// on this choice.
 pub(super) fn is_long<F: Real>(intersections: usize, alpha_min: F) -> bool {
-    const LONG: usize = 2048;
+    const LONG_LIST: usize = 2048;
     const LONG_FOR_FAINT: usize = 256;
-    intersections > if alpha_min >= F::of(1e-3) { LONG } else { LONG_FOR_FAINT }
+    intersections > if alpha_min >= F::of(1e-3) { LONG_LIST } else { LONG_FOR_FAINT }
 }
 
 /// Transmittances of a tile's pixels, in two parts: `lost` is what rounding took from `kept`, less than half an ulp of
@@ -337,13 +337,13 @@ pub(super) fn rasterize_tile<S: Simd, F: Real, P: Footprint<F>, const C: usize, 
             hidden = vec![F::ZERO; channels];
             colour = &hidden;
         }
-        for part in (window.first_column * BLOCK..window.end_column * BLOCK).step_by(len::<S, F>()) {
+        for part in (window.first_column * SIMD_BLOCK..window.end_column * SIMD_BLOCK).step_by(len::<S, F>()) {
             let column = splat.column(pixels.x(simd, part));
-            for row in (window.first_row..window.end_row).step_by(ROWS) {
-                let place = row * TILE + part;
+            for row in (window.first_row..window.end_row).step_by(SIMD_ROWS) {
+                let place = row * TILE_SIZE + part;
                 let before = transmittance.load::<S, LONG>(simd, place);
                 let layer = thresholds.layer::<_, LONG>(&splat, (&column, &pixels, place), before);
-                reached |= if layer.near.any_true() { 1 << (place / BLOCK) } else { 0 };
+                reached |= if layer.near.any_true() { 1 << (place / SIMD_BLOCK) } else { 0 };
                 transmittance.store::<S, LONG>(layer.transmittance, place);
                 let weight = layer.alpha * before[0];
                 for (channel, sum) in sums.iter_mut().enumerate() {
@@ -380,16 +380,16 @@ pub(super) fn rasterize_tile<S: Simd, F: Real, P: Footprint<F>, const C: usize, 
 #[inline(always)]
 fn add_visible<S: Simd, F: Real, P: Footprint<F>, const LONG: bool>(
     thresholds: &Thresholds<S, F>,
-    (splat, window, pixels): (&P::Lanes<S>, &TileWindow, &TilePixels<F>),
+    (splat, window, pixels): (&P::Broadcast<S>, &TileWindow, &TilePixels<F>),
     (colour, depth): (&[F], bool),
     transmittance: &Transmittances<F>,
     sums: &mut [Plane<F>],
 ) {
     let (simd, channels) = (thresholds.zero.token(), colour.len());
-    for part in (window.first_column * BLOCK..window.end_column * BLOCK).step_by(len::<S, F>()) {
+    for part in (window.first_column * SIMD_BLOCK..window.end_column * SIMD_BLOCK).step_by(len::<S, F>()) {
         let column = splat.column(pixels.x(simd, part));
-        for row in (window.first_row..window.end_row).step_by(ROWS) {
-            let place = row * TILE + part;
+        for row in (window.first_row..window.end_row).step_by(SIMD_ROWS) {
+            let place = row * TILE_SIZE + part;
             let before = transmittance.load::<S, LONG>(simd, place);
             let layer = thresholds.layer::<_, LONG>(splat, (&column, pixels, place), before);
             let shows = layer.alpha.simd_gt(thresholds.zero);

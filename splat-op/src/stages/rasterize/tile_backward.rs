@@ -6,15 +6,13 @@
 
 use fearless_simd::prelude::*;
 
-use super::pixels::{BLOCK, BLOCK_ROW, Plane, TilePixels, lanes, len, store};
+use super::MOMENTS;
+use super::pixels::{Plane, SIMD_BLOCK, SIMD_BLOCK_ROW, TilePixels, lanes, len, store};
 use super::splat_cpu::{Footprint, FootprintLanes, PairSums};
 use super::tile::{CHECKPOINT_EVERY, Near, Thresholds, TileTrace, TileView, Transmittances, colour_lanes};
+use super::tile_blocks::FIRST_COLUMN;
 use crate::intersect::TILE_PIXELS;
 use crate::simd::real::Real;
-
-/// Number of values per intersection that do not depend on the channels: the sums of `h, h u, h v, h u², h u v, h v²`
-/// with `h = α ∂L/∂α` where alpha is not at its limit.
-pub(crate) const MOMENTS: usize = 6;
 
 /// Inputs of a tile's backward pass besides its [`TileView`].
 pub(super) struct TileGrad<'a, F> {
@@ -42,15 +40,16 @@ pub(super) struct TileScratch<F> {
 }
 
 /// The least number of lanes of a vector, that of f64.
-const LEAST: usize = 8;
-
-/// The blocks of a tile's first column, a bit for each.
-const FIRST_COLUMN: u16 = 0x5555;
+const LEAST_LANES: usize = 8;
 
 impl<F: Real> Default for TileScratch<F> {
     fn default() -> Self {
         const VALUES: usize = CHECKPOINT_EVERY * TILE_PIXELS;
-        Self { layers: vec![F::ZERO; 2 * VALUES], places: vec![0; VALUES / LEAST], starts: [0; CHECKPOINT_EVERY + 1] }
+        Self {
+            layers: vec![F::ZERO; 2 * VALUES],
+            places: vec![0; VALUES / LEAST_LANES],
+            starts: [0; CHECKPOINT_EVERY + 1],
+        }
     }
 }
 
@@ -117,16 +116,16 @@ fn forwards<S: Simd, F: Real, P: Footprint<F>, const LONG: bool>(
     for (i, (footprint, &reached)) in near.iter().zip(reached).enumerate() {
         scratch.starts[i] = met;
         let splat = footprint.lanes(simd, top);
-        for first in (0..BLOCK_ROW).step_by(BLOCK) {
-            let in_column = reached & FIRST_COLUMN << (first / BLOCK);
+        for first in (0..SIMD_BLOCK_ROW).step_by(SIMD_BLOCK) {
+            let in_column = reached & FIRST_COLUMN << (first / SIMD_BLOCK);
             if in_column == 0 {
                 continue;
             }
-            for part in (0..BLOCK).step_by(len::<S, F>()) {
+            for part in (0..SIMD_BLOCK).step_by(len::<S, F>()) {
                 let column = splat.column(pixels.x(simd, first + part));
                 let mut blocks = in_column;
                 while blocks != 0 {
-                    let place = blocks.trailing_zeros() as usize * BLOCK + part;
+                    let place = blocks.trailing_zeros() as usize * SIMD_BLOCK + part;
                     blocks &= blocks - 1;
                     let before = transmittance.load::<S, LONG>(simd, place);
                     let layer = thresholds.layer::<_, LONG>(&splat, (&column, pixels, place), before);
@@ -147,7 +146,7 @@ fn forwards<S: Simd, F: Real, P: Footprint<F>, const LONG: bool>(
 #[inline(always)]
 fn backwards<S: Simd, F: Real, P: Footprint<F>, const C: usize, const LONG: bool>(
     grad: &TileGrad<F>,
-    (splat, colour, thresholds): (&P::Lanes<S>, &[F], &Thresholds<S, F>),
+    (splat, colour, thresholds): (&P::Broadcast<S>, &[F], &Thresholds<S, F>),
     pixels: &TilePixels<F>,
     (layers, places): (&mut [F], &[u16]),
     (rho, row): (&mut Transmittances<F>, &mut [F]),
@@ -169,7 +168,7 @@ fn backwards<S: Simd, F: Real, P: Footprint<F>, const C: usize, const LONG: bool
         let [behind, lost] = rho.load::<S, LONG>(simd, place);
         let before = lanes::<S, F>(simd, layer, 0);
         let alpha = lanes::<S, F>(simd, layer, len::<S, F>());
-        let column = splat.column(pixels.x(simd, place % BLOCK_ROW));
+        let column = splat.column(pixels.x(simd, place % SIMD_BLOCK_ROW));
         let at = splat.at(&column, pixels, place);
         let mut along = plane(channels, place);
         for channel in 0..channels {

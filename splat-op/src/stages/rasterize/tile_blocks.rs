@@ -3,36 +3,39 @@
 use fearless_simd::prelude::*;
 
 use super::pixels::{lanes, len};
-use crate::intersect::TILE;
+use crate::intersect::TILE_SIZE;
 use crate::simd::real::Real;
 
 /// Number of pixels along a row of a block.
-pub(crate) const WIDTH: usize = 8;
+pub(crate) const SIMD_WIDTH: usize = 8;
 
 /// Number of rows of a block. The widest SIMD vectors hold a block's 16 pixels; narrower ones hold a part of it.
-pub(crate) const ROWS: usize = 2;
+pub(crate) const SIMD_ROWS: usize = 2;
 
 /// Number of blocks along a row of a tile.
-const COLUMNS: usize = TILE / WIDTH;
+const SIMD_ACROSS: usize = TILE_SIZE / SIMD_WIDTH;
 
 /// Number of blocks in a tile.
-pub(crate) const BLOCKS: usize = COLUMNS * (TILE / ROWS);
-const _: () = assert!(COLUMNS == 2 && BLOCKS == u16::BITS as usize);
+pub(crate) const SIMD_BLOCKS: usize = SIMD_ACROSS * (TILE_SIZE / SIMD_ROWS);
+const _: () = assert!(SIMD_ACROSS == 2 && SIMD_BLOCKS == u16::BITS as usize);
+
+/// The blocks of a tile's first column, a bit for each.
+pub(super) const FIRST_COLUMN: u16 = 0x5555;
 
 /// The blocks of a tile, to be compared with boxes.
 pub(crate) struct TileBlocks<F> {
     /// For each block the centres of its first and last pixels along x and y, px.
-    first: [[F; BLOCKS]; 2],
-    last: [[F; BLOCKS]; 2],
+    first: [[F; SIMD_BLOCKS]; 2],
+    last: [[F; SIMD_BLOCKS]; 2],
 }
 
 impl<F: Real> TileBlocks<F> {
     /// The blocks of the tile whose first pixel is at `corner`, px.
     pub fn new(corner: [F; 2]) -> Self {
-        let (mut first, mut last) = ([[F::ZERO; BLOCKS]; 2], [[F::ZERO; BLOCKS]; 2]);
-        for block in 0..BLOCKS {
-            let place = [block % COLUMNS * WIDTH, block / COLUMNS * ROWS];
-            for (axis, size) in [WIDTH, ROWS].into_iter().enumerate() {
+        let (mut first, mut last) = ([[F::ZERO; SIMD_BLOCKS]; 2], [[F::ZERO; SIMD_BLOCKS]; 2]);
+        for block in 0..SIMD_BLOCKS {
+            let place = [block % SIMD_ACROSS * SIMD_WIDTH, block / SIMD_ACROSS * SIMD_ROWS];
+            for (axis, size) in [SIMD_WIDTH, SIMD_ROWS].into_iter().enumerate() {
                 first[axis][block] = corner[axis] + F::of(place[axis] as f64 + 0.5);
                 last[axis][block] = first[axis][block] + F::of((size - 1) as f64);
             }
@@ -51,7 +54,7 @@ impl<F: Real> TileBlocks<F> {
             (low[axis], high[axis]) = (middle[axis] - reach, middle[axis] + reach);
         }
         let mut met = 0;
-        for block in (0..BLOCKS).step_by(len::<S, F>()) {
+        for block in (0..SIMD_BLOCKS).step_by(len::<S, F>()) {
             let mut apart = lanes(simd, &self.last[0], block).simd_lt(F::Block::<S>::splat(simd, low[0]));
             apart |= lanes(simd, &self.first[0], block).simd_gt(F::Block::<S>::splat(simd, high[0]));
             apart |= lanes(simd, &self.last[1], block).simd_lt(F::Block::<S>::splat(simd, low[1]));
@@ -75,13 +78,12 @@ impl TileWindow {
     /// Returns the smallest rectangle that holds the blocks with a bit.
     #[inline(always)]
     pub fn around(blocks: u16) -> Self {
-        const FIRST_COLUMN: u16 = 0x5555;
-        let rows_before = |bits: u32| bits as usize / COLUMNS * ROWS;
+        let rows_before = |bits: u32| bits as usize / SIMD_ACROSS * SIMD_ROWS;
         Self {
             first_row: rows_before(blocks.trailing_zeros()),
-            end_row: rows_before(u16::BITS - blocks.leading_zeros() + COLUMNS as u32 - 1),
+            end_row: rows_before(u16::BITS - blocks.leading_zeros() + SIMD_ACROSS as u32 - 1),
             first_column: usize::from(blocks & FIRST_COLUMN == 0),
-            end_column: if blocks & !FIRST_COLUMN == 0 { 1 } else { COLUMNS },
+            end_column: if blocks & !FIRST_COLUMN == 0 { 1 } else { SIMD_ACROSS },
         }
     }
 }
@@ -90,7 +92,7 @@ impl TileWindow {
 mod tests {
 
     use super::*;
-    use crate::rasterize::pixels::BLOCK;
+    use crate::rasterize::pixels::SIMD_BLOCK;
     use crate::simd::dispatch;
     use crate::testing::random::Random;
 
@@ -113,14 +115,14 @@ mod tests {
             };
             for found in [met::<f32>(corner, middle, half), met::<f64>(corner, middle, half)] {
                 let (window, mut expected) = (TileWindow::around(found), 0);
-                for block in 0..BLOCKS {
-                    let [x, y] = [block % COLUMNS * WIDTH, block / COLUMNS * ROWS];
-                    let any = |margin| (0..BLOCK).any(|i| holds([x + i % WIDTH, y + i / WIDTH], margin));
+                for block in 0..SIMD_BLOCKS {
+                    let [x, y] = [block % SIMD_ACROSS * SIMD_WIDTH, block / SIMD_ACROSS * SIMD_ROWS];
+                    let any = |margin| (0..SIMD_BLOCK).any(|i| holds([x + i % SIMD_WIDTH, y + i / SIMD_WIDTH], margin));
                     let is_met = found >> block & 1 == 1;
                     assert!(is_met || !any(0.0), "{middle:?} ± {half:?} misses block {block}");
                     // A box may lie between the centres of two pixels.
                     assert!(!is_met || any(0.52), "{middle:?} ± {half:?} meets block {block}");
-                    let column = (window.first_column..window.end_column).contains(&(block % COLUMNS));
+                    let column = (window.first_column..window.end_column).contains(&(block % SIMD_ACROSS));
                     let row = (window.first_row..window.end_row).contains(&y);
                     expected |= u16::from(column && row) << block;
                 }

@@ -7,10 +7,10 @@ use super::{D_MIN, WHITENED_MAX};
 use crate::camera::LEAST_NO_RAY;
 use crate::gpu::math::{Vec2, Vec3, finite, within};
 use crate::project::forward::PackedEllipse;
-use crate::rasterize::blocks::{BLOCK, HALF, pixel_of};
+use crate::rasterize::blocks::{BLOCK_PIXELS, HALF_BLOCKS, pixel_of};
 use crate::rasterize::layer::{Four, KernelShape, RasterFrame, TilePixel, four};
 use crate::rasterize::splat::{BlockPairs, Splat, SplatInputs};
-use crate::ray_space::{LENS_FRAME, LensFrameKernel as LensFrame, RAY_SPACE, SLOPES};
+use crate::ray_space::{LENS_FRAME, LensFrame, RAY_SPACE, SLOPES};
 
 /// A Gaussian as pixels evaluate it: its whitening, its depth slope, its centre relative to the origin of the whitened
 /// coordinates, and the columns of a lens.
@@ -37,18 +37,18 @@ pub(crate) struct RayGaussian {
 /// Whitened coordinates.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
-struct Whitened {
+struct WhitenedPoint {
     u: f32,
     v: f32,
 }
 
 #[cube]
-fn whiten(dx: f32, dy: f32, sigma_u: f32, shear: f32, sigma_v: f32) -> Whitened {
+fn whiten(dx: f32, dy: f32, sigma_u: f32, shear: f32, sigma_v: f32) -> WhitenedPoint {
     let widest = comptime!(WHITENED_MAX as f32);
     // Divided by each pixel: the rounding of a reciprocal would be the same in all of them.
     let u = within(dx / sigma_u, -widest, widest);
     let v = within((dy - shear * dx) / sigma_v, -widest, widest);
-    Whitened { u, v }
+    WhitenedPoint { u, v }
 }
 
 /// Returns the columns of a lens of the row of `ray_space` that begins at `at`, if there is one.
@@ -98,7 +98,7 @@ pub(super) struct RayLayer {
 
 #[cube]
 impl RayGaussian {
-    fn whitened(&self, dx: f32, dy: f32) -> Whitened {
+    fn whitened(&self, dx: f32, dy: f32) -> WhitenedPoint {
         whiten(dx, dy, self.sigma_u, self.shear, self.sigma_v)
     }
 
@@ -110,7 +110,7 @@ impl RayGaussian {
 
     /// Returns the whitened coordinates of a pixel's ray, and whether there is a ray. For a pinhole the pixel's own coordinates are
     /// those of its ray.
-    fn ray(&self, pixel: &TilePixel, own: Whitened) -> (Whitened, bool) {
+    fn ray(&self, pixel: &TilePixel, own: WhitenedPoint) -> (WhitenedPoint, bool) {
         #[comptime]
         match self.frame {
             ComptimeOption::Some(frame) => {
@@ -260,7 +260,7 @@ impl Splat for RayGaussian {
 
     /// All blocks: a tile lists the Gaussian because it may show there.
     fn blocks_met(splat: &RayGaussian, _left: f32, _half: u32, _frame: &RasterFrame) -> u32 {
-        select(splat.opacity > 0.0, comptime!((1u32 << HALF) - 1), 0u32)
+        select(splat.opacity > 0.0, comptime!((1u32 << HALF_BLOCKS) - 1), 0u32)
     }
 
     fn seen(splat: &RayGaussian, pixel: &TilePixel, frame: &RasterFrame) -> (f32, f32) {
@@ -284,7 +284,7 @@ impl Splat for RayGaussian {
     ) {
         let of_depth = (frame.width * frame.height) as usize * comptime!(shape.features + 1);
         let mut sums = RaySums::new();
-        for other in 0..comptime!(BLOCK as u32) {
+        for other in 0..comptime!(BLOCK_PIXELS as u32) {
             let at = (pairs.at + other) as usize;
             let weight = weights[at];
             if weight > 0.0 {

@@ -3,7 +3,7 @@
 use cubecl::prelude::*;
 
 use super::layer::{RayGaussian, RayLayer};
-use crate::rasterize::backward::MOMENTS;
+use crate::rasterize::MOMENTS;
 use crate::rasterize::layer::KernelShape;
 use crate::ray_space::SLOPES;
 

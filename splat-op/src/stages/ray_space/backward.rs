@@ -114,11 +114,11 @@ struct LinearMap {
 
 #[cube]
 impl LinearMap {
-    fn of(f: &ProjectionTerms, mean: Vec3, lens: &ProjectCamera) -> LinearMap {
+    fn of(f: &ProjectionTerms, mean: Vec3, camera: &ProjectCamera) -> LinearMap {
         #[comptime]
-        match lens.distortion {
+        match camera.distortion {
             ComptimeOption::Some(distortion) => {
-                let (x, y, _bent) = jacobian_at(mean, lens, &distortion);
+                let (x, y, _bent) = jacobian_at(mean, camera, &distortion);
                 LinearMap {
                     slopes: Vec2::new(mean.x / mean.z, mean.y / mean.z),
                     x: Vec2::new(mean.z * x.x, mean.z * x.y),
@@ -129,8 +129,8 @@ impl LinearMap {
                 let zero = 0.0f32.runtime();
                 LinearMap {
                     slopes: Vec2::new(f.x.slope, f.y.slope),
-                    x: Vec2::new(lens.x.focal, zero),
-                    y: Vec2::new(zero, lens.y.focal),
+                    x: Vec2::new(camera.x.focal, zero),
+                    y: Vec2::new(zero, camera.y.focal),
                 }
             }
         }
@@ -139,8 +139,8 @@ impl LinearMap {
 
 /// Returns the gradient of a centre through `G` of a lens. The blur alone depends on `G`, whose gradient is `−B G⁻ᵀ`.
 #[cube]
-fn bend_backward(map: &LinearMap, mean: Vec3, grad: &RowsGrad, lens: &ProjectCamera, distortion: &Distortion) -> Vec3 {
-    let (x, y, bent) = jacobian_at(mean, lens, distortion);
+fn map_backward(map: &LinearMap, mean: Vec3, grad: &RowsGrad, camera: &ProjectCamera, distortion: &Distortion) -> Vec3 {
+    let (x, y, bent) = jacobian_at(mean, camera, distortion);
     let zero = 0.0f32.runtime();
     let scaled = -mean.z / (map.x.x * map.y.y - map.x.y * map.y.x);
     let of_x = Vec3::new(
@@ -155,7 +155,7 @@ fn bend_backward(map: &LinearMap, mean: Vec3, grad: &RowsGrad, lens: &ProjectCam
     );
     let none =
         PackedEllipse { x: zero, y: zero, sigma_u: zero, shear: zero, sigma_v: zero, depth: zero, opacity: zero };
-    let through = bent_backward(&bent, lens, (of_x, of_y), &none).centre;
+    let through = bent_backward(&bent, camera, (of_x, of_y), &none).centre;
     let along = (of_x.x * x.x + of_x.y * x.y + of_y.x * y.x + of_y.y * y.y) / mean.z;
     Vec3::new(through.x, through.y, through.z + along)
 }
@@ -173,7 +173,7 @@ pub(super) fn ray_space_backward_kernel(
     grad_scales: ComptimeOption<&mut [f32]>,
     grad_mean2d: ComptimeOption<&mut [f32]>,
     pose_rows: ComptimeOption<&mut [f32]>,
-    lens: ProjectCamera,
+    camera: ProjectCamera,
     count: u32,
 ) {
     let wanted = comptime!(GeometryGradMask {
@@ -185,23 +185,23 @@ pub(super) fn ray_space_backward_kernel(
     let gaussian = ABSOLUTE_POS;
     let mut of = no_gradient();
     if gaussian < count as usize {
-        let columns = comptime!(RAY_SPACE + if lens.distortion.is_some() { LENS_FRAME } else { 0 });
+        let columns = comptime!(RAY_SPACE + if camera.distortion.is_some() { LENS_FRAME } else { 0 });
         let of_row = RayGrad::load(grad, gaussian * columns);
         // Most Gaussians of a large scene are out of view, with a gradient of exactly zero.
         if of_row.any {
             let pose = Pose::load(cam_from_world);
             let g = Gaussian::load(means, rotations, scales, opacities, gaussian);
-            let f = project_one(&g, &pose, &lens);
-            let l = lean(&f, &g, &lens);
+            let f = project_one(&g, &pose, &camera);
+            let l = lean(&f, &g, &camera);
             if f.visible {
-                let of_m = factor_backward(&f, &l, lens.blur_sigma, &of_row);
+                let of_m = factor_backward(&f, &l, camera.blur_sigma, &of_row);
                 of.scale = of_m.m0.by_axis(f.x.j).plus(of_m.m1.by_axis(f.y.j)).plus(of_m.mz.by_axis(l.j));
                 of.mean2d_x = of_row.centre.x;
                 of.mean2d_y = of_row.centre.y;
                 let (of_x, of_y) = (of_m.m0.by_axis(g.scale), of_m.m1.by_axis(g.scale));
                 let inverse_z = 1.0 / f.depth;
                 let mean = pose.apply(g.mean);
-                let map = LinearMap::of(&f, mean, &lens);
+                let map = LinearMap::of(&f, mean, &camera);
                 // `J` has the rows `G (1, −t) / z` and `(0, 0, 1) / z`, and a centre moves in the picture by the former.
                 let turned_x = of_x.times(map.x.x).plus(of_y.times(map.y.x)).times(inverse_z);
                 let turned_y = of_x.times(map.x.y).plus(of_y.times(map.y.y)).times(inverse_z);
@@ -214,8 +214,8 @@ pub(super) fn ray_space_backward_kernel(
                 let centre_z = along - (centre_x * map.slopes.x + centre_y * map.slopes.y);
                 let mut centre = Vec3::new(centre_x, centre_y, centre_z);
                 #[comptime]
-                if let ComptimeOption::Some(distortion) = lens.distortion {
-                    centre = centre.plus(bend_backward(&map, mean, &of_m, &lens, &distortion));
+                if let ComptimeOption::Some(distortion) = camera.distortion {
+                    centre = centre.plus(map_backward(&map, mean, &of_m, &camera, &distortion));
                 }
                 world_backward(&mut of, &SeenGrad { turned, centre }, &g, &f, &pose, wanted);
             }

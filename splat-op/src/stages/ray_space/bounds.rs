@@ -2,8 +2,8 @@
 
 use fearless_simd::prelude::*;
 
-use super::lens_bounds::{LensFrame, LensLimits};
-use super::{DEPTH_SLOPE, EXTENT, LEAST, LENS_COLUMNS, RAY_SPACE, ROUNDING, SLACK};
+use super::lens_bounds::{LensFrameSimd, LensLimitsSimd};
+use super::{DEPTH_SLOPE, EXTENT, LEAST_REMAINDER, LENS_COLUMNS, RAY_SPACE, ROUNDING, SLACK};
 use crate::camera::{CameraModel, Intrinsics, PictureRays};
 use crate::intersect::extent::whitened_limit;
 use crate::linalg::{cross, dot, scale};
@@ -11,7 +11,7 @@ use crate::project::simd::{MaskOf, norm};
 use crate::project::{COLUMNS, Ellipse};
 use crate::rasterize::RasterizeSpec;
 use crate::rasterize_rays::WHITENED_MAX;
-use crate::simd::lanes::{BLOCK, Columns, width};
+use crate::simd::lanes::{Columns, Lanes, ROW_BLOCK, width};
 use crate::simd::real::{LANES, Real};
 use crate::simd::{dispatch, each};
 use crate::tasks;
@@ -19,15 +19,13 @@ use crate::tasks;
 /// Gaussians per task.
 const CHUNK: usize = 1024;
 
-type Lanes<S, F> = <F as Real>::Lanes<S>;
-
 /// Returns rows `[N, 7]` for `intersect`, from packed ellipses `[N, 7]` and rows `[N, 9]`, with a lens `[N, 15]`. Culled
 /// Gaussians stay culled.
 pub(crate) fn bounds_cpu<F: Real>(packed: &[F], ray_rows: &[F], spec: &RasterizeSpec) -> Vec<F> {
     match PictureRays::of(&spec.intrinsics) {
         None => by_chunks::<F, RAY_SPACE>(packed, ray_rows, (spec, None)),
         Some(rays) => {
-            let limits = LensLimits::new(&spec.intrinsics, &rays);
+            let limits = LensLimitsSimd::new(&spec.intrinsics, &rays);
             by_chunks::<F, LENS_COLUMNS>(packed, ray_rows, (spec, Some(&limits)))
         }
     }
@@ -36,7 +34,7 @@ pub(crate) fn bounds_cpu<F: Real>(packed: &[F], ray_rows: &[F], spec: &Rasterize
 fn by_chunks<F: Real, const C: usize>(
     packed: &[F],
     ray_rows: &[F],
-    picture: (&RasterizeSpec, Option<&LensLimits<F>>),
+    picture: (&RasterizeSpec, Option<&LensLimitsSimd<F>>),
 ) -> Vec<F> {
     let mut bounds = vec![F::ZERO; packed.len()];
     let chunks = packed.chunks(CHUNK * COLUMNS).zip(ray_rows.chunks(CHUNK * C));
@@ -53,13 +51,13 @@ fn chunk<S: Simd, F: Real, const C: usize>(
     out: &mut [F],
     packed: &[F],
     ray_rows: &[F],
-    (spec, limits): (&RasterizeSpec, Option<&LensLimits<F>>),
+    (spec, limits): (&RasterizeSpec, Option<&LensLimitsSimd<F>>),
 ) {
     let (mut ellipses, mut slopes, mut found) =
         (Columns::<F, COLUMNS>::new(), Columns::<F, C>::new(), Columns::<F, COLUMNS>::new());
     let rules = BoundsRules::<S, F>::new(simd, spec, limits);
-    let blocks = out.chunks_mut(BLOCK * COLUMNS).zip(packed.chunks(BLOCK * COLUMNS));
-    for ((out, rows), of_slopes) in blocks.zip(ray_rows.chunks(BLOCK * C)) {
+    let blocks = out.chunks_mut(ROW_BLOCK * COLUMNS).zip(packed.chunks(ROW_BLOCK * COLUMNS));
+    for ((out, rows), of_slopes) in blocks.zip(ray_rows.chunks(ROW_BLOCK * C)) {
         ellipses.read(rows);
         slopes.read(of_slopes);
         for at in (0..rows.len() / COLUMNS).step_by(width::<S, F>()) {
@@ -138,12 +136,12 @@ struct BoundsRules<S: Simd, F: Real> {
     half: [Lanes<S, F>; 2],
     /// The opacity with which the extent of a row is [`EXTENT`].
     reached: Lanes<S, F>,
-    limits: Option<LensLimits<Lanes<S, F>>>,
+    limits: Option<LensLimitsSimd<Lanes<S, F>>>,
 }
 
 impl<S: Simd, F: Real> BoundsRules<S, F> {
     #[inline(always)]
-    fn new(simd: S, spec: &RasterizeSpec, limits: Option<&LensLimits<F>>) -> Self {
+    fn new(simd: S, spec: &RasterizeSpec, limits: Option<&LensLimitsSimd<F>>) -> Self {
         let lanes = |value: f64| F::Lanes::<S>::splat(simd, F::of(value));
         let size = [spec.intrinsics.width as f64, spec.intrinsics.height as f64];
         let alpha_min = F::of(spec.options.alpha_min);
@@ -195,19 +193,19 @@ impl<S: Simd, F: Real> BoundsRules<S, F> {
         let across = thickness * tau.sqrt();
         let thin = one - across * across;
         // Without a least alpha nothing has an end.
-        let bounded = thin.simd_gt(self.lanes(LEAST)) & least.simd_gt(zero);
+        let bounded = thin.simd_gt(self.lanes(LEAST_REMAINDER)) & least.simd_gt(zero);
         let square = tau / thin;
         let (whole, is_whole) = whole_ellipse::<S, F>(simd, [slope_u, slope_v], square);
         let (found, known, hidden) = match &self.limits {
             Some(limits) => {
-                let frame = LensFrame::of(row).expect("rows of a lens have its columns");
+                let frame = LensFrameSimd::of(row).expect("rows of a lens have its columns");
                 let bent = limits.bent(simd, &whole.row(simd, &e, self.reached), &e, &frame);
                 let known = bounded & is_whole & bent.known;
                 (bent.row, known & finite::<S, F>(simd, &bent.row), known & bent.missed)
             }
             None => {
-                let seen = InPicture::<S, F>::new(simd, &e, [slope_u, slope_v], self.half);
-                let (disc, is_known): (Whitened<Lanes<S, F>>, _) = seen.disc([slope_u, slope_v], square);
+                let seen = InPictureSimd::<S, F>::new(simd, &e, [slope_u, slope_v], self.half);
+                let (disc, is_known): (WhitenedEllipseSimd<Lanes<S, F>>, _) = seen.disc([slope_u, slope_v], square);
                 let hidden = seen.most.simd_le(zero) | (bounded & is_known & disc.scale.simd_lt(zero));
                 let smaller = is_known & (!is_whole | disc.area(simd).simd_lt(whole.area(simd)));
                 let found =
@@ -238,13 +236,13 @@ impl<S: Simd, F: Real> BoundsRules<S, F> {
 }
 
 /// Ellipses in whitened coordinates: the disc of the radius `EXTENT`, scaled, with an additional column of its factor.
-struct Whitened<L> {
+struct WhitenedEllipseSimd<L> {
     middle: [L; 2],
     column: [L; 2],
     scale: L,
 }
 
-impl<L: Copy> Whitened<L> {
+impl<L: Copy> WhitenedEllipseSimd<L> {
     /// Returns a number that grows with the area.
     #[inline(always)]
     fn area<S: Simd, F: Real<Lanes<S> = L>>(&self, simd: S) -> L
@@ -282,7 +280,7 @@ fn whole_ellipse<S: Simd, F: Real>(
     simd: S,
     slope: [Lanes<S, F>; 2],
     square: Lanes<S, F>,
-) -> (Whitened<Lanes<S, F>>, MaskOf<S, F>) {
+) -> (WhitenedEllipseSimd<Lanes<S, F>>, MaskOf<S, F>) {
     let lanes = |value: f64| F::Lanes::<S>::splat(simd, F::of(value));
     let (zero, one) = (lanes(0.0), lanes(1.0));
     let c = square.sqrt();
@@ -291,16 +289,16 @@ fn whole_ellipse<S: Simd, F: Real>(
     let rest = (one - eccentricity) * (one + eccentricity);
     let along = length.simd_gt(zero).select(eccentricity / length, zero);
     let root = rest.sqrt();
-    let whole = Whitened {
+    let whole = WhitenedEllipseSimd {
         middle: each!(slope, |slope| -(along * slope) * (c / rest)),
         column: each!(slope, |slope| along * slope / root),
         scale: c / (root * F::of(EXTENT)),
     };
-    (whole, rest.simd_gt(lanes(LEAST)))
+    (whole, rest.simd_gt(lanes(LEAST_REMAINDER)))
 }
 
 /// What the picture contains of Gaussians' whitened planes.
-struct InPicture<S: Simd, F: Real> {
+struct InPictureSimd<S: Simd, F: Real> {
     /// Bounds of `s`, widened for rounding.
     least: Lanes<S, F>,
     most: Lanes<S, F>,
@@ -308,7 +306,7 @@ struct InPicture<S: Simd, F: Real> {
     spread: Lanes<S, F>,
 }
 
-impl<S: Simd, F: Real> InPicture<S, F> {
+impl<S: Simd, F: Real> InPictureSimd<S, F> {
     /// Evaluates the linear `s` at the middle of the picture and at its farthest corners. `half` is half the picture's size, px.
     #[inline(always)]
     fn new(simd: S, e: &Ellipse<Lanes<S, F>>, [slope_u, slope_v]: [Lanes<S, F>; 2], half: [Lanes<S, F>; 2]) -> Self {
@@ -332,7 +330,7 @@ impl<S: Simd, F: Real> InPicture<S, F> {
     /// Returns discs that hold the part of the visible region in the picture, with a negative scale if there is none, and whether each
     /// is known.
     #[inline(always)]
-    fn disc(&self, slope: [Lanes<S, F>; 2], square: Lanes<S, F>) -> (Whitened<Lanes<S, F>>, MaskOf<S, F>) {
+    fn disc(&self, slope: [Lanes<S, F>; 2], square: Lanes<S, F>) -> (WhitenedEllipseSimd<Lanes<S, F>>, MaskOf<S, F>) {
         let lanes = |value: F| F::Lanes::<S>::splat(self.most.token(), value);
         let zero = lanes(F::ZERO);
         let (sum, product) = (self.least + self.most, self.least * self.most);
@@ -342,6 +340,6 @@ impl<S: Simd, F: Real> InPicture<S, F> {
         let radius = away + square * (sum - product) + slack;
         let scale = (radius.sqrt() + self.spread * F::of(ROUNDING)) * F::of(1.0 / EXTENT);
         let scale = radius.simd_lt(zero).select(lanes(-F::ONE), scale);
-        (Whitened { middle, column: [zero; 2], scale }, self.most.simd_lt(lanes(F::MAX)))
+        (WhitenedEllipseSimd { middle, column: [zero; 2], scale }, self.most.simd_lt(lanes(F::MAX)))
     }
 }

@@ -3,7 +3,7 @@
 use cubecl::prelude::*;
 
 use super::lens_bounds_kernel::{BentRow, LensFrame, LensLimits};
-use super::{EXTENT, LEAST, LENS_FRAME, RAY_SPACE, ROUNDING, SLACK};
+use super::{EXTENT, LEAST_REMAINDER, LENS_FRAME, RAY_SPACE, ROUNDING, SLACK};
 use crate::gpu::math::{Vec2, Vec3, finite, within};
 use crate::project::forward::PackedEllipse;
 use crate::rasterize_rays::WHITENED_MAX;
@@ -39,7 +39,7 @@ fn invisible(e: &PackedEllipse) -> PackedEllipse {
 /// An ellipse in whitened coordinates, as in the twin.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
-struct Whitened {
+struct WhitenedEllipse {
     middle_u: f32,
     middle_v: f32,
     column_u: f32,
@@ -50,7 +50,7 @@ struct Whitened {
 }
 
 #[cube]
-impl Whitened {
+impl WhitenedEllipse {
     fn area(&self) -> f32 {
         Vec3::new(1.0, self.column_u, self.column_v).length() * self.scale * self.scale
     }
@@ -71,8 +71,8 @@ impl Whitened {
 
 /// Returns the visible region if it is an ellipse.
 #[cube]
-fn whole_ellipse(slope_u: f32, slope_v: f32, square: f32) -> Whitened {
-    let least = comptime!(LEAST as f32);
+fn whole_ellipse(slope_u: f32, slope_v: f32, square: f32) -> WhitenedEllipse {
+    let least = comptime!(LEAST_REMAINDER as f32);
     let c = square.sqrt();
     // The eccentricity is `c` times the length of the depth slope.
     let eccentricity = c * Vec3::new(slope_u, slope_v, 0.0).length();
@@ -80,7 +80,7 @@ fn whole_ellipse(slope_u: f32, slope_v: f32, square: f32) -> Whitened {
     let known = rest > least && finite(rest);
     let rest = max(rest, least);
     let root = rest.sqrt();
-    Whitened {
+    WhitenedEllipse {
         middle_u: -(c * slope_u) * (c / rest),
         middle_v: -(c * slope_v) * (c / rest),
         column_u: c * slope_u / root,
@@ -128,7 +128,7 @@ fn in_picture(e: &PackedEllipse, slope_u: f32, slope_v: f32, half_x: f32, half_y
 
 /// Returns a disc that holds the part of the visible region in the picture; with a negative scale if there is none.
 #[cube]
-fn disc(seen: &InPicture, slope_u: f32, slope_v: f32, square: f32) -> Whitened {
+fn disc(seen: &InPicture, slope_u: f32, slope_v: f32, square: f32) -> WhitenedEllipse {
     let rounding = comptime!(ROUNDING as f32);
     let (sum, product) = (seen.least + seen.most, seen.least * seen.most);
     let toward = 0.5 * square * sum;
@@ -137,7 +137,7 @@ fn disc(seen: &InPicture, slope_u: f32, slope_v: f32, square: f32) -> Whitened {
     let slack = rounding * (away + square * (sum + product));
     let radius = away + square * (sum - product) + slack;
     let scale = (max(radius, 0.0).sqrt() + rounding * seen.spread) / comptime!(EXTENT as f32);
-    Whitened {
+    WhitenedEllipse {
         middle_u,
         middle_v,
         column_u: 0.0f32.runtime(),
@@ -149,9 +149,9 @@ fn disc(seen: &InPicture, slope_u: f32, slope_v: f32, square: f32) -> Whitened {
 
 /// Returns the smaller of two ellipses, or the one that there is.
 #[cube]
-fn smaller(ellipse: &Whitened, disc: &Whitened) -> Whitened {
+fn smaller(ellipse: &WhitenedEllipse, disc: &WhitenedEllipse) -> WhitenedEllipse {
     let takes_disc = disc.known && (!ellipse.known || disc.area() < ellipse.area());
-    Whitened {
+    WhitenedEllipse {
         middle_u: select(takes_disc, disc.middle_u, ellipse.middle_u),
         middle_v: select(takes_disc, disc.middle_v, ellipse.middle_v),
         column_u: select(takes_disc, disc.column_u, ellipse.column_u),
@@ -243,7 +243,7 @@ pub(super) fn bounds_kernel(
         }
         let (moved, slope) = about_centre(&e, Vec3::load(ray_rows, at), away_x, away_y);
         let (slope_u, slope_v, thickness) = (slope.x, slope.y, slope.z);
-        let least = comptime!(LEAST as f32);
+        let least = comptime!(LEAST_REMAINDER as f32);
         let reached = alpha_min * comptime!((0.5 * EXTENT * EXTENT).exp() as f32);
         let faintest = max(alpha_min, f32::MIN_POSITIVE);
         let tau = 2.0 * (e.opacity / faintest).ln() * comptime!(1.0 + SLACK[0] as f32) + comptime!(SLACK[1] as f32);

@@ -10,9 +10,9 @@ use crate::project::{Geometry, ProjectSpec};
 use crate::simd::real::Real;
 
 /// Rows in ray space.
-struct RaySpace;
+struct RaySpaceStage;
 
-impl<const C: usize> GaussianStage<C> for RaySpace {
+impl<const C: usize> GaussianStage<C> for RaySpaceStage {
     #[inline(always)]
     fn rows<S: Simd, F: Real, const BENDS: bool>(
         simd: S,
@@ -37,8 +37,8 @@ impl<const C: usize> GaussianStage<C> for RaySpace {
 /// Returns the rows, `[N, 9 (+ 6)]`.
 pub(crate) fn ray_space_cpu<F: Real>(inputs: Geometry<&[F]>, spec: &ProjectSpec) -> Vec<F> {
     match columns(&spec.intrinsics) {
-        LENS_COLUMNS => stage_rows::<F, RaySpace, LENS_COLUMNS, true>(inputs, spec),
-        _ => stage_rows::<F, RaySpace, RAY_SPACE, false>(inputs, spec),
+        LENS_COLUMNS => stage_rows::<F, RaySpaceStage, LENS_COLUMNS, true>(inputs, spec),
+        _ => stage_rows::<F, RaySpaceStage, RAY_SPACE, false>(inputs, spec),
     }
 }
 
@@ -50,7 +50,7 @@ pub(crate) fn ray_space_backward_cpu<F: Real>(
     needs: Geometry<bool>,
 ) -> Geometry<Vec<F>> {
     match columns(&spec.intrinsics) {
-        LENS_COLUMNS => stage_gradients::<F, RaySpace, LENS_COLUMNS, true>(inputs, grad, spec, needs),
-        _ => stage_gradients::<F, RaySpace, RAY_SPACE, false>(inputs, grad, spec, needs),
+        LENS_COLUMNS => stage_gradients::<F, RaySpaceStage, LENS_COLUMNS, true>(inputs, grad, spec, needs),
+        _ => stage_gradients::<F, RaySpaceStage, RAY_SPACE, false>(inputs, grad, spec, needs),
     }
 }

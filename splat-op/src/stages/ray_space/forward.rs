@@ -29,12 +29,12 @@ pub(super) struct RaySpaceTerms {
 }
 
 #[cube]
-pub(super) fn lean(projection: &ProjectionTerms, gaussian: &Gaussian, lens: &ProjectCamera) -> RaySpaceTerms {
+pub(super) fn lean(projection: &ProjectionTerms, gaussian: &Gaussian, camera: &ProjectCamera) -> RaySpaceTerms {
     let j = projection.last.times(1.0 / projection.depth);
     let mz = j.by_axis(gaussian.scale);
     let inverse_v = 1.0 / projection.sigma_v;
-    let b_u = lens.blur_sigma / projection.sigma_u;
-    let b = lens.blur_sigma * inverse_v;
+    let b_u = camera.blur_sigma / projection.sigma_u;
+    let b = camera.blur_sigma * inverse_v;
     let p = projection.p.times(inverse_v);
     let a = projection.along.times(b);
     let c = projection.n.cross(mz);
@@ -63,12 +63,12 @@ pub(super) fn lean(projection: &ProjectionTerms, gaussian: &Gaussian, lens: &Pro
 
 /// Returns the offset of the centre from the origin, px; zero with a lens.
 #[cube]
-fn away(projection: &ProjectionTerms, lens: &ProjectCamera) -> (f32, f32) {
+fn away(projection: &ProjectionTerms, camera: &ProjectCamera) -> (f32, f32) {
     let mut x = 0.0f32.runtime();
     let mut y = 0.0f32.runtime();
-    if comptime!(lens.distortion.is_none()) {
-        x = lens.x.focal * (projection.x.ratio - projection.x.slope);
-        y = lens.y.focal * (projection.y.ratio - projection.y.slope);
+    if comptime!(camera.distortion.is_none()) {
+        x = camera.x.focal * (projection.x.ratio - projection.x.slope);
+        y = camera.y.focal * (projection.y.ratio - projection.y.slope);
     }
     (x, y)
 }
@@ -82,30 +82,30 @@ pub(super) fn ray_space_forward_kernel(
     opacities: &[f32],
     cam_from_world: &[f32],
     ray_rows: &mut [f32],
-    lens: ProjectCamera,
+    camera: ProjectCamera,
     count: u32,
 ) {
     if ABSOLUTE_POS < count as usize {
         let gaussian = Gaussian::load(means, rotations, scales, opacities, ABSOLUTE_POS);
         let pose = Pose::load(cam_from_world);
-        let projection = project_one(&gaussian, &pose, &lens);
-        let found = lean(&projection, &gaussian, &lens);
-        let at = ABSOLUTE_POS * comptime!(RAY_SPACE + if lens.distortion.is_some() { LENS_FRAME } else { 0 });
+        let projection = project_one(&gaussian, &pose, &camera);
+        let found = lean(&projection, &gaussian, &camera);
+        let at = ABSOLUTE_POS * comptime!(RAY_SPACE + if camera.distortion.is_some() { LENS_FRAME } else { 0 });
         let seen = projection.visible;
         ray_rows[at] = select(found.sound, found.depth_slope_u, 0.0);
         ray_rows[at + 1] = select(found.sound, found.depth_slope_v, 0.0);
         ray_rows[at + 2] = select(found.sound, found.thickness, 0.0);
         ray_rows[at + 3] = select(seen, 1.0f32, 0.0);
-        let (away_x, away_y) = away(&projection, &lens);
+        let (away_x, away_y) = away(&projection, &camera);
         ray_rows[at + 4] = select(seen, away_x, 0.0);
         ray_rows[at + 5] = select(seen, away_y, 0.0);
         ray_rows[at + 6] = select(seen, projection.sigma_u, 0.0);
         ray_rows[at + 7] = select(seen, projection.shear, 0.0);
         ray_rows[at + 8] = select(seen, projection.sigma_v, 0.0);
         #[comptime]
-        if let ComptimeOption::Some(distortion) = lens.distortion {
+        if let ComptimeOption::Some(distortion) = camera.distortion {
             let mean = pose.apply(gaussian.mean);
-            let (x, y, _bent) = jacobian_at(mean, &lens, &distortion);
+            let (x, y, _bent) = jacobian_at(mean, &camera, &distortion);
             let frame = LensFrame {
                 centre: Vec2::new(mean.x / mean.z, mean.y / mean.z),
                 x: Vec2::new(mean.z * x.x, mean.z * x.y),

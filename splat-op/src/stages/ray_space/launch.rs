@@ -6,7 +6,7 @@ use super::columns;
 use super::forward::ray_space_forward_kernel;
 use super::lens_bounds_kernel::lens_limits;
 use crate::gpu::{Buffer, Gpu, elementwise};
-use crate::project::launch::{geometry_grads, lens};
+use crate::project::launch::{geometry_grads, project_camera};
 use crate::project::{COLUMNS, Geometry, ProjectSpec};
 use crate::rasterize::RasterizeSpec;
 
@@ -30,7 +30,7 @@ pub(crate) fn launch_ray_space(gpu: &Gpu, inputs: &Geometry<Buffer<f32>>, spec: 
             inputs.opacities.arg(),
             inputs.cam_from_world.arg(),
             ray_rows.arg(),
-            lens(spec),
+            project_camera(spec),
             count as u32,
         );
     }
@@ -98,7 +98,7 @@ pub(crate) fn launch_ray_space_backward(
                 output(&grads.scales),
                 output(&grads.mean2d),
                 output(&grads.cam_from_world),
-                lens(spec),
+                project_camera(spec),
                 count as u32,
             );
         }

@@ -15,14 +15,14 @@ use crate::simd::real::Real;
 
 /// Columns of a lens in a row.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct LensFrame<F> {
+pub(crate) struct LensFrameSimd<F> {
     /// Slopes of the centre.
     pub centre: [F; 2],
     /// `G`, px per slope, row by row.
     pub by: [[F; 2]; 2],
 }
 
-impl<F: Copy> LensFrame<F> {
+impl<F: Copy> LensFrameSimd<F> {
     /// Reads the columns of a row; `None` for a pinhole, whose rows have none.
     #[inline(always)]
     pub fn of(row: &[F]) -> Option<Self> {
@@ -33,9 +33,9 @@ impl<F: Copy> LensFrame<F> {
     }
 }
 
-impl<F: Real> LensFrame<F> {
+impl<F: Real> LensFrameSimd<F> {
     /// Returns an upper bound of the length of `G (t − t₀)` along an axis, px, for the rays of the picture.
-    pub fn farthest(&self, limits: &LensLimits<F>, axis: usize) -> F {
+    pub fn farthest(&self, limits: &LensLimitsSimd<F>, axis: usize) -> F {
         let far = |k: usize| (limits.high[k] - self.centre[k]).abs().max_of((self.centre[k] - limits.low[k]).abs());
         self.by[axis][0].abs() * far(0) + self.by[axis][1].abs() * far(1)
     }
@@ -43,7 +43,7 @@ impl<F: Real> LensFrame<F> {
 
 /// What bounds need to know of a lens and its picture, as numbers or broadcast to all lanes; [`PictureRays`] has the same fields.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct LensLimits<F> {
+pub(crate) struct LensLimitsSimd<F> {
     fisheye: bool,
     low: [F; 2],
     high: [F; 2],
@@ -53,7 +53,7 @@ pub(crate) struct LensLimits<F> {
     stretch_px: F,
 }
 
-impl<F: Real> LensLimits<F> {
+impl<F: Real> LensLimitsSimd<F> {
     pub fn new(camera: &Intrinsics, rays: &PictureRays) -> Self {
         Self {
             fisheye: camera.model.is_fisheye(),
@@ -67,9 +67,9 @@ impl<F: Real> LensLimits<F> {
     }
 
     #[inline(always)]
-    pub fn lanes<S: Simd>(&self, simd: S) -> LensLimits<F::Lanes<S>> {
+    pub fn lanes<S: Simd>(&self, simd: S) -> LensLimitsSimd<F::Lanes<S>> {
         let lanes = |value: F| F::Lanes::<S>::splat(simd, value);
-        LensLimits {
+        LensLimitsSimd {
             fisheye: self.fisheye,
             low: each!(self.low, |value| lanes(value)),
             high: each!(self.high, |value| lanes(value)),
@@ -110,7 +110,7 @@ fn cross2<L: Entry>(a: [L; 2], b: [L; 2]) -> L {
     a[0] * b[1] - a[1] * b[0]
 }
 
-impl<L: Copy> LensLimits<L> {
+impl<L: Copy> LensLimitsSimd<L> {
     /// Returns rows that hold what the lens makes of `row`, the bounds of the Gaussians `e` without the lens's second derivative.
     #[inline(always)]
     pub(super) fn bent<S: Simd, F: Real<Lanes<S> = L>>(
@@ -118,7 +118,7 @@ impl<L: Copy> LensLimits<L> {
         simd: S,
         row: &Ellipse<L>,
         e: &Ellipse<L>,
-        frame: &LensFrame<L>,
+        frame: &LensFrameSimd<L>,
     ) -> Bent<S, F>
     where
         L: SimdFloat<S, Element = F>,

@@ -24,11 +24,11 @@ pub(crate) struct LensFrame {
 #[cube]
 pub(super) fn jacobian_at(
     mean_cam: Vec3,
-    lens: &ProjectCamera,
+    camera: &ProjectCamera,
     distortion: &Distortion,
 ) -> (Vec3, Vec3, LensProjection) {
     let rows = Mat3 { x: Vec3::new(1.0, 0.0, 0.0), y: Vec3::new(0.0, 1.0, 0.0), z: Vec3::new(0.0, 0.0, 1.0) };
-    let (x, y, bent) = bent_rows(mean_cam, rows, Vec3::new(1.0, 1.0, 1.0), lens, distortion);
+    let (x, y, bent) = bent_rows(mean_cam, rows, Vec3::new(1.0, 1.0, 1.0), camera, distortion);
     (x.j, y.j, bent)
 }
 

@@ -136,9 +136,9 @@ mod simd;
 mod tests;
 
 pub(crate) use bounds::{beyond, bounds_cpu};
-pub(crate) use lens_bounds::{LensFrame, LensLimits};
+pub(crate) use lens_bounds::{LensFrameSimd, LensLimitsSimd};
 #[cfg(feature = "cube")]
-pub(crate) use lens_bounds_kernel::LensFrame as LensFrameKernel;
+pub(crate) use lens_bounds_kernel::LensFrame;
 
 use crate::camera::{CameraModel, Intrinsics};
 
@@ -181,4 +181,4 @@ pub(crate) const SLACK: [f64; 2] = [1e-3, 1e-3];
 pub(crate) const ROUNDING: f64 = 64.0 * f32::EPSILON as f64;
 
 /// Smallest `1 − e²` and `1 − τ thickness²` that keep enough digits after rounding.
-pub(crate) const LEAST: f64 = 1e-3;
+pub(crate) const LEAST_REMAINDER: f64 = 1e-3;

@@ -4,7 +4,7 @@
 use fearless_simd::prelude::*;
 
 use super::{DEPTH_SLOPE, RAY_SPACE, THICKNESS_MAX};
-use crate::linalg::{Mat3, add, cross, dot, hadamard, scale, sub};
+use crate::linalg::{Matrix3, add, cross, dot, hadamard, scale, sub};
 use crate::project::lens_simd::{LensProjectionGrad, LensProjectionSimd};
 use crate::project::simd::{
     GaussiansSimd, GradientsSimd, MaskOf, ProjectCameraSimd, ProjectionTermsSimd, Vector, any_not_zero, norm,
@@ -64,7 +64,7 @@ impl<S: Simd, F: Real> RaySpaceSimd<S, F> {
             & thickness.simd_eq(thickness);
         let mut lens = None;
         if BENDS && let Some(distortion) = &camera.distortion {
-            let identity: Mat3<F::Lanes<S>> = [[one, zero, zero], [zero, one, zero], [zero, zero, one]];
+            let identity: Matrix3<F::Lanes<S>> = [[one, zero, zero], [zero, one, zero], [zero, zero, one]];
             let limits = [camera.low, camera.high];
             lens = Some(LensProjectionSimd::new(distortion, projection.mean_cam, &identity, limits));
         }
@@ -121,7 +121,7 @@ impl<S: Simd, F: Real> RaySpaceSimd<S, F> {
 
     /// Returns the gradients of the rows of `m`, and of the blur times the blur: `B₀₀, B₀₁, B₁₁` of the module's documentation.
     #[inline(always)]
-    fn factor_backward(&self, blur_sigma: F::Lanes<S>, grad: &RayGrad<F::Lanes<S>>) -> RowsGrad<F::Lanes<S>> {
+    fn factor_backward(&self, blur_sigma: F::Lanes<S>, grad: &RayGradSimd<F::Lanes<S>>) -> RowsGradSimd<F::Lanes<S>> {
         let Self { mz, length, b_u, p, a, b, c, .. } = *self;
         let ProjectionTermsSimd { n, sigma_u, sigma_v, shear, .. } = self.projection;
         let (zero, one) = (self.lanes(F::ZERO), self.lanes(F::ONE));
@@ -152,7 +152,7 @@ impl<S: Simd, F: Real> RaySpaceSimd<S, F> {
         // The components of the rows of `N` along the blur of x and of y.
         let across_blur = [-(shear * b), b];
         let through_blur = [(slope_v * shear * b - slope_u * b_u) * inverse, -(slope_v * b) * inverse];
-        RowsGrad {
+        RowsGradSimd {
             m: each!([first, second, [of_u, of_v, of_t]], |of| {
                 add(add(scale(n, of[0]), scale(across, of[1])), scale(through, of[2]))
             }),
@@ -177,13 +177,13 @@ impl<S: Simd, F: Real> RaySpaceSimd<S, F> {
         let zero = self.lanes(F::ZERO);
         let (projection, inverse_z) = (&self.projection, self.inverse_z);
         let takes_part = projection.seen & any_not_zero::<S, F>(&grad[..RAY_SPACE]);
-        let of = RayGrad {
+        let of = RayGradSimd {
             depth_slope: [grad[0], grad[1], grad[2]],
             depth: grad[3],
             centre: [grad[4], grad[5]],
             factor: [grad[6], grad[7], grad[8]],
         };
-        let RowsGrad { m: grad_m, blur } = self.factor_backward(camera.blur_sigma, &of);
+        let RowsGradSimd { m: grad_m, blur } = self.factor_backward(camera.blur_sigma, &of);
         let scales = add(hadamard(grad_m[0], projection.j[0]), hadamard(grad_m[1], projection.j[1]));
         let scales = add(scales, hadamard(grad_m[2], self.jz));
         let [grad_j0, grad_j1, grad_jz] = each!(grad_m, |row| hadamard(row, g.scale));
@@ -191,7 +191,7 @@ impl<S: Simd, F: Real> RaySpaceSimd<S, F> {
         let mut through =
             LensProjectionGrad { mean_cam: [zero; 3], rows: [[zero; 3], [zero; 3], scale(grad_jz, inverse_z)] };
         through.mean_cam[2] = (of.depth + blur[0] + blur[2]) * inverse_z;
-        let LinearMap { slopes, by } = self.map(camera);
+        let LinearMapSimd { slopes, by } = self.map(camera);
         for axis in 0..2 {
             let [by_x, by_y] = [by[0][axis] * inverse_z, by[1][axis] * inverse_z];
             let of_row = add(scale(grad_j0, by_x), scale(grad_j1, by_y));
@@ -224,17 +224,17 @@ impl<S: Simd, F: Real> RaySpaceSimd<S, F> {
 
     /// Returns the linear map of this Gaussian.
     #[inline(always)]
-    fn map(&self, camera: &ProjectCameraSimd<F::Lanes<S>>) -> LinearMap<F::Lanes<S>> {
+    fn map(&self, camera: &ProjectCameraSimd<F::Lanes<S>>) -> LinearMapSimd<F::Lanes<S>> {
         let zero = self.lanes(F::ZERO);
         match &self.lens {
             Some(lens) => {
                 let ([x, y, z], jacobian) = (self.projection.mean_cam, lens.rows(camera.focal));
                 let by = each!([0, 1], |row| [jacobian[row][0] * z, jacobian[row][1] * z]);
-                LinearMap { slopes: [x / z, y / z], by }
+                LinearMapSimd { slopes: [x / z, y / z], by }
             }
             None => {
                 let by = [[camera.focal[0], zero], [zero, camera.focal[1]]];
-                LinearMap { slopes: self.projection.slope, by }
+                LinearMapSimd { slopes: self.projection.slope, by }
             }
         }
     }
@@ -242,7 +242,7 @@ impl<S: Simd, F: Real> RaySpaceSimd<S, F> {
 
 /// Gradient of a row: of the depth slope and the thickness, of the centre's relative depth and its offset, px, and of `sigma_u`, the
 /// shear and `sigma_v`.
-struct RayGrad<L> {
+struct RayGradSimd<L> {
     depth_slope: [L; DEPTH_SLOPE],
     depth: L,
     centre: [L; 2],
@@ -250,13 +250,13 @@ struct RayGrad<L> {
 }
 
 /// The slopes `t` and `G`, px per slope.
-struct LinearMap<L> {
+struct LinearMapSimd<L> {
     slopes: [L; 2],
     by: [[L; 2]; 2],
 }
 
 /// Gradients of the rows of `m`, and `B₀₀, B₀₁, B₁₁`.
-struct RowsGrad<L> {
-    m: Mat3<L>,
+struct RowsGradSimd<L> {
+    m: Matrix3<L>,
     blur: [L; 3],
 }

@@ -4,7 +4,7 @@ use burn::tensor::f16;
 
 use super::basis::{basis, basis_backward};
 use super::{SH_COEFFICIENTS_MAX, Shading, degree_of, extent_sigmas};
-use crate::linalg::{Mat3, add, cross, dot, matvec, norm, scale, sub, transpose, transposed_matvec};
+use crate::linalg::{Matrix3, add, cross, dot, matvec, norm, scale, sub, transpose, transposed_matvec};
 use crate::project::{COLUMNS, Ellipse, ProjectSpec};
 use crate::simd::real::Real;
 use crate::tasks;
@@ -64,7 +64,7 @@ impl<F: Real> ShCoefficients<'_, F> {
 /// it holds for any invertible `A` and every entry of the pose is a free variable.
 struct CameraPositionCpu<F> {
     /// `A⁻¹`.
-    world_from_cam: Mat3<F>,
+    world_from_cam: Matrix3<F>,
     position: [F; 3],
 }
 

@@ -3,7 +3,7 @@
 use fearless_simd::prelude::*;
 
 use super::rule::{LARGEST, LARGEST_LOG_SCALE, Raw};
-use crate::simd::lanes::{BLOCK, map_lanes};
+use crate::simd::lanes::{ROW_BLOCK as BLOCK, map_lanes};
 use crate::simd::real::Real;
 use crate::simd::{dispatch, each};
 use crate::tasks;

@@ -22,7 +22,7 @@ pub(super) struct StepFactors {
 /// One parameter of a launch. The band is a compile-time value: there is one per degree of the spherical harmonics, and a division
 /// by a constant compiles to a multiplication.
 #[derive(CubeType, CubeLaunch)]
-pub(super) struct Moving {
+pub(super) struct AdamParam {
     param: Box<[f32]>,
     m: Box<[f32]>,
     v: Box<[f32]>,
@@ -35,7 +35,7 @@ pub(super) struct Moving {
 
 /// Performs the step of one number in place and returns the number.
 #[cube]
-fn step(of: &mut Moving, at: usize) -> f32 {
+fn step(of: &mut AdamParam, at: usize) -> f32 {
     let factors = of.factors;
     let gradient = clamped(of.grad[at], factors.largest);
     let first = of.m[at] * factors.beta1 + gradient;
@@ -56,9 +56,9 @@ fn step(of: &mut Moving, at: usize) -> f32 {
 /// sets the mark if a number of the second parameter is not usable afterwards, or if nobody looked.
 #[cube(launch_unchecked)]
 pub(super) fn adam_kernel(
-    mut first: Moving,
-    mut second: ComptimeOption<Moving>,
-    mut third: ComptimeOption<Moving>,
+    mut first: AdamParam,
+    mut second: ComptimeOption<AdamParam>,
+    mut third: ComptimeOption<AdamParam>,
     verdict: ComptimeOption<Box<[u32]>>,
     mark: &[Atomic<u32>],
     #[comptime] marks: bool,

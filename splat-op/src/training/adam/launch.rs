@@ -2,7 +2,7 @@
 
 use cubecl::prelude::ComptimeOptionArgs;
 
-use super::forward::{MovingLaunch, StepFactorsLaunch, WatchedCountsLaunch, adam_kernel, watch_kernel};
+use super::forward::{AdamParamLaunch, StepFactorsLaunch, WatchedCountsLaunch, adam_kernel, watch_kernel};
 use super::operation::WATCHED;
 use super::rule::{Band, Factors};
 use crate::gpu::{Buffer, Gpu, elementwise, search};
@@ -25,11 +25,11 @@ pub(crate) struct DeviceStep {
 }
 
 impl DeviceStep {
-    fn arg(&self) -> MovingLaunch {
+    fn arg(&self) -> AdamParamLaunch {
         let Self { state, grad, factors, band } = self;
         let factors = factors_arg(factors);
         let (param, m, v) = (state.param.arg(), state.m.arg(), state.v.arg());
-        MovingLaunch::new(param, m, v, grad.arg(), factors, grad.len as u32, *band)
+        AdamParamLaunch::new(param, m, v, grad.arg(), factors, grad.len as u32, *band)
     }
 }
 

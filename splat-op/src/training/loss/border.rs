@@ -2,7 +2,8 @@
 
 use fearless_simd::prelude::*;
 
-use super::cpu::{HALF, PlaneSize, Sweep, splat};
+use super::cpu::{PlaneSize, Sweep, splat};
+use super::taps::HALF;
 use super::taps::{TAPS, half_window};
 use crate::simd::dispatch;
 use crate::simd::real::{LANES, Real};

@@ -8,13 +8,10 @@ use std::ops::Range;
 use fearless_simd::prelude::*;
 
 use super::border::Excess;
-use super::taps::{C1, C2, Compared, TAPS, half_window};
+use super::taps::{C1, C2, Compared, HALF, TAPS, half_window};
 use crate::simd::dispatch;
 use crate::simd::real::{LANES, Real};
 use crate::tasks;
-
-/// Number of taps on one side of the middle.
-pub(super) const HALF: usize = TAPS / 2;
 
 /// Number of rows per task. The first sweep goes over five rows more above and below, and filters ten.
 const BAND: usize = 96;

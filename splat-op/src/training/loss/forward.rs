@@ -3,12 +3,9 @@
 
 use cubecl::prelude::*;
 
-use super::taps::{C1, C2, TAPS, half_window};
+use super::taps::{C1, C2, HALF, TAPS, half_window};
 use crate::gpu::UNITS;
 use crate::gpu::reduce::cube_sum;
-
-/// Number of taps on one side of the middle.
-pub(super) const HALF: usize = TAPS / 2;
 
 /// Returns the number of values of a unit. Neighbouring units read a row together, so each takes one value of it.
 pub(super) const fn strip_of(vertical: bool) -> usize {
@@ -309,7 +306,7 @@ pub(super) fn index_kernel(
 }
 
 /// Number of shares that a unit loads together.
-const AT_ONCE: usize = 8;
+const SHARES_AT_ONCE: usize = 8;
 
 /// Writes the sum of the cubes' shares, by one cube.
 #[cube(launch_unchecked)]
@@ -319,11 +316,11 @@ pub(super) fn total_kernel(shares: &[f32], total: &mut [f32], cubes: u32) {
     let mut first = UNIT_POS;
     while first < cubes {
         #[unroll]
-        for i in 0..comptime!(AT_ONCE) {
+        for i in 0..comptime!(SHARES_AT_ONCE) {
             let cube = first + comptime!((i * UNITS) as u32);
             own += select(cube < cubes, shares[min(cube, cubes - 1) as usize], 0.0);
         }
-        first += comptime!((AT_ONCE * UNITS) as u32);
+        first += comptime!((SHARES_AT_ONCE * UNITS) as u32);
     }
     let sum = cube_sum(own, &mut shared);
     if UNIT_POS == 0 {

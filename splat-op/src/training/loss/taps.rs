@@ -4,6 +4,8 @@ use crate::record::record;
 
 /// Number of taps of the window along each axis.
 pub const TAPS: usize = 11;
+/// Number of taps on one side of the middle.
+pub(super) const HALF: usize = TAPS / 2;
 /// Standard deviation of the window, px.
 pub const SIGMA_PX: f64 = 1.5;
 /// `(0.01 L)²` for the dynamic range `L` = 1: keeps the ratio of means defined where both are black.
@@ -12,9 +14,9 @@ pub const C1: f64 = 1e-4;
 pub const C2: f64 = 9e-4;
 
 /// Returns half of the window's taps, from the middle outwards. The whole window sums to one.
-pub(super) fn half_window() -> [f64; TAPS / 2 + 1] {
+pub(super) fn half_window() -> [f64; HALF + 1] {
     let weight = |i: usize| (-(i as f64).powi(2) / (2.0 * SIGMA_PX * SIGMA_PX)).exp();
-    let sum: f64 = weight(0) + 2.0 * (1..=TAPS / 2).map(weight).sum::<f64>();
+    let sum: f64 = weight(0) + 2.0 * (1..=HALF).map(weight).sum::<f64>();
     std::array::from_fn(|i| weight(i) / sum)
 }
 

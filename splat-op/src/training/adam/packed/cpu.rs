@@ -6,10 +6,10 @@ use crate::simd::dispatch;
 use crate::tasks;
 
 /// Numbers whose codes are unpacked at a time: their codes fit into the first-level cache.
-const BLOCK: usize = 1024;
+const CODE_BLOCK: usize = 1024;
 
 /// Blocks of a task.
-const BLOCKS: usize = 16;
+const BLOCKS_PER_TASK: usize = 16;
 
 /// A parameter, its gradient and its packed moments in host memory.
 pub struct HostState<'a> {
@@ -53,16 +53,16 @@ pub fn step_on_host(state: HostState, width: usize, band: Option<Band>, step: &P
         reach: step.reach() as f32,
         phase: step.phase(),
     };
-    let rows = (BLOCK / width).max(1);
+    let rows = (CODE_BLOCK / width).max(1);
     let rates = rates(factors.rate, band, width, rows);
     let (numbers, of_words) = (rows * width, rows * row_words);
-    let parts = param.chunks_mut(BLOCKS * numbers).zip(grad.chunks(BLOCKS * numbers));
-    tasks::for_each(parts.zip(words.chunks_mut(BLOCKS * of_words)), |task, ((param, grad), words)| {
+    let parts = param.chunks_mut(BLOCKS_PER_TASK * numbers).zip(grad.chunks(BLOCKS_PER_TASK * numbers));
+    tasks::for_each(parts.zip(words.chunks_mut(BLOCKS_PER_TASK * of_words)), |task, ((param, grad), words)| {
         let blocks = param.chunks_mut(numbers).zip(grad.chunks(numbers)).zip(words.chunks_mut(of_words));
         let mut codes = vec![0; numbers];
         for (block, ((param, grad), words)) in blocks.enumerate() {
             let codes = &mut codes[..param.len()];
-            let first = ((task * BLOCKS + block) * numbers) as u32;
+            let first = ((task * BLOCKS_PER_TASK + block) * numbers) as u32;
             match step.packing {
                 Packing::Sixteen => step_block::<false>(scalars, (param, grad, words, codes), (width, &rates, first)),
                 Packing::Eight => step_block::<true>(scalars, (param, grad, words, codes), (width, &rates, first)),
