@@ -7,7 +7,7 @@ use bytemuck::Pod;
 use cubecl::prelude::*;
 use cubecl::server::Handle;
 
-use super::{Gpu, elementwise};
+use super::{Gpu, elementwise, given};
 use crate::counters::{count_allocation, count_binding, count_idle_wait};
 use crate::limits::Need;
 
@@ -50,6 +50,14 @@ impl<T> Buffer<T> {
     /// Returns the buffer as a kernel argument.
     pub fn arg(&self) -> BufferArg {
         self.vectors(1)
+    }
+
+    /// Returns the elements `first..first + len`, which begin at a multiple of 1,024 bytes, where every device can bind a buffer.
+    pub fn part(&self, first: usize, len: usize) -> Self {
+        let bytes = |elements: usize| (elements * size_of::<T>()) as u64;
+        debug_assert!(bytes(first).is_multiple_of(1024) && first + len <= self.len, "{first} + {len} of {}", self.len);
+        let rest = self.handle.size_in_used() - bytes(first + len);
+        Self::from_handle(self.handle.clone().offset_start(bytes(first)).offset_end(rest), len)
     }
 
     /// Returns the buffer as a kernel argument of whole vectors of `size` elements.
@@ -133,6 +141,7 @@ impl<T: Pod> Buffer<T> {
                     b,
                     c,
                     d,
+                    given(buffers.each_ref()),
                 );
             }
         }
@@ -157,6 +166,7 @@ fn clear_kernel(
     second_len: u32,
     third_len: u32,
     fourth_len: u32,
+    #[comptime] _given: u32,
 ) {
     clear_own(&mut first, first_len);
     clear_own(&mut second, second_len);
@@ -196,19 +206,4 @@ pub(crate) fn launch_scale(gpu: &Gpu, values: &Buffer<f32>, factor: &Buffer<f32>
 }
 
 #[cfg(test)]
-mod kernel_tests {
-    use super::*;
-    use crate::testing::gpu::gpus;
-
-    #[test]
-    fn values_are_scaled_in_place() {
-        for (form, gpu) in gpus() {
-            let values: Vec<f32> = (0..1000).map(|i| i as f32 - 400.5).collect();
-            let buffer = Buffer::from_slice(&gpu, &values);
-            launch_scale(&gpu, &buffer, &Buffer::from_slice(&gpu, &[-0.75]));
-            let expected: Vec<f32> = values.iter().map(|value| -0.75 * value).collect();
-            assert_eq!(buffer.read(&gpu), expected, "{form}");
-            launch_scale(&gpu, &Buffer::new(&gpu, 0), &buffer);
-        }
-    }
-}
+mod kernel_tests;

@@ -43,12 +43,18 @@ fn main() -> io::Result<ExitCode> {
 /// Prints how many modules each target takes, and returns what is wrong with them.
 fn examine(modules: &Modules) -> BTreeSet<String> {
     let mut findings = BTreeSet::new();
-    let mut parsed = Vec::new();
+    let (mut parsed, mut keys) = (Vec::new(), BTreeSet::new());
     for (text, name) in modules {
         match wgsl::parse_str(text) {
             Ok(module) => {
                 let faults = limits::excess(&module).into_iter().chain(flow::barriers_at_fault(&module));
                 findings.extend(faults.map(|fault| format!("{name}: {fault}")));
+                // CubeCL names an entry point after the key of its cache of compiled kernels.
+                for entry in &module.entry_points {
+                    if !keys.insert(entry.name.clone()) {
+                        findings.insert(format!("{name}: another form has the key {}", entry.name));
+                    }
+                }
                 parsed.push((*name, module));
             }
             Err(error) => {
@@ -85,7 +91,7 @@ fn examine(modules: &Modules) -> BTreeSet<String> {
 mod tests {
     use super::*;
 
-    fn findings(modules: &[&'static str]) -> BTreeSet<String> {
+    fn findings(modules: &[&str]) -> BTreeSet<String> {
         examine(&modules.iter().map(|text| (*text, "k")).collect())
     }
 
@@ -105,7 +111,9 @@ mod tests {
         let alone = findings(&[ATOMIC]);
         assert_eq!(alone.len(), 3, "{alone:?}");
         assert!(!alone.iter().any(|finding| finding.contains("MSL 3.0")), "{alone:?}");
-        assert_eq!(findings(&[ATOMIC, PLAIN]), BTreeSet::new());
+        assert_eq!(findings(&[&ATOMIC.replace("fn k(", "fn other("), PLAIN]), BTreeSet::new());
+        let same = findings(&[ATOMIC, PLAIN]);
+        assert!(same.len() == 1 && same.iter().all(|finding| finding.contains("another form has the key k")), "{same:?}");
     }
 
     #[test]

@@ -1,8 +1,9 @@
-//! A stable radix sort of u32 keys on the device: least significant digit first, eight bits and two launches a pass.
+//! A stable radix sort of u32 keys on the device: least significant digit first, eight bits and a launch a pass.
 //!
-//! At most [`CHUNKS`] cubes share the keys; each has a chunk of consecutive keys. The first launch counts the digits of
-//! each chunk. In the second launch each cube adds up this table to learn where its keys of each digit belong, and moves
-//! its keys tile by tile, in order.
+//! At most [`CHUNKS`] cubes share the keys; each has a chunk of consecutive keys. A first launch counts the lowest digit by
+//! chunk. In the launch of a pass each cube adds up the table of its digit to learn where its keys belong, moves its keys tile
+//! by tile, in order, and counts the next digit by the chunks into which they go. Launches cost the host as much as small passes
+//! cost the device.
 //!
 //! The rank of a key among the equal digits of its tile comes from bits in shared memory: of 32 neighbouring keys, each
 //! sets its bit in the word of its digit, and counts the bits below. The keys of a tile are ordered in shared memory before
@@ -16,14 +17,14 @@
 use cubecl::prelude::*;
 
 use crate::gpu::reduce::{SUM_ROOM, cube_exclusive_sum};
-use crate::gpu::{Buffer, Gpu, UNITS, cubes};
+use crate::gpu::{Buffer, Gpu, UNITS, cubes, given};
 
 /// Key of what the sort leaves out.
 pub(crate) const HIDDEN: u32 = u32::MAX;
 
 /// Number of bits of a digit. A cube has a unit for each digit.
-const BITS: u32 = 8;
-const DIGITS: usize = 1 << BITS;
+const DIGIT_BITS: u32 = 8;
+const DIGITS: usize = 1 << DIGIT_BITS;
 const _: () = assert!(DIGITS == UNITS);
 
 /// Largest number of chunks: each cube reads the digits of all chunks.
@@ -33,19 +34,19 @@ const CHUNKS: usize = 256;
 const PER_UNIT: usize = 8;
 
 /// Number of keys that a cube moves at a time.
-const TILE: usize = UNITS * PER_UNIT;
+const SORT_TILE: usize = UNITS * PER_UNIT;
 
 /// Number of neighbouring keys whose ranks come from one word: the bits of a word.
-const LANES: usize = 32;
+const RANK_LANES: usize = 32;
 
-/// Number of groups of [`LANES`] units.
-const GROUPS: usize = UNITS / LANES;
+/// Number of groups of [`RANK_LANES`] units.
+const GROUPS: usize = UNITS / RANK_LANES;
 
 /// The same shared memory holds a word for each group and digit, and the keys of a tile.
-const _: () = assert!(GROUPS * DIGITS == TILE);
+const _: () = assert!(GROUPS * DIGITS == SORT_TILE);
 
 /// Shared memory of `scatter_kernel`: the words, the counters, the distances, the sums and the bound. Devices offer 16 KiB.
-const _: () = assert!(4 * (TILE + GROUPS * DIGITS / 2 + DIGITS + SUM_ROOM + 1) <= 16 << 10);
+const _: () = assert!(4 * (SORT_TILE + GROUPS * DIGITS / 2 + DIGITS + SUM_ROOM + 1) <= 16 << 10);
 
 /// Number of tiles until the counters of a byte are added up. Units of the same lane share counters.
 const TILES_PER_COUNT: usize = 3;
@@ -87,31 +88,31 @@ fn counter(counters: &Shared<[Atomic<u32>]>, row: u32, digit: u32) -> u32 {
     (counters[(row + digit / 2) as usize].load() >> (16 * (digit & 1))) & 0xffff
 }
 
-/// Writes `table[chunk][digit]`, the number of keys of each chunk by digit. A counter is a byte. Each of 32 lanes has
-/// counters of its own, all in one bank of shared memory.
+/// Writes `tables[0][chunk][digit]`, the number of keys of each chunk by the lowest digit, and zeros in the tables of the other
+/// digits. A counter is a byte. Each of 32 lanes has counters of its own, all in one bank of shared memory.
 #[cube(launch_unchecked)]
 fn count_digits_kernel(
     keys: &[u32],
     count: ComptimeOption<Box<[u32]>>,
-    table: &mut [u32],
+    tables: &mut [u32],
     len: u32,
     chunks: u32,
-    shift: u32,
+    passes: u32,
 ) {
-    let counters = Shared::<[Atomic<u32>]>::new_slice(comptime!(DIGITS / 4 * LANES));
+    let counters = Shared::<[Atomic<u32>]>::new_slice(comptime!(DIGITS / 4 * RANK_LANES));
     let unit = UNIT_POS;
-    let lane = unit % comptime!(LANES as u32);
+    let lane = unit % comptime!(RANK_LANES as u32);
     let (first, end) = chunk(&count, len, chunks);
     let mut total = 0u32;
     let mut from = first;
     while from < end {
         #[unroll]
-        for i in 0..comptime!(DIGITS / 4 * LANES / UNITS) {
+        for i in 0..comptime!(DIGITS / 4 * RANK_LANES / UNITS) {
             counters[UNIT_POS as usize + i * comptime!(UNITS)].store(0u32);
         }
         sync_cube();
         for tile in 0..comptime!(TILES_PER_COUNT as u32) {
-            let at = from + tile * comptime!(TILE as u32) + unit;
+            let at = from + tile * comptime!(SORT_TILE as u32) + unit;
             let mut own = Array::<u32>::new(comptime!(PER_UNIT));
             #[unroll]
             for i in 0..comptime!(PER_UNIT) {
@@ -124,49 +125,55 @@ fn count_digits_kernel(
             #[unroll]
             for i in 0..comptime!(PER_UNIT) {
                 if own[i] != HIDDEN {
-                    let digit = digit_of(own[i], shift);
-                    let word = digit / 4 * comptime!(LANES as u32) + lane;
+                    let digit = digit_of(own[i], 0u32);
+                    let word = digit / 4 * comptime!(RANK_LANES as u32) + lane;
                     counters[word as usize].fetch_add(1u32 << (8 * (digit % 4)));
                 }
             }
         }
         sync_cube();
         // Neighbouring units begin in neighbouring banks.
-        for i in 0..comptime!(LANES as u32) {
-            let word = unit / 4 * comptime!(LANES as u32) + (unit + i) % comptime!(LANES as u32);
+        for i in 0..comptime!(RANK_LANES as u32) {
+            let word = unit / 4 * comptime!(RANK_LANES as u32) + (unit + i) % comptime!(RANK_LANES as u32);
             total += (counters[word as usize].load() >> (8 * (unit % 4))) & 0xff;
         }
         sync_cube();
-        from += comptime!((TILES_PER_COUNT * TILE) as u32);
+        from += comptime!((TILES_PER_COUNT * SORT_TILE) as u32);
     }
-    table[CUBE_POS * comptime!(DIGITS) + UNIT_POS as usize] = total;
+    for pass in 0..passes {
+        let row = (pass * chunks) as usize + CUBE_POS;
+        tables[row * comptime!(DIGITS) + UNIT_POS as usize] = select(pass == 0, total, 0u32);
+    }
 }
 
 /// Writes the keys that are not hidden, and their values, in the order of a digit, and the number of them. Without values,
-/// they are the indices of the keys.
+/// they are the indices of the keys. Adds up `next[chunk][digit]`, the numbers of keys by the next digit and the chunk to which
+/// they go.
 #[cube(launch_unchecked)]
 fn scatter_kernel(
     keys: &[u32],
     values: ComptimeOption<Box<[u32]>>,
     count: ComptimeOption<Box<[u32]>>,
     table: &[u32],
+    next: ComptimeOption<Box<[Atomic<u32>]>>,
     sorted_keys: &mut [u32],
     sorted_values: &mut [u32],
     kept: &mut [u32],
     len: u32,
     chunks: u32,
     shift: u32,
+    #[comptime] _given: u32,
 ) {
     // A word for each group and digit while keys are ranked; afterwards the keys, then the values, in order.
-    let words = Shared::<[Atomic<u32>]>::new_slice(comptime!(TILE));
+    let words = Shared::<[Atomic<u32>]>::new_slice(comptime!(SORT_TILE));
     // Two counters to a word, for each group and digit: its keys so far; then its first rank in the tile.
     let counters = Shared::<[Atomic<u32>]>::new_slice(comptime!(GROUPS * DIGITS / 2));
     // For each digit the distance from the ranks of its keys in the tile to their places; it may wrap.
     let mut distances = Shared::<[u32]>::new_slice(comptime!(DIGITS));
     let mut sums = Shared::<[u32]>::new_slice(comptime!(SUM_ROOM));
     let unit = UNIT_POS;
-    let lane = unit % comptime!(LANES as u32);
-    let group = unit / comptime!(LANES as u32);
+    let lane = unit % comptime!(RANK_LANES as u32);
+    let group = unit / comptime!(RANK_LANES as u32);
     let (word_row, counter_row) = (group * comptime!(DIGITS as u32), group * comptime!(DIGITS as u32 / 2));
 
     // The unit's digit: its keys in all chunks and in the chunks before this one.
@@ -183,6 +190,8 @@ fn scatter_kernel(
         kept[0] = total;
     }
     distances[UNIT_POS as usize] = smaller + before;
+    // As `chunk` of the next pass.
+    let each_next = max(total.div_ceil(chunks).div_ceil(32) * 32, 1u32);
     sync_cube();
     // The units of the first half have two digits each.
     let pair = 2 * (UNIT_POS as usize % comptime!(DIGITS / 2));
@@ -191,13 +200,13 @@ fn scatter_kernel(
     let (first, end) = chunk(&count, len, chunks);
     let mut from = first;
     while from < end {
-        let at = from + group * comptime!((LANES * PER_UNIT) as u32) + lane;
+        let at = from + group * comptime!((RANK_LANES * PER_UNIT) as u32) + lane;
         let mut own = Array::<u32>::new(comptime!(PER_UNIT));
         let mut value = Array::<u32>::new(comptime!(PER_UNIT));
         let mut rank = Array::<u32>::new(comptime!(PER_UNIT));
         #[unroll]
         for i in 0..comptime!(PER_UNIT) {
-            let at = at + comptime!((i * LANES) as u32);
+            let at = at + comptime!((i * RANK_LANES) as u32);
             own[i] = HIDDEN;
             value[i] = at;
             if at < end {
@@ -283,6 +292,11 @@ fn scatter_kernel(
                 let key = words[in_order as usize].load();
                 place[i] = distances[digit_of(key, shift) as usize] + in_order;
                 sorted_keys[place[i] as usize] = key;
+                #[comptime]
+                if let ComptimeOption::Some(next) = &next {
+                    let row = (place[i] / each_next) as usize * comptime!(DIGITS);
+                    next[row + digit_of(key, shift + comptime!(DIGIT_BITS)) as usize].fetch_add(1u32);
+                }
             }
         }
         sync_cube();
@@ -301,7 +315,7 @@ fn scatter_kernel(
             }
         }
         sync_cube();
-        from += comptime!(TILE as u32);
+        from += comptime!(SORT_TILE as u32);
     }
 }
 
@@ -320,31 +334,36 @@ pub(crate) struct Sorted {
 /// longer, only so many of the first keys exist. The buffer of the keys is used as scratch.
 pub(crate) fn launch_sort(gpu: &Gpu, keys: Buffer<u32>, count: Option<Buffer<u32>>, bits: u32) -> Sorted {
     let len = keys.len;
-    let chunks = len.div_ceil(TILE).clamp(1, CHUNKS);
-    let table = Buffer::<u32>::new(gpu, chunks * DIGITS);
+    let chunks = len.div_ceil(SORT_TILE).clamp(1, CHUNKS);
+    let passes = bits.div_ceil(DIGIT_BITS).max(1);
+    let tables = Buffer::<u32>::new(gpu, passes as usize * chunks * DIGITS);
+    let table = |pass: u32| tables.part(pass as usize * chunks * DIGITS, chunks * DIGITS);
     let room = || Buffer::with_headroom(gpu, len);
     let (mut from, mut count) = (keys, count);
     // Two buffers in turn take the keys, and two the values.
     let (mut to, mut values, mut spare_values) = (room(), None, None);
-    for shift in (0..bits.max(1)).step_by(BITS as usize) {
-        let optional = |buffer: &Option<Buffer<u32>>| buffer.as_ref().map(Buffer::arg).into();
+    let optional = |buffer: &Option<Buffer<u32>>| buffer.as_ref().map(Buffer::arg).into();
+    let (client, dim, most, chunk_count) = (&gpu.client, CubeDim::new_1d(UNITS as u32), len as u32, chunks as u32);
+    // SAFETY: reads are guarded by the length of a chunk, and there is a table for each pass.
+    unsafe {
+        let (keys, count) = (from.arg(), optional(&count));
+        count_digits_kernel::launch_unchecked(
+            client,
+            cubes(chunks),
+            dim,
+            keys,
+            count,
+            tables.arg(),
+            most,
+            chunk_count,
+            passes,
+        );
+    }
+    for pass in 0..passes {
         let (moved, kept) = (spare_values.take().unwrap_or_else(room), Buffer::new(gpu, 1));
-        let (client, dim) = (&gpu.client, CubeDim::new_1d(UNITS as u32));
-        let (most, chunk_count) = (len as u32, chunks as u32);
-        // SAFETY: reads are guarded by the length of a chunk; places stay below `len` because the table counts every key
-        // that is moved once.
+        let next = (pass + 1 < passes).then(|| table(pass + 1));
+        // SAFETY: as above; places stay below `len` because the table counts every key that is moved once.
         unsafe {
-            count_digits_kernel::launch_unchecked(
-                client,
-                cubes(chunks),
-                dim,
-                from.arg(),
-                optional(&count),
-                table.arg(),
-                most,
-                chunk_count,
-                shift,
-            );
             scatter_kernel::launch_unchecked(
                 client,
                 cubes(chunks),
@@ -352,13 +371,15 @@ pub(crate) fn launch_sort(gpu: &Gpu, keys: Buffer<u32>, count: Option<Buffer<u32
                 from.arg(),
                 optional(&values),
                 optional(&count),
-                table.arg(),
+                table(pass).arg(),
+                next.as_ref().map(Buffer::arg).into(),
                 to.arg(),
                 moved.arg(),
                 kept.arg(),
                 most,
                 chunk_count,
-                shift,
+                DIGIT_BITS * pass,
+                given([&values, &count, &next]),
             );
         }
         std::mem::swap(&mut from, &mut to);

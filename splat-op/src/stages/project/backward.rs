@@ -216,6 +216,7 @@ pub(super) fn project_backward_kernel(
     pose_rows: ComptimeOption<&mut [f32]>,
     camera: ProjectCamera,
     count: u32,
+    #[comptime] _given: u32,
 ) {
     let wanted = comptime!(GeometryGradMask {
         means: grad_means.is_some(),

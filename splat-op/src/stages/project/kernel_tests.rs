@@ -200,6 +200,7 @@ fn surplus_cubes_write_nothing() {
                 ComptimeOptionArgs::Some(rows.arg()),
                 project_camera(&view.spec(&view.lens)),
                 count as u32,
+                0b101000,
             );
         }
         // In tests, slots that no kernel wrote are NaN.

@@ -7,7 +7,7 @@ use super::{COLUMNS, Geometry, ProjectSpec, WIDTHS};
 use crate::camera::{CameraModel, Intrinsics};
 use crate::gpu::math::{POSE, Vec2Launch};
 use crate::gpu::reduce::launch_column_sums;
-use crate::gpu::{Buffer, Gpu, UNITS, elementwise};
+use crate::gpu::{Buffer, Gpu, UNITS, elementwise, given};
 
 /// Camera and options as an argument of the kernels, computed in f64 and rounded once.
 pub(crate) fn project_camera(spec: &ProjectSpec) -> ProjectCameraLaunch {
@@ -119,6 +119,7 @@ pub(crate) fn launch_project_backward(
                 output(&grads.cam_from_world),
                 project_camera(spec),
                 count as u32,
+                given(grads.each_ref().into_array()),
             );
         }
     })

@@ -54,6 +54,7 @@ pub(super) fn rasterize_gather_kernel(
     #[comptime] columns: usize,
     #[comptime] ray_columns: usize,
     #[comptime] per_intersection: bool,
+    #[comptime] _given: u32,
 ) {
     let few = comptime!(shape.few());
     let rank = first_rank as usize + ABSOLUTE_POS;

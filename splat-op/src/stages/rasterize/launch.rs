@@ -17,7 +17,7 @@ use super::{Layers, RasterizeSpec};
 use crate::camera::{Intrinsics, PictureRays};
 use crate::counters::pairs_are_counted;
 use crate::gpu::reduce::launch_column_sums;
-use crate::gpu::{Buffer, Gpu, cubes, elementwise};
+use crate::gpu::{Buffer, Gpu, cubes, elementwise, given};
 use crate::intersect::launch::DeviceIntersections;
 use crate::intersect::{TILE_PIXELS, tile_grid};
 use crate::options::Accumulation;
@@ -225,6 +225,7 @@ impl LayersTask<'_> {
                     frame(self.spec),
                     run.slots.arg(),
                     suffix_shape,
+                    background.is_some(),
                 );
             }
             self.rows.iter().for_each(|rows| self.launch_layers::<S>(run, &suffix_rho, rows));
@@ -338,6 +339,7 @@ fn launch_gather(
                 columns,
                 ray_columns,
                 ordered,
+                given([&grads.projected, &grads.features, &grads.mean2d_abs, &grads.ray_space]),
             );
         }
     }

@@ -46,6 +46,7 @@ pub(super) fn rasterize_suffix_kernel<S: Splat>(
     frame: RasterFrame,
     run: TileRun,
     #[comptime] shape: KernelShape,
+    #[comptime] _with_background: bool,
 ) {
     let channels = comptime!(shape.channels());
     let few = comptime!(shape.few());

@@ -5,7 +5,7 @@ use super::bounds_kernel::bounds_kernel;
 use super::columns;
 use super::forward::ray_space_forward_kernel;
 use super::lens_bounds_kernel::lens_limits;
-use crate::gpu::{Buffer, Gpu, elementwise};
+use crate::gpu::{Buffer, Gpu, elementwise, given};
 use crate::project::launch::{geometry_grads, project_camera};
 use crate::project::{COLUMNS, Geometry, ProjectSpec};
 use crate::rasterize::RasterizeSpec;
@@ -100,6 +100,7 @@ pub(crate) fn launch_ray_space_backward(
                 output(&grads.cam_from_world),
                 project_camera(spec),
                 count as u32,
+                given(grads.each_ref().into_array()),
             );
         }
     })

@@ -184,6 +184,7 @@ pub(super) fn sh_backward_kernel<W: Size, G: Size>(
     frame: Frame,
     count: u32,
     #[comptime] harmonics: Harmonics,
+    #[comptime] _given: u32,
 ) {
     let through_direction = comptime!(harmonics.degree > 0 && (grad_means.is_some() || view_direction_rows.is_some()));
     let gaussian = ABSOLUTE_POS;

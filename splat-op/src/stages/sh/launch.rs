@@ -7,7 +7,7 @@ use super::forward::{FrameLaunch, sh_forward_kernel};
 use super::{Harmonics, Shading, degree_of, extent_sigmas};
 use crate::gpu::math::POSE;
 use crate::gpu::reduce::launch_column_sums;
-use crate::gpu::{Buffer, Gpu, UNITS, elementwise};
+use crate::gpu::{Buffer, Gpu, UNITS, elementwise, given};
 use crate::options::Storage;
 use crate::project::ProjectSpec;
 
@@ -137,6 +137,7 @@ pub(crate) fn launch_sh_backward(
                 frame(visible),
                 count as u32,
                 harmonics,
+                given([&grads.sh, &grads.means, &view_direction_rows]),
             );
         }
     }

@@ -137,6 +137,7 @@ pub(super) fn watch_kernel(
     stride: u32,
     at_step: u32,
     #[comptime] first: u32,
+    #[comptime] _given: u32,
 ) {
     let mut wrong = bit_if_wrong(&loss, counts.loss, stride, 0u32);
     wrong |= bit_if_wrong(&a, counts.a, stride, comptime!(first + 1));

@@ -5,7 +5,7 @@ use cubecl::prelude::ComptimeOptionArgs;
 use super::forward::{AdamParamLaunch, StepFactorsLaunch, WatchedCountsLaunch, adam_kernel, watch_kernel};
 use super::operation::WATCHED;
 use super::rule::{Band, Factors};
-use crate::gpu::{Buffer, Gpu, elementwise, search};
+use crate::gpu::{Buffer, Gpu, elementwise, given, search};
 
 /// A parameter and its moments on the device, all of one length.
 #[derive(Clone)]
@@ -88,6 +88,7 @@ pub(crate) fn launch_watch(
     let (grid, dim, stride) = search(all.iter().flatten().map(|values| values.len).max().unwrap_or(0));
     let [n0, n1, n2, n3, n4, n5] = all.map(|values| values.map_or(0, |values| values.len as u32));
     let counts = WatchedCountsLaunch::new(n0, n1, n2, n3, n4, n5);
+    let given = given(all.each_ref());
     let [loss, a, b, c, d, e] = all.map(|values| values.map(Buffer::arg).into());
     // SAFETY: every access is guarded by the lengths given; a verdict has two numbers.
     unsafe {
@@ -106,6 +107,7 @@ pub(crate) fn launch_watch(
             stride,
             at_step,
             first,
+            given,
         );
     }
 }
