@@ -207,17 +207,24 @@ impl Gaussians {
 
     /// `[N, 3]`: standard deviations, scene units; 0 where a logarithm is unusable.
     pub fn scales(&self) -> Tensor<2> {
-        let log_scales = self.log_scales();
-        // The renderer refuses fields of undocumented shapes by name.
-        activate::scales(&log_scales).unwrap_or_else(|_| log_scales.exp())
+        self.activated(None).0
     }
 
     /// `[N]`: opacities, 0 to 1; exactly 0, without gradients, for Gaussians that are unusable in any parameter (see
     /// [`splat_op::activate`]), so that they do not affect other Gaussians.
     pub fn opacities(&self) -> Tensor<1> {
-        let opacities: Result<_, _> = self.raw().iter().map(activate::opacities).collect();
-        // As in `scales`.
-        opacities.map(joined).unwrap_or_else(|_| activation::sigmoid(self.logit_opacities()))
+        self.activated(None).1
+    }
+
+    fn activated(&self, mark: Option<&Tensor<1, Int>>) -> (Tensor<2>, Tensor<1>) {
+        let raw = self.raw();
+        let blocks = raw.iter().enumerate().map(|(block, raw)| activate::activated(raw, mark.filter(|_| block == 0)));
+        let activated: Result<(Vec<_>, Vec<_>), _> = blocks.collect();
+        match activated {
+            Ok((scales, opacities)) => (joined(scales), joined(opacities)),
+            // The renderer refuses fields of undocumented shapes by name.
+            Err(_) => (self.log_scales().exp(), activation::sigmoid(self.logit_opacities())),
+        }
     }
 
     /// The parameters of the Gaussians of each block of coefficients.
@@ -249,14 +256,8 @@ impl Gaussians {
     /// [`Self::splats`], with the mark that the last step left, `[1]`, if the coefficients in `sh` are its result; see
     /// [`splat_op::adam`].
     pub(crate) fn splats_with(&self, mark: Option<&Tensor<1, Int>>) -> Splats {
-        let raw = self.raw();
-        let blocks = raw.iter().enumerate().map(|(block, raw)| activate::activated(raw, mark.filter(|_| block == 0)));
-        let activated: Result<(Vec<_>, Vec<_>), _> = blocks.collect();
-        // As in `scales`.
-        let (scales, opacities) = activated
-            .map(|(scales, opacities)| (joined(scales), joined(opacities)))
-            .unwrap_or_else(|_| (self.scales(), self.opacities()));
-        let mut blocks: Vec<_> = raw.into_iter().map(|raw| raw.sh).collect();
+        let (scales, opacities) = self.activated(mark);
+        let mut blocks = self.sh_blocks();
         let colour = match blocks.len() {
             1 => Colour::SphericalHarmonics(blocks.remove(0)),
             _ => Colour::SphericalHarmonicsBlocks(blocks),

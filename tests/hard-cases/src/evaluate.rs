@@ -75,8 +75,7 @@ fn leaves(scene: &HardScene, device: &Device, dtype: DType) -> Leaves {
             logit_opacities: opacities.clone(),
             sh: Tensor::zeros([count, 1, 3], (device, dtype)),
         };
-        let fits = "shapes that the scene has";
-        (activate::scales(&scales).expect(fits), activate::opacities(&raw).expect(fits))
+        activate::activated(&raw, None).expect("shapes that the scene has")
     } else {
         (scales.clone(), opacities.clone())
     };

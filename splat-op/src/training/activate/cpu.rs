@@ -3,7 +3,7 @@
 use fearless_simd::prelude::*;
 
 use super::rule::{LARGEST, LARGEST_LOG_SCALE, Raw};
-use crate::simd::lanes::{ROW_BLOCK as BLOCK, map_lanes};
+use crate::simd::lanes::{ROW_BLOCK, map_lanes};
 use crate::simd::real::Real;
 use crate::simd::{dispatch, each};
 use crate::tasks;
@@ -84,8 +84,8 @@ fn opacities_chunk<S: Simd, F: Real>(simd: S, inputs: &Raw<&[F]>, first: usize, 
             logit.simd_lt(zero).select(e, one) / (e + one)
         },
     );
-    for (block, out) in out.chunks_mut(BLOCK).enumerate() {
-        let (first, count) = (first + block * BLOCK, out.len());
+    for (block, out) in out.chunks_mut(ROW_BLOCK).enumerate() {
+        let (first, count) = (first + block * ROW_BLOCK, out.len());
         let turned = |rotation: &[F]| rotation.iter().any(|c| *c != F::ZERO);
         let (means, rotations) = (rows_of(inputs.means, first, count, 3), rows_of(inputs.rotations, first, count, 4));
         let log_scales = rows_of(inputs.log_scales, first, count, 3);

@@ -32,14 +32,6 @@ fn scale_of(log_scale: f32, usable: bool) -> f32 {
     select(usable, scale, 0.0)
 }
 
-#[cube(launch_unchecked)]
-pub(super) fn scales_kernel(log_scales: &[f32], scales: &mut [f32], count: u32) {
-    if ABSOLUTE_POS < count as usize {
-        let log_scale = log_scales[ABSOLUTE_POS];
-        scales[ABSOLUTE_POS] = scale_of(log_scale, usable_log_scale(log_scale));
-    }
-}
-
 /// Computes standard deviations and opacities. The coefficients, most of a Gaussian's data, are read only where the mark, `[1]`,
 /// does not say that all of them are usable.
 #[cube(launch_unchecked)]
@@ -93,20 +85,36 @@ pub(super) fn activate_kernel(
     }
 }
 
-/// Writes the gradients of the logits: the derivatives of the opacities, times `grad`.
+/// Writes the gradients of the logarithms and of the logits, each if it is asked for: the derivatives times the gradients of scales and
+/// opacities. Scales equal their derivatives, and are zero where the logarithm was unusable.
 #[cube(launch_unchecked)]
-pub(super) fn opacities_backward_kernel(
+pub(super) fn activate_backward_kernel(
     logit_opacities: &[f32],
+    scales: &[f32],
     opacities: &[f32],
-    grad: &[f32],
-    grad_logits: &mut [f32],
+    grad_scales: ComptimeOption<Box<[f32]>>,
+    grad_opacities: ComptimeOption<Box<[f32]>>,
+    mut grad_logs: ComptimeOption<Box<[f32]>>,
+    mut grad_logits: ComptimeOption<Box<[f32]>>,
     count: u32,
+    #[comptime] _given: u32,
 ) {
-    if ABSOLUTE_POS < count as usize {
-        let shown = opacities[ABSOLUTE_POS] > 0.0;
-        let e = max(-select(shown, logit_opacities[ABSOLUTE_POS], 0.0).abs(), SMALLEST_EXPONENT).exp();
-        let sum = 1.0 + e;
-        grad_logits[ABSOLUTE_POS] = select(shown, e / (sum * sum), 0.0) * grad[ABSOLUTE_POS];
+    let gaussian = ABSOLUTE_POS;
+    if gaussian < count as usize {
+        #[comptime]
+        if let (ComptimeOption::Some(grad), ComptimeOption::Some(out)) = (&grad_scales, &mut grad_logs) {
+            #[unroll]
+            for axis in 0..3 {
+                out[3 * gaussian + axis] = scales[3 * gaussian + axis] * grad[3 * gaussian + axis];
+            }
+        }
+        #[comptime]
+        if let (ComptimeOption::Some(grad), ComptimeOption::Some(out)) = (&grad_opacities, &mut grad_logits) {
+            let shown = opacities[gaussian] > 0.0;
+            let e = max(-select(shown, logit_opacities[gaussian], 0.0).abs(), SMALLEST_EXPONENT).exp();
+            let sum = 1.0 + e;
+            out[gaussian] = select(shown, e / (sum * sum), 0.0) * grad[gaussian];
+        }
     }
 }
 

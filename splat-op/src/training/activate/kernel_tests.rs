@@ -1,9 +1,9 @@
 //! The kernels of `activate` against the twin in f64.
 
 use super::cpu::{opacities_cpu, opacity_slopes_cpu, scales_cpu};
-use super::launch::{launch_activate, launch_non_finite, launch_opacities_backward, launch_scales};
+use super::launch::{ActivatedGrads, launch_activate, launch_activate_backward, launch_non_finite};
 use super::rule::Raw;
-use crate::gpu::Buffer;
+use crate::gpu::{Buffer, Gpu};
 use crate::testing::ceiling::{PerturbedReference, rounded, to_f32};
 use crate::testing::gpu::{gpu, gpus};
 use crate::testing::random::Random;
@@ -87,16 +87,28 @@ fn activations_and_slopes_agree_with_the_twin() {
                 sh: buffer(4),
             };
             let (together, opacities) = launch_activate(&gpu, &device, None);
-            let ones = Buffer::from_slice(&gpu, &vec![1.0; count]);
-            let slopes = launch_opacities_backward(&gpu, &device.logit_opacities, &opacities, &ones).read(&gpu);
+            let grads = |of_scales: bool, of_opacities: bool| {
+                let ones = |wanted: bool, len: usize| wanted.then(|| Buffer::from_slice(&gpu, &vec![1.0; len]));
+                let inputs = ActivatedGrads {
+                    logit_opacities: device.logit_opacities.clone(),
+                    scales: together.clone(),
+                    opacities: opacities.clone(),
+                    grad_scales: ones(of_scales, 3 * count),
+                    grad_opacities: ones(of_opacities, count),
+                };
+                launch_activate_backward(&gpu, &inputs).map(|grad| grad.map(|grad| grad.read(&gpu)))
+            };
+            let [Some(of_logs), Some(slopes)] = grads(true, true) else { panic!("{what}: both are asked for") };
+            assert!(of_logs == together.read(&gpu), "{what}: scales are their derivatives");
+            assert!(grads(true, false) == [Some(of_logs), None], "{what}: of the scales alone");
+            assert!(grads(false, true) == [None, Some(slopes.clone())], "{what}: of the opacities alone");
             let opacities = opacities.read(&gpu);
             for (i, (opacity, masked)) in opacities.iter().zip(&masked).enumerate() {
                 assert_eq!(opacity.to_bits() == 0, *masked, "{what}: Gaussian {i} is {opacity}");
             }
             logits.check(&what, 0, &opacities, &one);
             logits.check(&what, 1, &slopes, &by_size);
-            let found = launch_scales(&gpu, &device.log_scales).read(&gpu);
-            assert!(together.read(&gpu) == found, "{what}: scales computed with the opacities differ");
+            let found = together.read(&gpu);
             scales.check(&what, 0, &found, &at_limit);
             for (found, expected) in found.iter().zip(&scales.expected[0]) {
                 assert!(
@@ -152,14 +164,26 @@ fn a_mark_of_zero_keeps_the_coefficients_unread() {
     }
 }
 
+/// The gradients of logits, of which opacities and their gradients are given.
+fn of_opacities(gpu: &Gpu, [logits, opacities, grad]: [&[f32]; 3]) -> Vec<f32> {
+    let buffer = |values: &[f32]| Buffer::from_slice(gpu, values);
+    let inputs = ActivatedGrads {
+        logit_opacities: buffer(logits),
+        scales: Buffer::new(gpu, 3 * logits.len()),
+        opacities: buffer(opacities),
+        grad_scales: None,
+        grad_opacities: Some(buffer(grad)),
+    };
+    launch_activate_backward(gpu, &inputs)[1].as_ref().expect("it is asked for").read(gpu)
+}
+
 #[test]
 fn the_gradient_of_a_logit_is_the_slope_times_the_gradient() {
     let (logits, opacities) = ([0.0_f32, 2.0, -3.0, f32::NAN, 1.0], [0.5_f32, 0.88, 0.047, 0.0, 0.0]);
     let grad = [2.0_f32, -1.0, f32::NAN, f32::INFINITY, 3.0];
     let slope = |x: f64| x.exp() / (1.0 + x.exp()).powi(2);
     for (form, gpu) in gpus() {
-        let [logits, opacities, grad] = [logits, opacities, grad].map(|values| Buffer::from_slice(&gpu, &values));
-        let found = launch_opacities_backward(&gpu, &logits, &opacities, &grad).read(&gpu);
+        let found = of_opacities(&gpu, [&logits, &opacities, &grad]);
         for (found, expected) in found.iter().zip([2.0 * slope(0.0), -slope(2.0)]) {
             assert!((f64::from(*found) - expected).abs() <= 1e-6, "{form}: {found} instead of {expected}");
         }
@@ -175,7 +199,6 @@ fn nothing_is_activated() {
     let device = Raw { means: empty(), rotations: empty(), log_scales: empty(), logit_opacities: empty(), sh: empty() };
     let (scales, opacities) = launch_activate(&gpu, &device, None);
     assert!(scales.read(&gpu).is_empty() && opacities.read(&gpu).is_empty());
-    assert!(launch_opacities_backward(&gpu, &empty(), &empty(), &empty()).read(&gpu).is_empty());
-    assert!(launch_scales(&gpu, &empty()).read(&gpu).is_empty());
+    assert!(of_opacities(&gpu, [&[]; 3]).is_empty());
     assert_eq!(launch_non_finite(&gpu, &empty()).read(&gpu), [0]);
 }

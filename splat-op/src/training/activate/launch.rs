@@ -1,20 +1,8 @@
 //! Launches of `activate`.
 
-use super::forward::{activate_kernel, non_finite_kernel, opacities_backward_kernel, scales_kernel};
+use super::forward::{activate_backward_kernel, activate_kernel, non_finite_kernel};
 use super::rule::Raw;
-use crate::gpu::{Buffer, Gpu, elementwise, search};
-
-/// `[N, 3]` standard deviations.
-pub(crate) fn launch_scales(gpu: &Gpu, log_scales: &Buffer<f32>) -> Buffer<f32> {
-    let (count, scales) = (log_scales.len, Buffer::new(gpu, log_scales.len));
-    if count > 0 {
-        let (grid, dim) = elementwise(count);
-        let (from, to) = (log_scales.arg(), scales.arg());
-        // SAFETY: every access is guarded by the length given.
-        unsafe { scales_kernel::launch_unchecked(&gpu.client, grid, dim, from, to, count as u32) };
-    }
-    scales
-}
+use crate::gpu::{Buffer, Gpu, elementwise, given, search};
 
 /// `[N, 3]` standard deviations and `[N]` opacities. `mark`, `[1]`, is zero if all coefficients are known to be usable.
 pub(crate) fn launch_activate(
@@ -48,28 +36,39 @@ pub(crate) fn launch_activate(
     (scales, opacities)
 }
 
-/// `[N]` gradients of the logits from `grad`, those of the opacities.
-pub(crate) fn launch_opacities_backward(
-    gpu: &Gpu,
-    logit_opacities: &Buffer<f32>,
-    opacities: &Buffer<f32>,
-    grad: &Buffer<f32>,
-) -> Buffer<f32> {
-    let (count, found) = (opacities.len, Buffer::new(gpu, opacities.len));
+/// Inputs of a backward pass: the logits, `[N]`, what they and the logarithms became, and the gradients of that, if there are any.
+pub(crate) struct ActivatedGrads {
+    pub logit_opacities: Buffer<f32>,
+    pub scales: Buffer<f32>,
+    pub opacities: Buffer<f32>,
+    pub grad_scales: Option<Buffer<f32>>,
+    pub grad_opacities: Option<Buffer<f32>>,
+}
+
+/// The gradients of the logarithms, `[N, 3]`, and of the logits, `[N]`, each if there is one of what it became.
+pub(crate) fn launch_activate_backward(gpu: &Gpu, inputs: &ActivatedGrads) -> [Option<Buffer<f32>>; 2] {
+    let ActivatedGrads { logit_opacities, scales, opacities, grad_scales, grad_opacities } = inputs;
+    let count = opacities.len;
+    let found = [(grad_scales, 3 * count), (grad_opacities, count)];
+    let found = found.map(|(grad, len)| Buffer::if_needed(gpu, grad.is_some(), len));
     if count > 0 {
         let (grid, dim) = elementwise(count);
-        let (logits, opacities, grad, out) = (logit_opacities.arg(), opacities.arg(), grad.arg(), found.arg());
-        // SAFETY: every access is guarded by the length given.
+        let optional = |buffer: &Option<Buffer<f32>>| buffer.as_ref().map(Buffer::arg).into();
+        // SAFETY: every access is guarded by the number of Gaussians.
         unsafe {
-            opacities_backward_kernel::launch_unchecked(
+            activate_backward_kernel::launch_unchecked(
                 &gpu.client,
                 grid,
                 dim,
-                logits,
-                opacities,
-                grad,
-                out,
+                logit_opacities.arg(),
+                scales.arg(),
+                opacities.arg(),
+                optional(grad_scales),
+                optional(grad_opacities),
+                optional(&found[0]),
+                optional(&found[1]),
                 count as u32,
+                given(found.each_ref()),
             );
         }
     }

@@ -57,31 +57,10 @@ pub struct RawSplats {
     pub sh: Tensor<3>,
 }
 
-/// Computes standard deviations `[N, 3]`, scene units, from their natural logarithms `[N, 3]`.
-///
-/// `scale = exp(log_scale)` (Kerbl et al. 2023, section 5.1); an unusable logarithm gives 0 with a gradient of 0. Differentiable.
-///
-/// # Errors
-/// If the shape or the float type does not fit.
-pub fn scales(log_scales: &Tensor<2>) -> Result<Tensor<2>, SplatError> {
-    let reference = Reference::new("log_scales", log_scales)?;
-    reference.check("log_scales", log_scales, [None, Some(3)], "[N, 3]")?;
-    Ok(apply(operation::Scales, [log_scales.into()]).float(0))
-}
-
-/// Computes opacities `[N]`, 0 to 1, from their logits `[N]`.
-///
-/// `opacity = 1 / (1 + exp(−logit))` (Kerbl et al. 2023, section 5.1); exactly 0 for a Gaussian with an unusable parameter.
-/// Differentiable in the logits.
-///
-/// # Errors
-/// If a tensor's shape, type or device does not fit.
-pub fn opacities(raw: &RawSplats) -> Result<Tensor<1>, SplatError> {
-    Ok(activated(raw, None)?.1)
-}
-
-/// Computes [`scales`] and [`opacities`] together. `mark`, `[1]`, may come from [`crate::adam::step_groups`]: if it is zero, all
-/// coefficients are known to be usable, and a GPU does not read them.
+/// Computes standard deviations `[N, 3]`, scene units, and opacities `[N]`, 0 to 1 (Kerbl et al. 2023, section 5.1). An unusable logarithm
+/// of a standard deviation gives 0 with a gradient of 0, and a Gaussian with an unusable parameter an opacity of exactly 0. Differentiable
+/// in the logarithms and the logits. `mark`, `[1]`, may come from [`crate::adam::step_groups`]: if it is zero, all coefficients are known
+/// to be usable, and a GPU does not read them.
 ///
 /// # Errors
 /// If a tensor's shape, type or device does not fit.

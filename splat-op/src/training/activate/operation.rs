@@ -2,45 +2,12 @@
 
 use super::cpu::{all_finite_cpu, opacities_cpu, opacity_slopes_cpu, scales_cpu};
 #[cfg(feature = "cube")]
-use super::launch::{launch_activate, launch_non_finite, launch_opacities_backward, launch_scales};
+use super::launch::{launch_activate, launch_non_finite};
 use super::rule::Raw;
 #[cfg(feature = "cube")]
-use crate::backend::cube::{gpu_outputs, product};
+use crate::backend::cube::gpu_outputs;
 use crate::backend::host::{float_outputs, slices};
 use crate::backend::*;
-
-/// Standard deviations `[N, 3]` from their logarithms.
-#[derive(Clone, Debug)]
-pub(super) struct Scales;
-
-impl Operation for Scales {
-    fn run<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {
-        float_outputs([scales_cpu::<F>(&args.floats(0))])
-    }
-
-    #[cfg(feature = "cube")]
-    fn launch(&self, args: GpuArgs) -> Vec<GpuOutput> {
-        gpu_outputs([launch_scales(&args.gpu(), &args.buffer(0))])
-    }
-
-    fn differentiable(&self) -> &'static [usize] {
-        &[0]
-    }
-
-    fn keeps_outputs(&self) -> bool {
-        true
-    }
-
-    // The scales equal the derivatives, and are zero where the logarithm was unusable.
-    fn run_backward<F: Real>(&self, _: &HostArgs) -> Vec<HostOutput> {
-        vec![HostOutput::Product(0)]
-    }
-
-    #[cfg(feature = "cube")]
-    fn launch_backward(&self, args: GpuArgs) -> Vec<GpuOutput> {
-        vec![args.grad(0).map(|grad| product(args.output(0), grad))]
-    }
-}
 
 /// Standard deviations and opacities of raw parameters and, optionally, a mark, `[1]`. A GPU does not read the coefficients if the mark is
 /// zero: all of them are then known to be usable.
@@ -91,13 +58,18 @@ impl Operation for Activated {
 
     #[cfg(feature = "cube")]
     fn launch_backward(&self, args: GpuArgs) -> Vec<GpuOutput> {
+        use super::launch::{ActivatedGrads, launch_activate_backward};
         use crate::backend::cube::buffer;
 
-        let of_logs = args.grad(0).map(|grad| product(args.output(0), grad));
-        let of_logits = args.grad(1).map(|grad| {
-            let opacities = buffer(args.output(1).clone());
-            launch_opacities_backward(&args.gpu(), &args.buffer(3), &opacities, &buffer(grad)).handle
-        });
+        let inputs = ActivatedGrads {
+            logit_opacities: args.buffer(3),
+            scales: buffer(args.output(0).clone()),
+            opacities: buffer(args.output(1).clone()),
+            grad_scales: args.grad(0).map(buffer),
+            grad_opacities: args.grad(1).map(buffer),
+        };
+        let [of_logs, of_logits] =
+            launch_activate_backward(&args.gpu(), &inputs).map(|grad| grad.map(|grad| grad.handle));
         vec![None, None, of_logs, of_logits, None, None]
     }
 }
