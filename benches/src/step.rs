@@ -24,6 +24,8 @@ pub struct Step {
     background: Tensor<1>,
     truth: Truth,
     guard: Guard,
+    /// Values of the probe, as in the trainer.
+    probe: Option<Tensor<2>>,
     step: usize,
 }
 
@@ -50,14 +52,18 @@ impl Step {
         let background = Tensor::zeros([3], &camera.cam_from_world.device());
         let guard = Guard::new(&camera.cam_from_world.device());
         let scene = Trained::with_bits(gaussians, bits);
-        Self { scene, density: density(), camera, background, truth, guard, step: 0 }
+        Self { scene, density: density(), camera, background, truth, guard, probe: None, step: 0 }
     }
 
     /// Takes a step and returns the loss, `[1]`.
     pub fn run(&mut self) -> Result<Tensor<1>, SplatError> {
         self.step += 1;
-        let splats = self.scene.gaussians.splats();
-        let probe = Tensor::<2>::zeros([self.scene.gaussians.len(), 2], &splats.means.device()).require_grad();
+        let splats = self.scene.splats();
+        let (rows, last) = (self.scene.gaussians.len(), self.probe.take());
+        let values =
+            last.unwrap_or_else(|| Tensor::<1>::empty([2 * rows], &self.background.device()).reshape([rows, 2]));
+        let probe = Tensor::from_inner(values.clone()).require_grad();
+        self.probe = Some(values);
         let extras = Extras {
             background: Some(self.background.clone()),
             mean2d_probe: Some(probe.clone()),
@@ -103,8 +109,8 @@ impl Step {
         let at = StrategyContext { step: 1, steps: 3, extent: 1.0, means_rate: 0.0, verdict: None };
         let mut rng = ChaCha8Rng::seed_from_u64(0);
         Adaptive::new(config, at.extent, at.steps).act(&mut self.scene, &at, &mut rng)?;
-        // Its statistics are of the rows before.
-        self.density = density();
+        // Its statistics and its probe are of the rows before.
+        (self.density, self.probe) = (density(), None);
         Ok(self.scene.gaussians.len())
     }
 }

@@ -135,7 +135,7 @@ impl Trained {
     }
 
     /// The Gaussians with activated parameters, see [`Gaussians::splats`].
-    pub(crate) fn splats(&self) -> Splats {
+    pub fn splats(&self) -> Splats {
         // Whatever replaces coefficients gives them another identity.
         let mark = self.mark.as_ref().filter(|(id, _)| *id == self.gaussians.sh_id());
         self.gaussians.splats_with(mark.map(|(_, mark)| mark))

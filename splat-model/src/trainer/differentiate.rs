@@ -121,7 +121,8 @@ impl Trainer {
         let signals = self.density.listens_at(self.step);
         let (rows, last) = (splats.means.dims()[0], self.probe.take());
         let values = last.filter(|values| values.dims()[0] == rows);
-        let values = values.unwrap_or_else(|| Tensor::empty([rows, 2], &self.device));
+        // Not as a matrix: CUDA pads the rows of one, and kernels would copy it in every step.
+        let values = values.unwrap_or_else(|| Tensor::<1>::empty([2 * rows], &self.device).reshape([rows, 2]));
         let probe = |wanted: bool| wanted.then(|| Tensor::from_inner(values.clone()).require_grad());
         let extras = Extras {
             background: Some(
