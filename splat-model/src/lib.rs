@@ -71,6 +71,7 @@ pub mod density;
 pub mod effects;
 mod encoding;
 pub mod evaluate;
+mod fold;
 pub mod formats;
 pub mod gaussians;
 pub mod init;

@@ -100,11 +100,8 @@ impl Mcmc {
         }
         let weights = weights(opacities.clone().mask_fill(lives.clone().bool_not(), 0.0));
         let total = weights.clone().narrow(0, rows - 1, 1);
-        let numbers: Vec<usize> = read_back(Tensor::cat(vec![ones(lives.clone()).sum(), total], 0))
-            .iter::<i64>()
-            .map(|n| n as usize)
-            .collect();
-        let (living, total) = (numbers[0], numbers[1]);
+        let [living] = counts([lives.clone()]);
+        let total = read_back(total).iter::<i64>().next().map_or(0, |total| total as usize);
         // Without living Gaussians there is nothing to share.
         if total == 0 {
             return Ok(None);

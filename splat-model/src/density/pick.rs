@@ -4,6 +4,8 @@ use burn::tensor::{Bool, DType, Device, Int, Tensor, TensorData};
 use splat_op::argsort::{argsort, argsort_floats};
 use splat_op::read_back;
 
+use crate::fold::folded;
+
 /// Numbers of rows of a scene are multiples of this: kernels are compiled for the widest vectors that divide a length, so that scenes
 /// whose lengths have no divisor in common are compiled for again after every edit.
 const ROWS_AT_A_TIME: usize = 8;
@@ -47,7 +49,9 @@ pub fn rows_on(device: &Device, rows: &[u32]) -> Tensor<1, Int> {
 
 /// The numbers of rows of masks, read at once.
 pub fn counts<const K: usize>(masks: [Tensor<1, Bool>; K]) -> [usize; K] {
-    let sums = Tensor::stack::<2>(masks.map(ones).to_vec(), 0).sum_dim(1);
+    let rows = Tensor::stack::<2>(masks.map(ones).to_vec(), 0);
+    let device = rows.device();
+    let sums = folded(rows, |shape| Tensor::zeros(shape, (&device, DType::I32))).sum_dim(2).sum_dim(1);
     let counts: Vec<usize> = read_back(sums).iter::<i64>().map(|count| count as usize).collect();
     counts.try_into().expect("one for each mask")
 }
@@ -102,60 +106,4 @@ pub(super) fn repeated(copies: Tensor<1, Int>, total: usize) -> Tensor<1, Int> {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::gaussians::testing::devices;
-
-    fn ints(values: Tensor<1, Int>) -> Vec<i64> {
-        values.into_data().iter().collect()
-    }
-
-    fn on(device: &Device, values: &[u32]) -> Tensor<1, Int> {
-        rows_on(device, values)
-    }
-
-    #[test]
-    fn a_scene_has_whole_vectors_of_rows_or_few() {
-        assert_eq!([0, 7, 1023, 1024, 1031, 9_999].map(rounded_down), [0, 7, 1023, 1024, 1024, 9_992]);
-        // New rows go first; else rows stay that would go.
-        assert_eq!(whole(2_000, 20, 9), (16, 0));
-        assert_eq!(whole(2_003, 20, 9), (13, 0));
-        assert_eq!(whole(2_003, 2, 9), (2, 3));
-        assert_eq!(whole(2_003, 2, 2), (2, 0));
-        assert_eq!(whole(2_000, 0, 9), (0, 0));
-        assert_eq!(whole(100, 3, 9), (3, 0));
-    }
-
-    #[test]
-    fn masks_and_values_choose_rows() {
-        for device in devices() {
-            let values = Tensor::<1>::from_floats([0.5, 0.0, 3.0, 2.0, 3.0], &device);
-            let mask = values.clone().greater_elem(1.0);
-            assert_eq!(counts([mask.clone(), mask.clone().bool_not()]), [3, 2]);
-            assert_eq!(ints(picked(&on(&device, &[4, 1, 3, 0, 2]), &mask, 3)), [4, 3, 2]);
-            let all = || values.clone().greater_equal_elem(0.0);
-            let cases = [(0, vec![], Some(3.0)), (1, vec![4], Some(3.0)), (3, vec![2, 3, 4], Some(0.5))];
-            for (count, expected, next) in cases {
-                let (mask, found) = largest(&values, &all(), count);
-                assert_eq!(ints(picked(&all_rows(5, &device), &mask, count)), expected, "{count}");
-                assert_eq!(found, next, "{count}");
-            }
-            assert_eq!(largest(&values, &all(), 5).1, None);
-            // Of those below one, zero too.
-            let (mask, next) = largest(&values, &mask.bool_not(), 2);
-            assert_eq!((ints(picked(&all_rows(5, &device), &mask, 2)), next), (vec![0, 1], Some(3.0)));
-        }
-    }
-
-    #[test]
-    fn rows_are_repeated_in_order() {
-        for device in devices() {
-            assert_eq!(ints(running_sums(on(&device, &[3, 0, 2, 1, 4]))), [3, 3, 5, 6, 10]);
-            assert_eq!(ints(repeated(on(&device, &[0, 3, 0, 0, 1, 2, 0]), 6)), [1, 1, 1, 4, 5, 5]);
-            let copies: Vec<u32> = (0..3_000).map(|i| i * i % 4).collect();
-            let expected: Vec<i64> =
-                (0..3_000).flat_map(|row| vec![row as i64; copies[row as usize] as usize]).collect();
-            assert_eq!(ints(repeated(on(&device, &copies), expected.len())), expected);
-        }
-    }
-}
+mod tests;

@@ -2,6 +2,8 @@
 
 use burn::tensor::Tensor;
 
+use crate::fold::folded;
+
 /// Mean opacity, `[1]`, of `opacities`, `[N]` or `[N, 1]`, 0 to 1.
 ///
 /// Lets Gaussians that explain nothing fade, so that they can be relocated (Kheradmand et al. 2024, "3D Gaussian
@@ -30,5 +32,10 @@ pub fn needles(log_scales: Tensor<2>, largest_ratio: f64) -> Tensor<1> {
 
 /// The mean, and of no values zero.
 fn mean<const D: usize>(values: Tensor<D>) -> Tensor<1> {
-    if values.shape().num_elements() == 0 { values.sum() } else { values.mean() }
+    let (count, device) = (values.shape().num_elements(), (values.device(), values.dtype()));
+    if count == 0 {
+        return values.sum();
+    }
+    let pieces = folded(values.reshape([1, count]), |shape| Tensor::zeros(shape, (&device.0, device.1)));
+    (pieces.sum_dim(2).sum_dim(1) / count as f64).reshape([1])
 }
