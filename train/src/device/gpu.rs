@@ -9,11 +9,29 @@ use super::{Adapter, AdapterKind, Facts, Runtime};
 
 /// Lists the adapters of some runtimes, in the order of the runtimes and then by index. Empty without a driver.
 pub fn list(runtimes: &[Runtime]) -> Vec<Adapter> {
+    #[cfg(feature = "cuda")]
+    if runtimes.contains(&Runtime::Cuda) {
+        keep_kernels();
+    }
     let of = |&runtime| {
         let found = move |(index, device)| Adapter { runtime, index, kind: kind(&device), device };
         enumerate(runtime).into_iter().enumerate().map(found)
     };
     runtimes.iter().flat_map(of).collect()
+}
+
+/// Has CubeCL keep compiled kernels in the user's cache folder, or where its configuration file says. Has no effect once a device is open.
+#[cfg(feature = "cuda")]
+fn keep_kernels() {
+    use cubecl::config::{CubeClRuntimeConfig, RuntimeConfig, cache::CacheConfig};
+
+    let mut config = CubeClRuntimeConfig::from_current_dir().override_from_env();
+    config.compilation.cache = true;
+    // The folder `target` of a project is CubeCL's default.
+    if matches!(config.environment.path, CacheConfig::Target) {
+        config.environment.path = CacheConfig::Global;
+    }
+    let _ = CubeClRuntimeConfig::try_set(config);
 }
 
 fn enumerate(runtime: Runtime) -> Vec<Device> {
