@@ -136,25 +136,4 @@ pub fn set_steps(steps: usize, trainer: &mut Trainer, args: &TrainArgs, log: &mu
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn times_are_read_as_people_write_them() {
-        let seconds = |text: &str| text.parse::<TrainingTime>().map(TrainingTime::seconds);
-        for (text, expected) in [("60s", 60.0), ("10min", 600.0), ("1h 30m", 5400.0), ("500ms", 0.5)] {
-            assert_eq!(seconds(text), Ok(expected), "{text}");
-        }
-        for text in ["", "60", "0s", "-1s", "soon", "99999999999999999999y"] {
-            assert!(seconds(text).unwrap_err().contains("such as 60s"), "{text}");
-        }
-    }
-
-    #[test]
-    fn a_time_is_saved_as_it_is_written() {
-        let time: TrainingTime = "1h 30m".parse().unwrap();
-        let text = serde_json::to_string(&time).unwrap();
-        assert_eq!(serde_json::from_str::<TrainingTime>(&text).unwrap(), time);
-        assert!(serde_json::from_str::<TrainingTime>("\"0s\"").is_err());
-    }
-}
+mod tests;
