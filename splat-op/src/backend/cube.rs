@@ -4,7 +4,7 @@ use std::array;
 
 use burn::backend::TensorMetadata;
 use burn::backend::ops::FloatTensorOps;
-use burn::tensor::{Shape, Slice};
+use burn::tensor::Shape;
 use burn_cubecl::CubeBackend;
 use burn_cubecl::kernel::into_contiguous;
 use burn_cubecl::tensor::CubeTensor;
@@ -44,17 +44,6 @@ pub(crate) fn owned(tensor: CubeTensor) -> CubeTensor {
 /// Returns the product of two tensors of one shape.
 pub(crate) fn product(values: &CubeTensor, factors: CubeTensor) -> Handle {
     into_contiguous(CubeBackend::float_mul(values.clone(), factors)).handle
-}
-
-/// Returns the planes `from..to` of `planes`, `[C, H, W]`. The first planes are not copied.
-pub(crate) fn part(planes: &CubeTensor, from: usize, to: usize) -> Handle {
-    let [count, height, width] = planes.shape().dims();
-    if from > 0 {
-        let slices = [from..to, 0..height, 0..width].map(Slice::from);
-        return into_contiguous(CubeBackend::float_slice(planes.clone(), &slices)).handle;
-    }
-    let behind = (count - to) * height * width * size_of::<f32>();
-    planes.handle.clone().offset_end(behind as u64)
 }
 
 /// What a pass of an operation is given on a GPU.

@@ -25,6 +25,9 @@ pub(crate) fn roomy(len: usize) -> usize {
     len.next_multiple_of((len.next_power_of_two() / 8).max(1))
 }
 
+/// Bytes at whose multiples every device can bind a part of a buffer.
+pub(crate) const PART_BYTES: usize = 1024;
+
 /// The bits of a quiet NaN. As an index, the value lies beyond every buffer.
 const NAN_BITS: u32 = 0x7fc0_dead;
 
@@ -52,10 +55,14 @@ impl<T> Buffer<T> {
         self.vectors(1)
     }
 
-    /// Returns the elements `first..first + len`, which begin at a multiple of 1,024 bytes, where every device can bind a buffer.
+    /// Returns the elements `first..first + len`, which begin at a multiple of [`PART_BYTES`].
     pub fn part(&self, first: usize, len: usize) -> Self {
         let bytes = |elements: usize| (elements * size_of::<T>()) as u64;
-        debug_assert!(bytes(first).is_multiple_of(1024) && first + len <= self.len, "{first} + {len} of {}", self.len);
+        debug_assert!(
+            bytes(first).is_multiple_of(PART_BYTES as u64) && first + len <= self.len,
+            "{first} + {len} of {}",
+            self.len
+        );
         let rest = self.handle.size_in_used() - bytes(first + len);
         Self::from_handle(self.handle.clone().offset_start(bytes(first)).offset_end(rest), len)
     }

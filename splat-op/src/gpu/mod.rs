@@ -15,7 +15,7 @@ use cubecl::ir::{DeviceProperties, ElemType, FloatKind, Type};
 use cubecl::prelude::{CubeCount, CubeDim};
 
 pub use buffer::poison;
-pub(crate) use buffer::{Buffer, launch_scale, roomy};
+pub(crate) use buffer::{Buffer, PART_BYTES, launch_scale, roomy};
 
 use crate::abilities::lowered_limit;
 use crate::counters::count_dispatch;

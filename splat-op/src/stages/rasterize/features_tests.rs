@@ -163,7 +163,7 @@ mod kernels {
         let (trace, grad) = (trace.expect("asked for"), buffer(&scene.grad));
         let grads = launch_rasterize_backward(gpu, &inputs, &grad, &lists, &trace, spec, needs);
         let [ellipses, features] = [grads.projected, grads.features].map(|grad| grad.expect("asked for"));
-        [planes, ellipses, features].map(|found| widened(found.read(gpu)))
+        [planes.read(gpu), ellipses.read(gpu), features.read(gpu)].map(widened)
     }
 
     /// Lists of up to 32 places, in which a place more or less changes no rounding.

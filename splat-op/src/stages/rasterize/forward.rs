@@ -22,7 +22,7 @@ pub(super) const WORDS: usize = BUCKETS * BLOCKS;
 /// pass evaluates, and pairs that contribute.
 pub(super) const PAIR_COUNTS: usize = 3;
 
-/// Writes the planes `[C + 1 (+ 1), H, W]`. If a trace is kept, it also writes
+/// Writes the planes `[C, H, W]`, and from `alpha_start` and `depth_start` on those of alpha and depth. If a trace is kept, it also writes
 /// - the kept values `[slot][value][unit]`,
 /// - words `[slot][bucket][block]` of the places that some pixel of the block needs,
 /// - the tile of each slot,
@@ -43,6 +43,8 @@ pub(super) fn rasterize_forward_kernel<S: Splat>(
     mut pairs: ComptimeOption<Box<[u32]>>,
     frame: RasterFrame,
     run: TileRun,
+    alpha_start: u32,
+    depth_start: u32,
     #[comptime] shape: KernelShape,
     #[comptime] keep: bool,
     #[comptime] count_pairs: bool,
@@ -264,9 +266,9 @@ pub(super) fn rasterize_forward_kernel<S: Splat>(
             for channel in 0..comptime!(shape.features) {
                 planes[channel * plane + pixel.index] = sums[channel] + left * background[channel];
             }
-            planes[comptime!(shape.features) * plane + pixel.index] = 1.0 - left;
+            planes[alpha_start as usize + pixel.index] = 1.0 - left;
             if comptime!(shape.depth) {
-                planes[comptime!(shape.features + 1) * plane + pixel.index] = sums[comptime!(shape.features)];
+                planes[depth_start as usize + pixel.index] = sums[comptime!(shape.features)];
             }
         }
     }

@@ -17,7 +17,7 @@ use super::{Layers, RasterizeSpec};
 use crate::camera::{Intrinsics, PictureRays};
 use crate::counters::pairs_are_counted;
 use crate::gpu::reduce::launch_column_sums;
-use crate::gpu::{Buffer, Gpu, cubes, elementwise, given};
+use crate::gpu::{Buffer, Gpu, PART_BYTES, cubes, elementwise, given};
 use crate::intersect::launch::DeviceIntersections;
 use crate::intersect::{TILE_PIXELS, tile_grid};
 use crate::options::Accumulation;
@@ -79,14 +79,45 @@ pub(crate) fn columns_of(shape: KernelShape, spec: &RasterizeSpec, absolute: boo
     }
 }
 
-/// Runs the forward pass. Returns the planes `[C + 1 (+ 1), H, W]`, and the trace if `keep` is set.
+/// Planes of a picture: `[C, H, W]`, alpha and, if it is rendered, depth. Each part begins where a device can bind a buffer, so that it is an
+/// output without a copy.
+pub(crate) struct DevicePlanes {
+    all: Buffer<f32>,
+    lens: Vec<usize>,
+}
+
+impl DevicePlanes {
+    fn new(gpu: &Gpu, spec: &RasterizeSpec, features: usize) -> Self {
+        let pixels = spec.intrinsics.width * spec.intrinsics.height;
+        let mut lens = vec![features * pixels, pixels];
+        lens.extend(spec.options.depth.then_some(pixels));
+        Self { all: Buffer::new(gpu, start(&lens[..lens.len() - 1]) + pixels), lens }
+    }
+
+    /// Returns the parts.
+    pub fn parts(&self) -> impl Iterator<Item = Buffer<f32>> {
+        self.lens.iter().enumerate().map(|(i, len)| self.all.part(start(&self.lens[..i]), *len))
+    }
+
+    #[cfg(test)]
+    pub fn read(&self, gpu: &Gpu) -> Vec<f32> {
+        self.parts().flat_map(|part| part.read(gpu)).collect()
+    }
+}
+
+/// Number of floats up to the part behind some.
+fn start(lens: &[usize]) -> usize {
+    lens.iter().map(|len| len.next_multiple_of(PART_BYTES / size_of::<f32>())).sum()
+}
+
+/// Runs the forward pass. Returns the planes, and the trace if `keep` is set.
 pub(crate) fn launch_rasterize(
     gpu: &Gpu,
     inputs: &Layers<Buffer<f32>>,
     lists: &DeviceIntersections,
     spec: &RasterizeSpec,
     keep: bool,
-) -> (Buffer<f32>, Option<DeviceTrace>) {
+) -> (DevicePlanes, Option<DeviceTrace>) {
     match spec.options.along_rays() {
         true => launch_forward::<RayGaussian>(gpu, inputs, lists, spec, keep),
         false => launch_forward::<LayerEllipse>(gpu, inputs, lists, spec, keep),
@@ -99,10 +130,10 @@ fn launch_forward<S: Splat>(
     lists: &DeviceIntersections,
     spec: &RasterizeSpec,
     keep: bool,
-) -> (Buffer<f32>, Option<DeviceTrace>) {
+) -> (DevicePlanes, Option<DeviceTrace>) {
     let (shape, tiles) = (KernelShape::of(inputs.background.len, &spec.options), lists.counts.len);
     let splats = DeviceSplats::new(gpu, inputs, lists, spec);
-    let planes = Buffer::new(gpu, spec.planes(shape.features) * spec.intrinsics.width * spec.intrinsics.height);
+    let planes = DevicePlanes::new(gpu, spec, shape.features);
     let kept_tiles = if keep { tiles } else { 0 };
     let count_pairs = keep && pairs_are_counted();
     let mut trace = DeviceTrace {
@@ -122,7 +153,7 @@ fn launch_forward<S: Splat>(
                 CubeDim::new_1d(TILE_PIXELS as u32),
                 splats.arg(),
                 inputs.background.arg(),
-                planes.arg(),
+                planes.all.arg(),
                 run.kept.arg(),
                 run.words.arg(),
                 run.tile_of_slot.arg(),
@@ -131,6 +162,8 @@ fn launch_forward<S: Splat>(
                 trace.pairs.as_ref().map(Buffer::arg).into(),
                 frame(spec),
                 run.slots.arg(),
+                start(&planes.lens[..1]) as u32,
+                start(&planes.lens[..2]) as u32,
                 shape,
                 keep,
                 count_pairs,

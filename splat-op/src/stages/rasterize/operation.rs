@@ -10,7 +10,7 @@ use super::launch::{launch_rasterize, launch_rasterize_backward};
 use super::trace::DeviceTrace;
 use super::{Layers, PlaneParts, RasterizeSpec, TraceCell};
 #[cfg(feature = "cube")]
-use crate::backend::cube::{buffer, optional_outputs, part};
+use crate::backend::cube::{buffer, gpu_outputs, optional_outputs};
 use crate::backend::host::{Host, float_outputs};
 use crate::backend::*;
 #[cfg(feature = "cube")]
@@ -75,28 +75,16 @@ impl TraceCell {
 }
 
 #[cfg(feature = "cube")]
-use gpu::{grad_of_planes, split_planes};
+use gpu::grad_of_planes;
 
 #[cfg(feature = "cube")]
 mod gpu {
     use burn::backend::ops::FloatTensorOps;
-    use burn::tensor::{DType, Shape};
+    use burn::tensor::DType;
     use burn_cubecl::CubeBackend;
     use burn_cubecl::tensor::CubeTensor;
 
     use super::*;
-
-    /// Splits planes `[C + 1 (+ 1), H, W]`, which are as `like` but for their shape. Colours are not copied.
-    pub(crate) fn split_planes(planes: Buffer<f32>, spec: &RasterizeSpec, like: &CubeTensor) -> Vec<GpuOutput> {
-        let (height, width) = (spec.intrinsics.height, spec.intrinsics.width);
-        let count = planes.len / (height * width).max(1);
-        let (client, device, shape) = (like.client.clone(), like.device.clone(), Shape::from([count, height, width]));
-        let planes = CubeTensor::new_contiguous(client, device, shape, planes.handle, DType::F32);
-        let features = count - 1 - usize::from(spec.options.depth);
-        let mut all = vec![part(&planes, 0, features), part(&planes, features, features + 1)];
-        all.extend(spec.options.depth.then(|| part(&planes, features + 1, features + 2)));
-        all.into_iter().map(Some).collect()
-    }
 
     /// Returns the gradient of all planes in one buffer, with zeros where a part has none. If `shortest` is set and only the colours have
     /// one, the result has theirs alone.
@@ -169,7 +157,7 @@ impl Operation for Rasterize {
         keep(self.trace.as_ref(), kept);
         // The device may have nothing else to do by now.
         gpu.begin();
-        split_planes(planes, &self.spec, args.tensor(0))
+        gpu_outputs(planes.parts())
     }
 
     fn differentiable(&self) -> &'static [usize] {

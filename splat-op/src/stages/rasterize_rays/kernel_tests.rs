@@ -220,7 +220,7 @@ fn buffers_in_several_parts_change_nothing() {
     let grad = Random::new(4).fill(2 * 160 * 130, -1.0, 1.0);
     let lists = scene.device(&gpu).1;
     // Room for the planes, and for the trace of the tile with the longest list.
-    let limited = Gpu { buffer_limit: 8 * 160 * 130, ..gpu.clone() };
+    let limited = Gpu { buffer_limit: 8 * 160 * 130 + 1024, ..gpu.clone() };
     let columns = columns_of(KernelShape::of(1, &scene.spec.options), &scene.spec, true);
     let parts = Rows::of_intersections(&limited, &lists, columns).len();
     assert!(parts > 1, "{} intersections in one part", lists.intersections);
