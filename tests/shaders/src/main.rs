@@ -113,7 +113,10 @@ mod tests {
         assert!(!alone.iter().any(|finding| finding.contains("MSL 3.0")), "{alone:?}");
         assert_eq!(findings(&[&ATOMIC.replace("fn k(", "fn other("), PLAIN]), BTreeSet::new());
         let same = findings(&[ATOMIC, PLAIN]);
-        assert!(same.len() == 1 && same.iter().all(|finding| finding.contains("another form has the key k")), "{same:?}");
+        assert!(
+            same.len() == 1 && same.iter().all(|finding| finding.contains("another form has the key k")),
+            "{same:?}"
+        );
     }
 
     #[test]
