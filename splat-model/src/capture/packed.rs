@@ -39,8 +39,8 @@ impl PackedPhoto {
         }
     }
 
-    /// `[H, W, 3]`: what [`Photo::rgb_over`] gives, computed on the device in few operations, because each costs the host as much as
-    /// the device.
+    /// `[H, W, 3]`: what [`Photo::rgb_over`] gives, computed on the device. Few operations do it: a launch costs the host more than the work
+    /// costs the device.
     pub fn rgb_over(&self, background: [f32; 3]) -> Tensor<3> {
         let colours = unpacked(self.words.clone().bitwise_right_shift(self.first_bits.clone()));
         let alpha = (!self.opaque)

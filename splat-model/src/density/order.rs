@@ -19,8 +19,7 @@ pub(super) fn z_order(means: &Tensor<2>, usable: &Tensor<1, Bool>) -> Tensor<1, 
     // Both bounds in one reduction. An unusable row is as far inside as the device's numbers reach.
     let inside = |values: Tensor<2>| values.mask_fill(unusable.clone(), f32::MAX).swap_dims(0, 1);
     let sides = Tensor::cat(vec![inside(means.clone()), inside(means.clone().neg())], 0);
-    let beyond = |shape| Tensor::full(shape, f32::MAX, (&means.device(), means.dtype()));
-    let bounds = folded(sides, beyond).min_dim(2).min_dim(1).reshape([6, 1]);
+    let bounds = folded(sides, f32::MAX.into()).min_dim(2).min_dim(1).reshape([6, 1]);
     let low = bounds.clone().narrow(0, 0, 3);
     // Halves, because the bounding box of finite f32 numbers may be larger than the largest f32.
     let side = (bounds.narrow(0, 3, 3).neg() * 0.5 - low.clone() * 0.5).max_dim(0);

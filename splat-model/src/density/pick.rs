@@ -49,9 +49,7 @@ pub fn rows_on(device: &Device, rows: &[u32]) -> Tensor<1, Int> {
 
 /// The numbers of rows of masks, read at once.
 pub fn counts<const K: usize>(masks: [Tensor<1, Bool>; K]) -> [usize; K] {
-    let rows = Tensor::stack::<2>(masks.map(ones).to_vec(), 0);
-    let device = rows.device();
-    let sums = folded(rows, |shape| Tensor::zeros(shape, (&device, DType::I32))).sum_dim(2).sum_dim(1);
+    let sums = folded(Tensor::stack(masks.map(ones).to_vec(), 0), 0.0).sum_dim(2).sum_dim(1);
     let counts: Vec<usize> = read_back(sums).iter::<i64>().map(|count| count as usize).collect();
     counts.try_into().expect("one for each mask")
 }

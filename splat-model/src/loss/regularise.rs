@@ -32,10 +32,9 @@ pub fn needles(log_scales: Tensor<2>, largest_ratio: f64) -> Tensor<1> {
 
 /// The mean, and of no values zero.
 fn mean<const D: usize>(values: Tensor<D>) -> Tensor<1> {
-    let (count, device) = (values.shape().num_elements(), (values.device(), values.dtype()));
+    let count = values.shape().num_elements();
     if count == 0 {
         return values.sum();
     }
-    let pieces = folded(values.reshape([1, count]), |shape| Tensor::zeros(shape, (&device.0, device.1)));
-    (pieces.sum_dim(2).sum_dim(1) / count as f64).reshape([1])
+    (folded(values.reshape([1, count]), 0.0).sum_dim(2).sum_dim(1) / count as f64).reshape([1])
 }

@@ -4,6 +4,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::regularise;
 use super::*;
+use crate::gaussians::values_of;
 
 /// A picture on the host, `[H, W, C]` row-major.
 #[derive(Clone)]
@@ -243,6 +244,17 @@ fn weights_mask_pixels() {
     assert_eq!(run([3.0, 3.0]).0, 0.4375);
     assert_eq!(run([1.0, 0.0]), (0.75, vec![-0.5, 0.5, 0.0, 0.0]));
     assert_eq!(run([0.0, 0.0]), (0.0, vec![0.0; 4]));
+}
+
+#[test]
+fn all_gaussians_have_equal_shares_of_a_mean() {
+    for device in crate::gaussians::testing::devices() {
+        let opacities = Tensor::<1>::full([5_003], 0.5, &device).autodiff().require_grad();
+        let loss = regularise::opacity(opacities.clone());
+        let shares = values_of(opacities.grad(&loss.backward()).expect("tracked"));
+        assert!((values_of(loss.inner())[0] - 0.5).abs() < 1e-6);
+        assert!(shares.len() == 5_003 && shares.iter().all(|share| (share * 5_003.0 - 1.0).abs() < 1e-6));
+    }
 }
 
 #[test]

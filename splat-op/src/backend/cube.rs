@@ -3,7 +3,6 @@
 use std::array;
 
 use burn::backend::TensorMetadata;
-use burn::backend::ops::FloatTensorOps;
 use burn::tensor::Shape;
 use burn_cubecl::CubeBackend;
 use burn_cubecl::kernel::into_contiguous;
@@ -39,11 +38,6 @@ pub(crate) fn buffer<T>(tensor: CubeTensor) -> Buffer<T> {
 pub(crate) fn owned(tensor: CubeTensor) -> CubeTensor {
     let tensor = into_contiguous(tensor);
     if tensor.can_mut() { tensor } else { tensor.copy() }
-}
-
-/// Returns the product of two tensors of one shape.
-pub(crate) fn product(values: &CubeTensor, factors: CubeTensor) -> Handle {
-    into_contiguous(CubeBackend::float_mul(values.clone(), factors)).handle
 }
 
 /// What a pass of an operation is given on a GPU.

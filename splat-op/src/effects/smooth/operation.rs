@@ -43,10 +43,10 @@ impl Operation for SmoothedScales {
         use burn::backend::ops::FloatTensorOps;
         use burn_cubecl::CubeBackend;
 
-        use crate::backend::cube::product;
+        use crate::backend::cube::buffer;
 
         let share = CubeBackend::float_div(args.tensor(0).clone(), args.output(0).clone());
-        vec![args.grad(0).map(|grad| product(&share, grad)), None]
+        vec![args.grad(0).map(|grad| buffer::<f32>(CubeBackend::float_mul(share, grad)).handle), None]
     }
 }
 
