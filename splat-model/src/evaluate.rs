@@ -94,7 +94,6 @@ pub fn evaluate_each<P: Borrow<Photo>, E: From<SplatError>>(
     mut look: impl FnMut(&Comparison, &ViewScore),
 ) -> Result<Scores, E> {
     let device: Device = splats.means.device();
-    let splats = &splats.stored(options)?;
     let mut views = Vec::new();
     for photo in photos {
         let photo = photo?;

@@ -7,11 +7,9 @@ use crate::error::SplatError;
 use crate::limits::Need;
 
 /// The float type and device that all tensors of a call must share.
-#[derive(Clone)]
 pub(crate) struct Reference {
     dtype: DType,
     device: Device,
-    or_half: bool,
 }
 
 impl Reference {
@@ -24,7 +22,7 @@ impl Reference {
                 let expected = "F32, the float type of GPUs (move tensors to a CPU device for F64)".into();
                 Err(SplatError::DType { name, found: "F64".into(), expected })
             }
-            DType::F32 | DType::F64 => Ok(Self { dtype, device, or_half: false }),
+            DType::F32 | DType::F64 => Ok(Self { dtype, device }),
             _ => Err(SplatError::DType { name, found: format!("{dtype:?}"), expected: "F32 or F64".into() }),
         }
     }
@@ -32,11 +30,6 @@ impl Reference {
     /// Options that create a tensor with this type on this device.
     pub fn options(&self) -> TensorCreationOptions {
         (&self.device, self.dtype).into()
-    }
-
-    /// The same, but [`Self::check`] also accepts half precision.
-    pub fn or_half(&self) -> Self {
-        Self { or_half: true, ..self.clone() }
     }
 
     /// Compares a tensor with the reference and with `shape`, in which `None` is free.
@@ -58,9 +51,9 @@ impl Reference {
             });
         }
         let dtype = tensor.dtype();
-        if dtype != self.dtype && !(self.or_half && dtype == DType::F16) {
-            let (found, or_half) = (format!("{dtype:?}"), if self.or_half { " or F16" } else { "" });
-            return Err(SplatError::DType { name, found, expected: format!("{:?}{or_half}", self.dtype) });
+        if dtype != self.dtype {
+            let (found, expected) = (format!("{dtype:?}"), format!("{:?}", self.dtype));
+            return Err(SplatError::DType { name, found, expected });
         }
         self.check_device(name, &tensor.device())
     }

@@ -1,14 +1,13 @@
 //! The dials of a render through the public functions, on every device: each dial changes its own part of the result and no other.
 
-use burn::tensor::{DType, Device, f16};
+use burn::tensor::{DType, Device};
 use splat_op::{
-    Accumulation, Camera, Colour, Extras, Intrinsics, MAX_UNCULLED_INTERSECTIONS, Projection, RenderOptions, Splats,
-    Storage, intersect, project, render,
+    Accumulation, Camera, Colour, Extras, Intrinsics, MAX_UNCULLED_INTERSECTIONS, RenderOptions, Splats, intersect,
+    project, render,
 };
 use splat_tests::random::Random;
 use splat_tests::scene::{Scene, SceneTensors, host, tensor};
-use splat_tests::tracked::{INPUTS, gradients_of};
-use splat_tests::{cpu_devices, gpu, ndarray};
+use splat_tests::{cpu_devices, gpu};
 
 const CAMERA: Intrinsics = Intrinsics { fx: 61.0, fy: 64.0, cx: 36.0, cy: 26.5, ..Intrinsics::centred(75, 50, 61.0) };
 
@@ -92,106 +91,4 @@ fn without_a_cut_a_large_picture_of_many_gaussians_is_refused() {
     for part in ["`alpha_min` is 0 for 17 Gaussians", &MAX_UNCULLED_INTERSECTIONS.to_string(), "smaller picture"] {
         assert!(message.contains(part), "`{part}` is missing: {message}");
     }
-}
-
-/// The scene with its harmonics rounded to half precision.
-fn rounded(scene: &Scene) -> Scene {
-    Scene { sh: scene.sh.iter().map(|value| f16::from_f64(*value).to_f64()).collect(), ..scene.clone() }
-}
-
-/// The devices that support tensors of half precision.
-fn with_halves() -> Vec<Where> {
-    let all = everywhere().into_iter();
-    all.filter(|(_, device, _)| device.supports_dtype(DType::F16)).collect()
-}
-
-#[track_caller]
-fn assert_same(what: &str, exactly: bool, found: &[f64], expected: &[f64]) {
-    assert_eq!(found.len(), expected.len(), "{what}");
-    let most = expected.iter().fold(0.0_f64, |most, value| most.max(value.abs()));
-    assert!(most > 0.0, "{what}: all zero, which proves nothing");
-    // Different kernels may contract different sums.
-    let slack = if exactly { 0.0 } else { 1e-5 * most };
-    let worst = found.iter().zip(expected).fold(0.0_f64, |worst, (a, b)| worst.max((a - b).abs()));
-    assert!(worst <= slack, "{what}: {worst:e} of {most:e}");
-}
-
-#[test]
-fn coefficients_of_half_precision_are_rounded_ones() {
-    let half = OPTIONS.with_coefficients(Storage::Half);
-    let places = with_halves();
-    assert!(places.iter().any(|place| place.0 == "flex"), "no device has half precision");
-    for degree in 0..=4 {
-        // The number of Gaussians is odd, so that the last word of an odd number of coefficients is half empty.
-        let scene = Scene::random(&mut Random::new(14 + degree as u64), 61, degree, CAMERA);
-        for place in &places {
-            let what = format!("{} {:?}, degree {degree}", place.0, place.2);
-            let full = with_harmonics(&scene, &OPTIONS, place);
-            let found = with_harmonics(&scene, &half, place);
-            let expected = with_harmonics(&rounded(&scene), &OPTIONS, place);
-            let exactly = place.0 != "gpu";
-            assert!(found.0 != full.0, "{what}: the dial changes nothing");
-            assert_same(&what, exactly, &found.0, &expected.0);
-            assert_same(&what, exactly, &found.1, &expected.1);
-        }
-    }
-}
-
-#[test]
-fn coefficients_of_half_precision_have_gradients_in_a_step_that_trains_all() {
-    let scene = Scene::random(&mut Random::new(19), 61, 3, CAMERA);
-    // With the pose, without it, and with per-ray rasterization. One camera, because another graph may change the order of a sum
-    // over several cameras.
-    let poses = [[true; 9], [true, true, true, true, true, false, true, true, true]];
-    for place in with_halves() {
-        for tracked in poses {
-            for options in [OPTIONS, OPTIONS.with_projection(Projection::RayMax)] {
-                let at = (place.1.clone(), place.2);
-                let what = format!("{} {:?}, {tracked:?}, {:?}", place.0, place.2, options.projection);
-                let half = options.with_coefficients(Storage::Half);
-                let found = gradients_of(&scene, 1, tracked, &half, &at);
-                let expected = gradients_of(&rounded(&scene), 1, tracked, &options, &at);
-                for ((found, expected), name) in found.iter().zip(&expected).zip(INPUTS) {
-                    let (Some(found), Some(expected)) = (found, expected) else {
-                        assert_eq!(found.is_some(), expected.is_some(), "{what}, {name}");
-                        continue;
-                    };
-                    assert_same(&format!("{what}, {name}"), place.0 != "gpu", found, expected);
-                }
-            }
-        }
-    }
-}
-
-#[test]
-fn a_scene_can_be_stored_in_half_precision_once() {
-    let mut scene = Scene::random(&mut Random::new(20), 61, 2, CAMERA);
-    // A value above the largest half is clamped to it and does not become infinite.
-    scene.sh[5] = 1e6;
-    for (name, device, dtype) in with_halves() {
-        let SceneTensors { splats, camera, .. } = scene.tensors(&device, dtype);
-        let colour = |splats: &Splats, options: &RenderOptions| {
-            host(render(splats, std::slice::from_ref(&camera), &Extras::default(), options).expect("valid").colour)
-        };
-        let half = OPTIONS.with_coefficients(Storage::Half);
-        let stored = splats.stored(&half).expect("there is half precision");
-        let Colour::SphericalHarmonics(sh) = &stored.colour else { panic!("still harmonics") };
-        assert_eq!((sh.dtype(), sh.dims()), (DType::F16, [61, 9, 3]), "{name}");
-        let expected = colour(&splats, &half);
-        assert!(expected.iter().all(|value| value.is_finite()), "{name}");
-        for options in [half, OPTIONS] {
-            assert!(colour(&stored, &options) == expected, "{name} {dtype:?}: differs from what each render stores");
-        }
-        let lower = half.with_sh_degree(Some(1));
-        assert!(colour(&stored, &lower) == colour(&splats, &lower), "{name} {dtype:?}: of a lower degree");
-    }
-}
-
-#[test]
-fn half_precision_is_refused_where_there_is_none() {
-    let scene = Scene::random(&mut Random::new(21), 10, 1, CAMERA);
-    let half = OPTIONS.with_coefficients(Storage::Half);
-    let SceneTensors { splats, camera, .. } = scene.tensors(&ndarray(), DType::F32);
-    let message = render(&splats, &[camera], &Extras::default(), &half).expect_err("refused").to_string();
-    assert!(message.contains("`coefficients` is Storage::Half") && message.contains("Storage::Full"), "{message}");
 }

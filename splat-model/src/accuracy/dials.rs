@@ -1,6 +1,6 @@
 //! The table of dials. A dial that is added here can be measured, stored in files, chosen and trained with.
 
-use splat_op::{Accumulation, Projection, RenderOptions, Storage};
+use splat_op::{Accumulation, Projection, RenderOptions};
 
 /// The reference that a dial's values are judged against. The two kinds are never mixed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -125,14 +125,6 @@ pub const DIALS: &[Dial] = &[
             ],
         )
     },
-    numerical(
-        "coefficients",
-        "how spherical-harmonics coefficients are stored when colours are computed from them",
-        &[
-            value("full", 0.0, |o| o.with_coefficients(Storage::Full)),
-            value("half", 2e-3, |o| o.with_coefficients(Storage::Half)),
-        ],
-    ),
     model(
         "projection",
         "how a Gaussian contributes to a pixel: by its projected ellipse, or by its maximum along the ray",

@@ -6,7 +6,6 @@ mod division;
 
 use burn::tensor::{Bool, Device, Int, Tensor};
 use rand::Rng;
-use splat_op::tally::{self, Tally};
 
 pub use self::config::{AdaptiveConfig, GRADUAL_OPACITY_WEIGHT};
 pub use self::division::Division;
@@ -15,6 +14,7 @@ use super::order::z_order;
 use super::pick::{counts, largest, picked, rows_on, whole};
 use super::rows::{RowEdit, Trained};
 use super::strategy::{Observed, RefineReport, Signals, Strategy, StrategyContext};
+use super::tally::{self, Tally};
 use crate::gaussians::{Gaussians, RowsError, logit};
 use crate::state::{State, StateError};
 
@@ -199,7 +199,7 @@ impl Strategy for Adaptive {
         let Some(grad_mean2d) = seen.gradient.or(seen.abs_gradient) else { return };
         // Half the picture size: normalised device coordinates run from -1 to 1.
         let per_ndc = [seen.size.0 as f32 / 2.0, seen.size.1 as f32 / 2.0];
-        self.seen = Some(tally::add(self.seen.take(), grad_mean2d, per_ndc));
+        self.seen = Some(tally::add(self.seen.take(), &grad_mean2d, per_ndc));
     }
 
     fn acts_at(&self, step: usize) -> bool {

@@ -12,6 +12,7 @@ mod pick;
 mod rotate;
 pub mod rows;
 mod strategy;
+mod tally;
 
 pub use adaptive::{Adaptive, AdaptiveConfig, Division, GRADUAL_OPACITY_WEIGHT};
 pub use config::DensityConfig;

@@ -8,7 +8,7 @@ use std::ops::Deref;
 use burn::backend::ops::FloatTensorOps;
 use burn::backend::tensor::{FloatTensor, IntTensor};
 use burn::backend::{Backend, Flex, NdArray, TensorMetadata};
-use burn::tensor::{DType, Element, Shape, TensorData, f16};
+use burn::tensor::{DType, Element, Shape, TensorData};
 use burn_flex::FlexTensor;
 use burn_ndarray::NdArrayTensor;
 use bytemuck::Pod;
@@ -16,7 +16,6 @@ use bytemuck::Pod;
 use super::list::{List, Slot, Tensors};
 use super::operation::{Args, Call, OperationBackend, Spec};
 use crate::counters::count_twin_call;
-use crate::sh::cpu::ShCoefficients;
 use crate::simd::real::Real;
 
 /// A tensor in host memory.
@@ -46,21 +45,6 @@ impl<F: Element + Pod> Deref for Host<F> {
             Self::Flex(tensor) => tensor.as_slice().expect("made contiguous when it was read, and of this type"),
             Self::NdArray(tensor) => elements(tensor).expect("found contiguous when it was read, and of this type"),
             Self::Copied(elements) => elements,
-        }
-    }
-}
-
-/// Coefficients of spherical harmonics, in the precision of their tensor.
-pub(crate) enum HostCoefficients<F> {
-    Full(Host<F>),
-    Half(Host<f16>),
-}
-
-impl<F: Real> HostCoefficients<F> {
-    pub fn view(&self) -> ShCoefficients<'_, F> {
-        match self {
-            Self::Full(values) => ShCoefficients::Full(values),
-            Self::Half(halves) => ShCoefficients::Half(halves),
         }
     }
 }
@@ -117,13 +101,6 @@ impl HostTensor {
         }
     }
 
-    fn halves(&self) -> Host<f16> {
-        match self {
-            Self::Flex(tensor) => flex(tensor),
-            Self::NdArray(_) => unreachable!("this backend has no tensors of half precision"),
-        }
-    }
-
     fn ints(&self) -> Host<i32> {
         match self {
             Self::Flex(tensor) if tensor.dtype() == DType::I64 => narrowed(flex::<i64>(tensor).iter()),
@@ -165,15 +142,6 @@ impl HostArgs {
     /// Returns the integers of input `i`, i32 or i64. A number beyond i32 is −1.
     pub fn ints(&self, i: usize) -> Host<i32> {
         present(&self.inputs, i).ints()
-    }
-
-    /// Returns input `i` in its precision.
-    pub(crate) fn coefficients<F: Real>(&self, i: usize) -> HostCoefficients<F> {
-        let tensor = present(&self.inputs, i);
-        match tensor.dtype() {
-            DType::F16 => HostCoefficients::Half(tensor.halves()),
-            _ => HostCoefficients::Full(tensor.floats()),
-        }
     }
 
     /// In a backward pass, returns output `i` of the operation, if it keeps its outputs.

@@ -3,7 +3,6 @@
 
 pub(crate) mod atomic;
 mod buffer;
-pub(crate) mod half;
 pub(crate) mod math;
 pub(crate) mod reduce;
 

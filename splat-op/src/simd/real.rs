@@ -3,9 +3,8 @@
 use std::iter::Sum;
 use std::ops::{Add, AddAssign, Div, Mul, MulAssign, Neg, Sub, SubAssign};
 
-use burn::tensor::{DType, f16};
+use burn::tensor::DType;
 use fearless_simd::{f32x8, f32x16, f64x2, f64x8, prelude::*, u32x8};
-use half::slice::HalfFloatSliceExt;
 
 use super::each;
 
@@ -75,8 +74,6 @@ pub trait Real:
     /// Returns `2^−q` for `0 <= q <= EXP2_MAX`, within 2 ulp; arbitrary elsewhere. `constants` are [`Self::EXP2`], one copy in
     /// each lane.
     fn exp2_lanes<S: Simd, L: SimdFloat<S, Element = Self>>(q: L, constants: &[L; EXP2_CONSTANTS]) -> L;
-    /// Converts half-precision floats to values without loss.
-    fn widen(halves: &[f16], into: &mut [Self]);
     /// Returns `eˣ` within 1 ulp: zero or infinite beyond the range of the float type, arbitrary for NaN.
     fn exp_lanes<S: Simd>(x: Self::Lanes<S>) -> Self::Lanes<S>;
 
@@ -105,7 +102,7 @@ macro_rules! inherent {
 }
 
 macro_rules! scalar_functions {
-    ($float:ty, $bits:ty, $dtype:expr, $widen:ident) => {
+    ($float:ty, $bits:ty, $dtype:expr) => {
         type SortKey = $bits;
         const DTYPE: DType = $dtype;
         const ZERO: Self = 0.0;
@@ -134,10 +131,6 @@ macro_rules! scalar_functions {
         fn sort_key(self) -> Self::SortKey {
             self.to_bits()
         }
-        #[inline(always)]
-        fn widen(halves: &[f16], into: &mut [Self]) {
-            halves.$widen(into);
-        }
         fn sort_by_key(rows: &mut [(Self::SortKey, u32)]) {
             radsort::sort_by_key(rows, |row| row.0);
         }
@@ -148,7 +141,7 @@ impl Real for f32 {
     type Lanes<S: Simd> = f32x8<S>;
     type Eight<S: Simd> = f32x8<S>;
     type Block<S: Simd> = f32x16<S>;
-    scalar_functions!(f32, u32, DType::F32, convert_to_f32_slice);
+    scalar_functions!(f32, u32, DType::F32);
 
     const EXP2_MAX: Self = 126.0;
 
@@ -210,7 +203,7 @@ impl Real for f64 {
     type Lanes<S: Simd> = f64x2<S>;
     type Eight<S: Simd> = f64x8<S>;
     type Block<S: Simd> = f64x8<S>;
-    scalar_functions!(f64, u64, DType::F64, convert_to_f64_slice);
+    scalar_functions!(f64, u64, DType::F64);
 
     const EXP2_MAX: Self = 1022.0;
     const EXP2: [f64; EXP2_CONSTANTS] = [0.0; EXP2_CONSTANTS];

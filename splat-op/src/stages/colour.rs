@@ -138,7 +138,7 @@ pub fn visible_colours(
 
 fn check_sh(reference: &Reference, sh: &Tensor<3>, count: usize) -> Result<(), SplatError> {
     const EXPECTED: &str = "[N, (degree+1)², 3] with degree 0 to 4";
-    reference.or_half().check("sh", sh, [Some(count), None, Some(3)], EXPECTED)?;
+    reference.check("sh", sh, [Some(count), None, Some(3)], EXPECTED)?;
     match sh_degree(sh.dims()[1]) {
         Some(_) => Ok(()),
         None => Err(SplatError::Shape {

@@ -36,10 +36,6 @@ pub struct RenderOptions {
     pub transmittance_min: f64,
     /// Dial: how GPUs add the gradients of a Gaussian's intersections. CPU backends always add them in order.
     pub accumulation: Accumulation,
-    /// Dial: storage of the spherical-harmonics coefficients from which colours are computed. With [`Storage::Half`], f32 and f64
-    /// coefficients are rounded in every render, at the cost of a pass over them; [`Colour::stored`](crate::Colour::stored) does so
-    /// once. Half-precision coefficients are used unchanged.
-    pub coefficients: Storage,
     /// Output: whether depth is accumulated too, `Σ wᵢ zᵢ`, scene units.
     pub depth: bool,
 }
@@ -72,20 +68,6 @@ pub enum Accumulation {
     Ordered,
 }
 
-/// Storage of spherical-harmonics coefficients. Arithmetic, sums and gradients stay in f32 or f64; gradients are evaluated at the
-/// rounded coefficients.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Default)]
-#[non_exhaustive]
-pub enum Storage {
-    /// The given coefficients, unchanged.
-    #[default]
-    Full,
-    /// Coefficients rounded to the nearest half-precision float and clamped to ±65,504. The error is at most 2⁻¹¹ relative, or 2⁻²⁵
-    /// absolute for magnitudes below 2⁻¹⁴. (Burn's cast does the rounding: a driver may round towards zero, which doubles the
-    /// error.) On GPUs two coefficients share a word, which halves the memory traffic.
-    Half,
-}
-
 /// Highest degree of the spherical harmonics.
 const MAX_SH_DEGREE: usize = 4;
 
@@ -99,7 +81,7 @@ impl RenderOptions {
     ///
     /// Contributions below one level of 8 bits are skipped (`alpha_min = 1/255`), every layer transmits at least a hundredth
     /// (`alpha_max = 0.99`), and splats behind a transmittance of `transmittance_min = 1e-4` are skipped. All other dials have the
-    /// fastest values whose error is within the rounding of f32: atomic accumulation, [`Storage::Full`].
+    /// fastest values whose error is within the rounding of f32: atomic accumulation.
     ///
     /// Expected error: 42 to 46 dB against the reference render, 0.05 to 0.13 at the worst pixel, nearly all of it from `alpha_min`.
     /// Gradients of the scales are 46% to 63% off in relative L2 (cosine 0.78 to 0.89), others less. (These figures and those of the
@@ -117,7 +99,6 @@ impl RenderOptions {
             transmittance_min: 1e-4,
             sh_degree: None,
             accumulation: Accumulation::Atomic,
-            coefficients: Storage::Full,
             depth: false,
         }
     }
@@ -234,8 +215,6 @@ builders! {
     with_accumulation(accumulation: Accumulation);
     /// Sets the highest degree of the spherical harmonics that is used; `None` uses all.
     with_sh_degree(sh_degree: Option<usize>);
-    /// Sets the storage of the spherical-harmonics coefficients.
-    with_coefficients(coefficients: Storage);
 }
 
 impl Default for RenderOptions {

@@ -1,7 +1,5 @@
 //! Renders pictures: all stages in one call.
 
-use std::borrow::Cow;
-
 use burn::tensor::Tensor;
 
 use super::colour::visible_colours;
@@ -9,7 +7,7 @@ use super::splats::{Extras, Splats};
 use crate::camera::Camera;
 use crate::check::check_positive;
 use crate::error::SplatError;
-use crate::options::{RenderOptions, Storage};
+use crate::options::RenderOptions;
 use crate::stages::{Rendered, check_render_fits, intersect, project, rasterize};
 
 /// Renders Gaussians as seen by one or several cameras with pictures of one size.
@@ -37,8 +35,7 @@ pub fn render(
         });
     }
     check_render_fits(splats, cameras.len(), &cameras[0].intrinsics, options)?;
-    let splats = as_stored(splats, options)?;
-    let pictures = cameras.iter().map(|camera| stages(&splats, camera, extras, options));
+    let pictures = cameras.iter().map(|camera| stages(splats, camera, extras, options));
     let pictures: Vec<Rendered<3>> = pictures.collect::<Result<_, _>>()?;
     Ok(Rendered {
         colour: stack(pictures.iter().map(|picture| picture.colour.clone())),
@@ -61,19 +58,7 @@ pub fn render_view(
     options: &RenderOptions,
 ) -> Result<Rendered<3>, SplatError> {
     check_render_fits(splats, 1, &camera.intrinsics, options)?;
-    stages(&*as_stored(splats, options)?, camera, extras, options)
-}
-
-/// Converts the coefficients to the storage that the options choose, once for all cameras. Coefficients above the options' degree
-/// are dropped first.
-fn as_stored<'a>(splats: &'a Splats, options: &RenderOptions) -> Result<Cow<'a, Splats>, SplatError> {
-    Ok(match options.coefficients {
-        Storage::Full => Cow::Borrowed(splats),
-        Storage::Half => {
-            let colour = splats.colour.up_to_degree(options.sh_degree).stored(Storage::Half)?;
-            Cow::Owned(Splats { colour, ..splats.clone() })
-        }
-    })
+    stages(splats, camera, extras, options)
 }
 
 fn stages(

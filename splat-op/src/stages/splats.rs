@@ -1,10 +1,8 @@
 //! Inputs of a render besides cameras and options: Gaussians, their colours, and optional inputs.
 
-use burn::tensor::{DType, Tensor};
+use burn::tensor::Tensor;
 
-use crate::error::SplatError;
 use crate::limits::Need;
-use crate::options::{RenderOptions, Storage};
 
 /// Gaussians with activated parameters, one row each, all of one float type (f32; f64 on CPU devices) and on one device.
 #[derive(Clone, Debug)]
@@ -19,17 +17,6 @@ pub struct Splats {
     pub opacities: Tensor<1>,
     /// Colours or features.
     pub colour: Colour,
-}
-
-impl Splats {
-    /// Converts the spherical-harmonics coefficients to the storage that `options.coefficients` chooses, once for many renders;
-    /// see [`Colour::stored`].
-    ///
-    /// # Errors
-    /// As [`Colour::stored`].
-    pub fn stored(&self, options: &RenderOptions) -> Result<Self, SplatError> {
-        Ok(Self { colour: self.colour.stored(options.coefficients)?, ..self.clone() })
-    }
 }
 
 /// Optional inputs of a render.
@@ -47,8 +34,7 @@ pub struct Extras {
     pub mean2d_abs_probe: Option<Tensor<2>>,
 }
 
-/// Colours or features of Gaussians. Spherical-harmonics coefficients may be in half precision while all other tensors are f32 or
-/// f64; see [`Colour::stored`].
+/// Colours or features of Gaussians.
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub enum Colour {
@@ -62,38 +48,6 @@ pub enum Colour {
 }
 
 impl Colour {
-    /// Converts spherical-harmonics coefficients to another storage, once for a scene that is rendered many times;
-    /// [`RenderOptions::coefficients`](crate::RenderOptions::coefficients) converts them in every render.
-    ///
-    /// [`Storage::Half`] halves the memory of the coefficients, which take four fifths of a scene of degree 3, and halves the
-    /// memory traffic that a GPU spends on them. [`Storage::Full`] changes nothing: lost digits do not come back. Features are
-    /// never converted.
-    ///
-    /// Differentiable: gradients are evaluated at the rounded coefficients and have the type of the unrounded ones.
-    ///
-    /// # Errors
-    /// If the device does not support half-precision tensors, such as `burn-ndarray` and GPUs without the shading language's `f16`.
-    pub fn stored(&self, storage: Storage) -> Result<Self, SplatError> {
-        Ok(match (storage, self) {
-            (Storage::Full, _) | (_, Self::Features(_)) => self.clone(),
-            (Storage::Half, Self::SphericalHarmonics(sh)) => Self::SphericalHarmonics(halved(sh)?),
-            (Storage::Half, Self::SphericalHarmonicsBlocks(blocks)) => {
-                Self::SphericalHarmonicsBlocks(blocks.iter().map(halved).collect::<Result<_, _>>()?)
-            }
-        })
-    }
-
-    /// Drops the harmonics above a degree; `None` keeps all.
-    pub(crate) fn up_to_degree(&self, degree: Option<usize>) -> Self {
-        match self {
-            Self::SphericalHarmonics(sh) => Self::SphericalHarmonics(up_to_degree(sh, degree)),
-            Self::SphericalHarmonicsBlocks(blocks) => {
-                Self::SphericalHarmonicsBlocks(blocks.iter().map(|sh| up_to_degree(sh, degree)).collect())
-            }
-            Self::Features(features) => Self::Features(features.clone()),
-        }
-    }
-
     /// The tensors of coefficients; none for features.
     pub(crate) fn blocks(&self) -> &[Tensor<3>] {
         match self {
@@ -102,24 +56,6 @@ impl Colour {
             Self::Features(_) => &[],
         }
     }
-}
-
-/// The largest half-precision float.
-const HALF_MAX: f32 = 65_504.0;
-
-/// Rounds coefficients to the nearest half-precision values, clamped to ±[`HALF_MAX`].
-fn halved(sh: &Tensor<3>) -> Result<Tensor<3>, SplatError> {
-    if sh.dtype() == DType::F16 {
-        return Ok(sh.clone());
-    }
-    if !sh.device().supports_dtype(DType::F16) {
-        return Err(SplatError::Value {
-            field: "coefficients",
-            found: format!("Storage::Half for `sh` on {:?}", sh.device()),
-            expected: "Storage::Full, because this device does not support half-precision tensors",
-        });
-    }
-    Ok(sh.clone().clamp(-HALF_MAX, HALF_MAX).cast(DType::F16))
 }
 
 /// Drops the coefficients above a degree. The number of coefficients must have been checked.

@@ -1,7 +1,5 @@
 //! Subject of the measurements: a scene and views of it, on the measured device and in f64 on the CPU.
 
-use std::cell::OnceCell;
-
 use anyhow::Result;
 use burn::module::{Module, ModuleMapper, Param};
 use burn::tensor::{DType, Device, Gradients, Tensor, TensorData};
@@ -11,7 +9,7 @@ use rand_chacha::ChaCha8Rng;
 use splat_model::capture::Photo;
 use splat_model::gaussians::{GaussianRows, Gaussians};
 use splat_model::loss::{DEFAULT_LAMBDA, Truth, photometric};
-use splat_op::{Camera, Extras, Intrinsics, RenderOptions, Rendered, Splats, Storage, render_view, with_gradient};
+use splat_op::{Camera, Extras, Intrinsics, RenderOptions, Rendered, Splats, render_view, with_gradient};
 
 /// A camera, with its photograph if there is one.
 #[derive(Clone, Copy)]
@@ -33,8 +31,6 @@ pub struct DeviceScene {
     pub gaussians: Gaussians,
     /// The splats, not tracked.
     pub splats: Splats,
-    /// The splats with half-precision coefficients, made on first use.
-    halved: OnceCell<Splats>,
     pub cameras: Vec<Camera>,
     pub extras: Extras,
     pub device: Device,
@@ -64,7 +60,6 @@ impl DeviceScene {
         let background = Some(Tensor::from_floats(background, device));
         Ok(Self {
             splats: gaussians.untracked().splats(),
-            halved: OnceCell::new(),
             gaussians,
             cameras: shots.iter().map(camera).collect(),
             extras: Extras { background, ..Extras::default() },
@@ -92,18 +87,7 @@ impl DeviceScene {
 
     /// Renders a view, not tracked.
     pub fn render(&self, view: usize, options: &RenderOptions) -> Result<Rendered<3>> {
-        // Converted once, as by every user who renders a scene many times.
-        let splats = match options.coefficients {
-            Storage::Full => &self.splats,
-            _ => match self.halved.get() {
-                Some(halved) => halved,
-                None => {
-                    let halved = self.splats.stored(options)?;
-                    self.halved.get_or_init(|| halved)
-                }
-            },
-        };
-        Ok(render_view(splats, &self.cameras[view], &self.extras, options)?)
+        Ok(render_view(&self.splats, &self.cameras[view], &self.extras, options)?)
     }
 
     /// Renders a view, tracked, ready for [`Self::backward`].

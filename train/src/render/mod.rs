@@ -123,7 +123,7 @@ pub fn run(args: &RenderArgs) -> Result<Vec<PathBuf>> {
     let out = args.out.as_ref().map(|out| OutputFolder::prepare(out, inputs, &names, &[])).transpose()?;
     let base = args.model.or(&trained).config().render_options(input::extent(&capture));
     let options = args.accuracy.accuracy.setting().apply(base);
-    let splats = Gaussians::from_own_rows(rows, &device)?.splats().stored(&options)?;
+    let splats = Gaussians::from_own_rows(rows, &device)?.splats();
     let counter = progress::counter("rendering", views.len());
     for (view, name) in views.iter().zip(&names) {
         let picture = Rgba::render(&splats, view, &background, &options, &device)

@@ -1,84 +1,105 @@
-use burn::tensor::{Device, Tensor};
+use burn::tensor::{Device, Tensor, TensorData};
 
-use super::cpu::{smoothed_opacities_backward_cpu, smoothed_opacities_cpu, smoothed_scales_cpu};
 use super::*;
-use crate::testing::finite::{check_gradient, inner_product};
 use crate::testing::random::Random;
 
-/// Standard deviations from far below to far above the widths, and opacities and widths, exact in f32.
-pub(super) fn inputs(count: usize) -> Smooth<Vec<f64>> {
-    let mut random = Random::new(count as u64);
-    let exponentials = |random: &mut Random, count: usize| -> Vec<f64> {
-        (0..count).map(|_| f64::from(random.between(-6.0, 3.0).exp() as f32)).collect()
-    };
-    let (scales, widths) = (exponentials(&mut random, 3 * count), exponentials(&mut random, count));
-    let opacities = random.fill(count, 0.1, 0.9).into_iter().map(|value| f64::from(value as f32)).collect();
-    Smooth { scales, opacities, widths }
+/// New standard deviations and opacities, and the gradients of the standard deviations and opacities from those of the new opacities.
+struct Found {
+    scales: Vec<f32>,
+    opacities: Vec<f32>,
+    of_scales: Vec<f32>,
+    of_opacities: Vec<f32>,
 }
 
+/// Every device: Flex, NdArray and a GPU, where there is one.
+fn devices() -> Vec<Device> {
+    #[cfg(feature = "cube")]
+    let gpu = crate::testing::gpu::device();
+    #[cfg(not(feature = "cube"))]
+    let gpu = None;
+    #[expect(deprecated, reason = "Burn still releases it")]
+    [Some(Device::flex()), Some(Device::ndarray()), gpu].into_iter().flatten().collect()
+}
+
+fn found(scales: &[f32], opacities: &[f32], widths: &[f32], grad: &[f32], device: &Device) -> Found {
+    let (device, count) = (device.clone().autodiff(), opacities.len());
+    let column = |values: &[f32], columns: usize| TensorData::new(values.to_vec(), [count, columns]);
+    let scales = Tensor::<2>::from_data(column(scales, 3), &device).require_grad();
+    let opacities = Tensor::<1>::from_floats(opacities, &device).require_grad();
+    let widths = Tensor::<2>::from_data(column(widths, 1), &device);
+    let (wide, fainter) = smoothed(&scales, &opacities, &widths).expect("tensors that fit");
+    let gradients = (fainter.clone() * Tensor::from_floats(grad, &device)).sum().backward();
+    let host = |data: TensorData| data.try_to_vec::<f32>().expect("f32");
+    Found {
+        scales: host(wide.into_data()),
+        opacities: host(fainter.into_data()),
+        of_scales: host(scales.grad(&gradients).expect("tracked").into_data()),
+        of_opacities: host(opacities.grad(&gradients).expect("tracked").into_data()),
+    }
+}
+
+/// Standard deviations from far below to far above the widths.
 #[test]
-fn squares_add_up_and_the_integral_stays() {
-    let inputs = inputs(40);
-    let scales = smoothed_scales_cpu(&inputs.scales, &inputs.widths);
-    let opacities = smoothed_opacities_cpu(inputs.each_ref().map(|values| &values[..]));
-    for i in 0..40 {
-        let (old, new) = (&inputs.scales[3 * i..][..3], &scales[3 * i..][..3]);
-        let (mut before, mut after) = (inputs.opacities[i], opacities[i]);
-        for (old, new) in old.iter().zip(new) {
-            let square = old * old + inputs.widths[i] * inputs.widths[i];
-            assert!((new * new / square - 1.0).abs() < 1e-14);
-            (before, after) = (before * old, after * new);
+fn values_and_gradients_are_those_of_the_equations() {
+    for device in devices() {
+        for count in [1, 40, 1_300] {
+            let mut random = Random::new(count as u64);
+            let mut spread = |count: usize, low: f64, high: f64| -> Vec<f32> {
+                (0..count).map(|_| random.between(low, high).exp() as f32).collect()
+            };
+            let (scales, widths) = (spread(3 * count, -6.0, 3.0), spread(count, -6.0, 3.0));
+            let (opacities, grad) = (spread(count, -2.0, -0.1), spread(count, -3.0, 0.0));
+            let found = found(&scales, &opacities, &widths, &grad, &device);
+            let close = |found: f32, expected: f64| (f64::from(found) / expected - 1.0).abs() < 2e-6;
+            for i in 0..count {
+                let [g, o, grad] = [widths[i], opacities[i], grad[i]].map(f64::from);
+                let s: [f64; 3] = std::array::from_fn(|axis| scales[3 * i + axis].into());
+                let wide = s.map(|s| s.hypot(g));
+                let share: [f64; 3] = std::array::from_fn(|axis| s[axis] / wide[axis]);
+                let product: f64 = share.iter().product();
+                assert!(close(found.opacities[i], o * product), "{device:?}: {} {}", found.opacities[i], o * product);
+                assert!(close(found.of_opacities[i], grad * product), "{device:?}: the gradient of an opacity");
+                for axis in 0..3 {
+                    let slope = o * (g / wide[axis]).powi(2) * product / share[axis] / wide[axis];
+                    assert!(close(found.scales[3 * i + axis], wide[axis]), "{device:?}: a standard deviation");
+                    let of_scale = found.of_scales[3 * i + axis];
+                    assert!(close(of_scale, grad * slope), "{device:?}: {of_scale} instead of {}", grad * slope);
+                }
+            }
         }
-        assert!((after / before - 1.0).abs() < 1e-14);
     }
 }
 
 #[test]
-fn gradients_are_those_of_differences() {
-    let inputs = inputs(9);
-    let weights = Random::new(2).fill(9, -1.0, 1.0);
-    let found = smoothed_opacities_backward_cpu(inputs.each_ref().map(|values| &values[..]), &weights);
-    let total = |scales: &[f64], opacities: &[f64]| {
-        inner_product(&smoothed_opacities_cpu(Smooth { scales, opacities, widths: &inputs.widths[..] }), &weights)
-    };
-    check_gradient("opacities", &inputs.opacities, &found.opacities, 1, |at| total(&inputs.scales, at));
-    // Steps of differences are absolute, and the smallest standard deviations are below them.
-    let logs: Vec<f64> = inputs.scales.iter().map(|scale| scale.ln()).collect();
-    let of_logs: Vec<f64> = found.scales.iter().zip(&inputs.scales).map(|(grad, scale)| grad * scale).collect();
-    check_gradient("scales", &logs, &of_logs, 1, |logs| {
-        total(&logs.iter().map(|log| log.exp()).collect::<Vec<_>>(), &inputs.opacities)
-    });
-}
-
-#[test]
 fn sizes_whose_squares_no_f32_holds() {
-    for size in [1e-25_f32, 1e25] {
-        let (scales, widths, opacities) = ([3.0 * size, 4.0 * size, 0.0], [4.0 * size], [0.5_f32]);
-        let found = smoothed_scales_cpu(&scales, &widths);
-        for (found, expected) in found.iter().zip([5.0 * size, 32_f32.sqrt() * size, 4.0 * size]) {
-            assert!((found / expected - 1.0).abs() < 1e-6, "{found} instead of {expected}");
+    for device in devices() {
+        for size in [1e-25_f32, 1e25] {
+            let found = found(&[3.0 * size, 4.0 * size, 0.0], &[0.5], &[4.0 * size], &[1.0], &device);
+            for (found, expected) in found.scales.iter().zip([5.0 * size, 32_f32.sqrt() * size, 4.0 * size]) {
+                assert!((found / expected - 1.0).abs() < 1e-6, "{device:?}: {found} instead of {expected}");
+            }
+            assert_eq!(found.opacities, [0.0]);
+            let grads = found.of_scales;
+            assert!(grads.iter().all(|grad| grad.is_finite()) && grads[2] > 0.0, "{device:?}: {grads:?}");
         }
-        let inputs = Smooth { scales: &scales[..], opacities: &opacities[..], widths: &widths[..] };
-        assert_eq!(smoothed_opacities_cpu(inputs), [0.0]);
-        let grads = smoothed_opacities_backward_cpu(inputs, &[1.0]);
-        assert!(grads.scales.iter().all(|grad| grad.is_finite()) && grads.scales[2] > 0.0, "{:?}", grads.scales);
     }
 }
 
 /// The determinant of 10⁻¹² scene units would be 10⁻⁷², which is 0 in f32, and its ratio 0 / 0.
 #[test]
 fn tiny_gaussians_keep_their_share() {
-    let tiny = [1e-12_f32; 3];
-    let inputs = Smooth { scales: &tiny[..], opacities: &[1.0][..], widths: &tiny[..1] };
-    let share = smoothed_opacities_cpu(inputs)[0];
-    assert!((share - 0.5_f32.powf(1.5)).abs() < 1e-6, "{share}");
-    // d ln o' / d ln s = 1 / (1 + s²/g²), a half each.
-    let gradient = smoothed_opacities_backward_cpu(inputs, &[1.0 / share]).scales;
-    assert!(gradient.iter().all(|value| (value * 1e-12 - 0.5).abs() < 1e-6), "{gradient:?}");
+    for device in devices() {
+        let found = found(&[1e-12; 3], &[1.0], &[1e-12], &[1.0], &device);
+        let share = found.opacities[0];
+        assert!((share - 0.5_f32.powf(1.5)).abs() < 1e-6, "{device:?}: {share}");
+        // d ln o' / d ln s = 1 / (1 + s²/g²), a half each.
+        let gradient = found.of_scales;
+        assert!(gradient.iter().all(|value| (value / share * 1e-12 - 0.5).abs() < 1e-6), "{device:?}: {gradient:?}");
+    }
 }
 
 #[test]
-fn tensors_get_their_gradients_and_other_shapes_are_refused() {
+fn both_results_have_gradients_and_other_shapes_are_refused() {
     let device = Device::flex().autodiff();
     let scales = Tensor::<2>::from_floats([[3.0, 3.0, 3.0]], &device).require_grad();
     let opacities = Tensor::<1>::from_floats([0.5], &device).require_grad();
@@ -92,4 +113,6 @@ fn tensors_get_their_gradients_and_other_shapes_are_refused() {
     assert!((of_opacities - 0.216).abs() < 1e-6, "{of_opacities}");
     let wrong = Tensor::<2>::ones([2, 1], &device);
     assert!(matches!(smoothed(&scales, &opacities, &wrong), Err(SplatError::Shape { name: "widths", .. })));
+    let none = smoothed(&Tensor::zeros([0, 3], &device), &Tensor::zeros([0], &device), &Tensor::zeros([0, 1], &device));
+    assert_eq!(none.unwrap().0.dims(), [0, 3]);
 }

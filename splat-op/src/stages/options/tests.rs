@@ -29,7 +29,6 @@ fn every_field_has_a_builder_that_sets_it_alone() {
         .with_alpha_max(0.9)
         .with_transmittance_min(0.02)
         .with_accumulation(Accumulation::Ordered)
-        .with_coefficients(Storage::Half)
         .with_depth(true);
     let expected = RenderOptions {
         blur: 0.1,
@@ -42,7 +41,6 @@ fn every_field_has_a_builder_that_sets_it_alone() {
         alpha_max: 0.9,
         transmittance_min: 0.02,
         accumulation: Accumulation::Ordered,
-        coefficients: Storage::Half,
         depth: true,
     };
     assert_eq!(built, expected);

@@ -7,8 +7,8 @@
 
 use cubecl::prelude::*;
 
-use super::Harmonics;
 use super::forward::{CameraPosition, Frame, NORMS, basis, coefficient, linear_colour, load_row, may_show};
+use super::{coefficients_of, vector_width};
 use crate::gpu::UNITS;
 use crate::gpu::math::{Pose, Vec3, positive};
 use crate::gpu::reduce::cube_sum;
@@ -84,22 +84,21 @@ fn any_colour(grad: Vec3) -> bool {
 /// Stores the gradient of a Gaussian's harmonics, if it is asked for. Returns the gradient of the vector from the camera to the
 /// Gaussian's centre if `through_direction` is set, and zero otherwise.
 #[cube]
-fn colour_backward<W: Size, G: Size>(
-    sh: &[Vector<u32, W>],
+fn colour_backward<W: Size>(
+    sh: &[Vector<f32, W>],
     gaussian: usize,
     mean: Vec3,
     pose: Pose,
     grad: Vec3,
-    grad_sh: &mut ComptimeOption<Box<[Vector<f32, G>]>>,
-    #[comptime] harmonics: Harmonics,
+    grad_sh: &mut ComptimeOption<Box<[Vector<f32, W>]>>,
+    #[comptime] degree: usize,
     #[comptime] through_direction: bool,
 ) -> Vec3 {
-    let degree = comptime!(harmonics.degree);
-    let coefficients = comptime!(harmonics.coefficients());
+    let coefficients = comptime!(coefficients_of(degree));
     let view_direction = CameraPosition::of(pose).view_direction(mean);
     let y = basis(view_direction.direction, degree);
-    let row = load_row(sh, gaussian, harmonics);
-    let colour = linear_colour(&row, &y, harmonics);
+    let row = load_row(sh, gaussian, degree);
+    let colour = linear_colour(&row, &y, degree);
     let g = Vec3::new(
         select(positive(colour.x), grad.x, 0.0),
         select(positive(colour.y), grad.y, 0.0),
@@ -114,7 +113,7 @@ fn colour_backward<W: Size, G: Size>(
             values.push(g.y * y[k]);
             values.push(g.z * y[k]);
         }
-        store_row(out, gaussian, &values, harmonics);
+        store_row(out, gaussian, &values, degree);
     }
     let mut of_view_direction = Vec3::new(0.0, 0.0, 0.0);
     if comptime!(through_direction) {
@@ -134,17 +133,12 @@ fn colour_backward<W: Size, G: Size>(
 
 /// Stores the gradient of a Gaussian's harmonics, `values`.
 #[cube]
-fn store_row<G: Size>(
-    out: &mut [Vector<f32, G>],
-    gaussian: usize,
-    values: &Sequence<f32>,
-    #[comptime] harmonics: Harmonics,
-) {
-    let width = comptime!(harmonics.store_width());
-    let vectors = comptime!(harmonics.row() / width);
+fn store_row<W: Size>(out: &mut [Vector<f32, W>], gaussian: usize, values: &Sequence<f32>, #[comptime] degree: usize) {
+    let width = comptime!(vector_width(degree));
+    let vectors = comptime!(3 * coefficients_of(degree) / width);
     #[unroll]
     for at in 0..vectors {
-        let mut vector = Vector::<f32, G>::empty();
+        let mut vector = Vector::<f32, W>::empty();
         #[unroll]
         for i in 0..width {
             vector.insert(i, values[comptime!(at * width + i)]);
@@ -155,12 +149,12 @@ fn store_row<G: Size>(
 
 /// Stores a gradient of zero for a Gaussian's harmonics, if one is asked for.
 #[cube]
-fn no_harmonics<G: Size>(
+fn no_harmonics<W: Size>(
     gaussian: usize,
-    grad_sh: &mut ComptimeOption<Box<[Vector<f32, G>]>>,
-    #[comptime] harmonics: Harmonics,
+    grad_sh: &mut ComptimeOption<Box<[Vector<f32, W>]>>,
+    #[comptime] degree: usize,
 ) {
-    let vectors = comptime!(harmonics.row() / harmonics.store_width());
+    let vectors = comptime!(3 * coefficients_of(degree) / vector_width(degree));
     #[comptime]
     if let ComptimeOption::Some(out) = grad_sh {
         #[unroll]
@@ -172,21 +166,21 @@ fn no_harmonics<G: Size>(
 
 /// `view_direction_rows` receives, per cube, the sum of the gradients of the vectors from the camera to the centres.
 #[cube(launch_unchecked)]
-pub(super) fn sh_backward_kernel<W: Size, G: Size>(
-    sh: &[Vector<u32, W>],
+pub(super) fn sh_backward_kernel<W: Size>(
+    sh: &[Vector<f32, W>],
     means: &[f32],
     cam_from_world: &[f32],
     ellipses: ComptimeOption<Box<[f32]>>,
     grad: &[f32],
-    mut grad_sh: ComptimeOption<Box<[Vector<f32, G>]>>,
+    mut grad_sh: ComptimeOption<Box<[Vector<f32, W>]>>,
     mut grad_means: ComptimeOption<Box<[f32]>>,
     mut view_direction_rows: ComptimeOption<Box<[f32]>>,
     frame: Frame,
     count: u32,
-    #[comptime] harmonics: Harmonics,
+    #[comptime] degree: usize,
     #[comptime] _given: u32,
 ) {
-    let through_direction = comptime!(harmonics.degree > 0 && (grad_means.is_some() || view_direction_rows.is_some()));
+    let through_direction = comptime!(degree > 0 && (grad_means.is_some() || view_direction_rows.is_some()));
     let gaussian = ABSOLUTE_POS;
     let mut of_view_direction = Vec3::new(0.0, 0.0, 0.0);
     if gaussian < count as usize {
@@ -199,10 +193,9 @@ pub(super) fn sh_backward_kernel<W: Size, G: Size>(
         }
         if visible {
             let (mean, pose) = (Vec3::load(means, 3 * gaussian), Pose::load(cam_from_world));
-            of_view_direction =
-                colour_backward(sh, gaussian, mean, pose, g, &mut grad_sh, harmonics, through_direction);
+            of_view_direction = colour_backward(sh, gaussian, mean, pose, g, &mut grad_sh, degree, through_direction);
         } else {
-            no_harmonics(gaussian, &mut grad_sh, harmonics);
+            no_harmonics(gaussian, &mut grad_sh, degree);
         }
         #[comptime]
         if let ComptimeOption::Some(out) = &mut grad_means {

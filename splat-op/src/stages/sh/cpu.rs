@@ -1,7 +1,5 @@
 //! The CPU twin of `evaluate_sh`: both passes, generic over the float, parallel over chunks of Gaussians.
 
-use burn::tensor::f16;
-
 use super::basis::{basis, basis_backward};
 use super::{SH_COEFFICIENTS_MAX, Shading, degree_of, extent_sigmas};
 use crate::linalg::{Matrix3, add, cross, dot, matvec, norm, scale, sub, transpose, transposed_matvec};
@@ -15,49 +13,11 @@ const CHUNK: usize = 1024;
 /// Borrowed inputs, row-major.
 #[derive(Clone, Copy)]
 pub(crate) struct ShCpuInputs<'a, F> {
-    pub sh: ShCoefficients<'a, F>,
+    pub sh: &'a [F],
     pub means: &'a [F],
     pub cam_from_world: &'a [F],
     /// Number of coefficients per channel.
     pub coefficients: usize,
-}
-
-/// Coefficients in their storage type.
-#[derive(Clone, Copy)]
-pub(crate) enum ShCoefficients<'a, F> {
-    Full(&'a [F]),
-    Half(&'a [f16]),
-}
-
-impl<'a, F> From<&'a [F]> for ShCoefficients<'a, F> {
-    fn from(values: &'a [F]) -> Self {
-        Self::Full(values)
-    }
-}
-
-/// Room for the coefficients of one Gaussian, all channels, at the highest degree.
-type ShRow<F> = [F; 3 * SH_COEFFICIENTS_MAX];
-
-impl<F: Real> ShCoefficients<'_, F> {
-    /// Number of values.
-    pub fn len(&self) -> usize {
-        match self {
-            Self::Full(values) => values.len(),
-            Self::Half(halves) => halves.len(),
-        }
-    }
-
-    /// Returns the `row` coefficients of Gaussian `i`. Half-precision ones are converted into `room`.
-    #[inline(always)]
-    fn row<'a>(&'a self, i: usize, row: usize, room: &'a mut ShRow<F>) -> &'a [F] {
-        match self {
-            Self::Full(values) => &values[row * i..row * (i + 1)],
-            Self::Half(halves) => {
-                F::widen(&halves[row * i..row * (i + 1)], &mut room[..row]);
-                &room[..row]
-            }
-        }
-    }
 }
 
 /// Position of the camera in the world frame: the point that the pose maps to zero, `−A⁻¹ t`. It uses the general inverse, so that
@@ -146,14 +106,13 @@ pub(crate) fn sh_cpu<F: Real>(inputs: ShCpuInputs<F>, visible: Option<&Visible<F
     let degree = degree_of(inputs.coefficients);
     let mut colours = vec![F::ZERO; inputs.means.len()];
     tasks::for_each(colours.chunks_mut(3 * CHUNK), |chunk, out| {
-        let mut room = [F::ZERO; 3 * SH_COEFFICIENTS_MAX];
         for (i, out) in out.chunks_exact_mut(3).enumerate() {
             let i = chunk * CHUNK + i;
             if visible.is_some_and(|visible| !visible.has(i)) {
                 continue;
             }
             let (direction, _) = eye.direction(&inputs.means[3 * i..3 * i + 3]);
-            let colour = linear_colour(&basis(direction, degree), inputs.sh.row(i, row, &mut room));
+            let colour = linear_colour(&basis(direction, degree), &inputs.sh[row * i..row * (i + 1)]);
             out.copy_from_slice(&colour.map(|c| c.max_of(F::ZERO)));
         }
     });
@@ -186,7 +145,6 @@ pub(crate) fn sh_backward_cpu<F: Real>(
     let parts = sh_chunks.into_iter().zip(mean_chunks);
     let positions = tasks::map(parts, |chunk, (grad_sh, grad_means)| {
         let mut grad_position = [F::ZERO; 3];
-        let mut room = [F::ZERO; 3 * SH_COEFFICIENTS_MAX];
         for local in 0..CHUNK.min(count - chunk * CHUNK) {
             let i = chunk * CHUNK + local;
             let g = [grad[3 * i], grad[3 * i + 1], grad[3 * i + 2]];
@@ -194,7 +152,7 @@ pub(crate) fn sh_backward_cpu<F: Real>(
             if g == [F::ZERO; 3] || visible.is_some_and(|visible| !visible.has(i)) {
                 continue;
             }
-            let sh = inputs.sh.row(i, row, &mut room);
+            let sh = &inputs.sh[row * i..row * (i + 1)];
             let (direction, distance) = eye.direction(&inputs.means[3 * i..3 * i + 3]);
             let y = basis(direction, degree);
             let colour = linear_colour(&y, sh);

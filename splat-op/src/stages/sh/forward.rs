@@ -1,14 +1,12 @@
 //! Kernel of `evaluate_sh`, forward: one unit per Gaussian. The backward kernel shares the camera's position, the direction from it
-//! and the spherical harmonics. Their degree and the storage of their coefficients are compile-time constants of a kernel.
+//! and the spherical harmonics. Their degree is a compile-time constant of a kernel.
 //!
 //! Shapes as in `evaluate_sh`: coefficients `[N, (degree+1)², 3]`, means `[N, 3]`, pose `[3, 4]` → `[N, 3]`.
 
 use cubecl::prelude::*;
 
-use super::{Harmonics, SH_COEFFICIENTS_MAX, coefficients_of};
-use crate::gpu::half::{halves_of, load_three_halves};
+use super::{SH_COEFFICIENTS_MAX, coefficients_of, vector_width};
 use crate::gpu::math::{Mat3, Pose, Vec3, negative, positive};
-use crate::options::Storage;
 use crate::project::forward::PackedEllipse;
 
 /// Position of the camera in the world frame: the point that the pose maps to zero, `−A⁻¹ t`, by the general inverse.
@@ -135,37 +133,16 @@ pub(crate) fn basis(d: Vec3, #[comptime] degree: usize) -> Sequence<f32> {
 
 /// Coefficients of a Gaussian, in registers: three channels of each.
 #[cube]
-pub(super) fn load_row<W: Size>(
-    sh: &[Vector<u32, W>],
-    gaussian: usize,
-    #[comptime] harmonics: Harmonics,
-) -> Sequence<f32> {
+pub(super) fn load_row<W: Size>(sh: &[Vector<f32, W>], gaussian: usize, #[comptime] degree: usize) -> Sequence<f32> {
     let mut row = Sequence::<f32>::new();
-    if comptime!(harmonics.words().is_some()) {
-        let width = comptime!(harmonics.load_width());
-        let vectors = comptime!(harmonics.words().unwrap_or(0) / width);
+    let width = comptime!(vector_width(degree));
+    let vectors = comptime!(3 * coefficients_of(degree) / width);
+    #[unroll]
+    for at in 0..vectors {
+        let numbers = sh[gaussian * vectors + at];
         #[unroll]
-        for at in 0..vectors {
-            let words = sh[gaussian * vectors + at];
-            #[unroll]
-            for i in 0..width {
-                let word = words.extract(i);
-                if comptime!(harmonics.storage == Storage::Half) {
-                    let (low, high) = halves_of(word);
-                    row.push(low);
-                    row.push(high);
-                } else {
-                    row.push(f32::reinterpret(word));
-                }
-            }
-        }
-    } else {
-        #[unroll]
-        for k in 0..comptime!(harmonics.coefficients()) {
-            let c = load_three_halves(sh, 3 * (gaussian * comptime!(harmonics.coefficients()) + k));
-            row.push(c.x);
-            row.push(c.y);
-            row.push(c.z);
+        for i in 0..width {
+            row.push(numbers.extract(i));
         }
     }
     row
@@ -179,10 +156,10 @@ pub(super) fn coefficient(row: &Sequence<f32>, #[comptime] k: usize) -> Vec3 {
 
 /// Colour before the clamp.
 #[cube]
-pub(super) fn linear_colour(row: &Sequence<f32>, basis: &Sequence<f32>, #[comptime] harmonics: Harmonics) -> Vec3 {
+pub(super) fn linear_colour(row: &Sequence<f32>, basis: &Sequence<f32>, #[comptime] degree: usize) -> Vec3 {
     let mut colour = Vec3::new(0.5, 0.5, 0.5);
     #[unroll]
-    for k in 0..comptime!(harmonics.coefficients()) {
+    for k in 0..comptime!(coefficients_of(degree)) {
         colour = colour.plus(coefficient(row, k).times(basis[k]));
     }
     colour
@@ -214,15 +191,15 @@ pub(super) fn may_show(ellipses: &[f32], gaussian: usize, frame: &Frame) -> bool
 /// Colour of a Gaussian.
 #[cube]
 fn colour_of<W: Size>(
-    sh: &[Vector<u32, W>],
+    sh: &[Vector<f32, W>],
     gaussian: usize,
     mean: Vec3,
     pose: Pose,
-    #[comptime] harmonics: Harmonics,
+    #[comptime] degree: usize,
 ) -> Vec3 {
-    let row = load_row(sh, gaussian, harmonics);
+    let row = load_row(sh, gaussian, degree);
     let view_direction = CameraPosition::of(pose).view_direction(mean);
-    let colour = linear_colour(&row, &basis(view_direction.direction, comptime!(harmonics.degree)), harmonics);
+    let colour = linear_colour(&row, &basis(view_direction.direction, degree), degree);
     // Neither `max` nor a comparison, which may turn NaN into a colour.
     Vec3::new(
         select(negative(colour.x), 0.0, colour.x),
@@ -233,14 +210,14 @@ fn colour_of<W: Size>(
 
 #[cube(launch_unchecked)]
 pub(super) fn sh_forward_kernel<W: Size>(
-    sh: &[Vector<u32, W>],
+    sh: &[Vector<f32, W>],
     means: &[f32],
     cam_from_world: &[f32],
     ellipses: ComptimeOption<Box<[f32]>>,
     colours: &mut [f32],
     frame: Frame,
     count: u32,
-    #[comptime] harmonics: Harmonics,
+    #[comptime] degree: usize,
 ) {
     if ABSOLUTE_POS < count as usize {
         let mut visible = true;
@@ -251,7 +228,7 @@ pub(super) fn sh_forward_kernel<W: Size>(
         let mut colour = Vec3::new(0.0, 0.0, 0.0);
         if visible {
             let mean = Vec3::load(means, 3 * ABSOLUTE_POS);
-            colour = colour_of(sh, ABSOLUTE_POS, mean, Pose::load(cam_from_world), harmonics);
+            colour = colour_of(sh, ABSOLUTE_POS, mean, Pose::load(cam_from_world), degree);
         }
         colour.store(colours, 3 * ABSOLUTE_POS);
     }

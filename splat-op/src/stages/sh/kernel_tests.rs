@@ -1,10 +1,9 @@
 //! The kernels of `evaluate_sh` against the twin in f64.
 
-use burn::tensor::f16;
 use glam::{DMat3, DVec3};
 
-use super::cpu::{ShCoefficients, ShCpuInputs, sh_backward_cpu, sh_cpu};
-use super::launch::{DeviceShCoefficients, ShDeviceInputs, launch_sh, launch_sh_backward};
+use super::cpu::{ShCpuInputs, sh_backward_cpu, sh_cpu};
+use super::launch::{ShDeviceInputs, launch_sh, launch_sh_backward};
 use super::{Shading, coefficients_of};
 use crate::gpu::{Buffer, Gpu};
 use crate::testing::ceiling::{PerturbedReference, rounded, to_f32};
@@ -31,7 +30,7 @@ const GRAD: usize = 3;
 
 fn inputs(tensors: &[Vec<f64>], degree: usize) -> ShCpuInputs<'_, f64> {
     let [sh, means, cam_from_world, ..] = tensors else { unreachable!("three tensors") };
-    ShCpuInputs { sh: ShCoefficients::Full(sh), means, cam_from_world, coefficients: coefficients_of(degree) }
+    ShCpuInputs { sh, means, cam_from_world, coefficients: coefficients_of(degree) }
 }
 
 impl StageInputs {
@@ -75,7 +74,7 @@ impl StageInputs {
 
     fn upload(&self, gpu: &Gpu) -> (ShDeviceInputs, Buffer<f32>) {
         let buffer = |i: usize| Buffer::from_slice(gpu, &to_f32(&self.tensors[i]));
-        (ShDeviceInputs { sh: buffer(0).into(), means: buffer(1), cam_from_world: buffer(POSE) }, buffer(GRAD))
+        (ShDeviceInputs { sh: buffer(0), means: buffer(1), cam_from_world: buffer(POSE) }, buffer(GRAD))
     }
 
     /// Class of each Gaussian; `None` for one that is not finite.
@@ -225,7 +224,7 @@ fn more_cubes_than_fit_along_one_axis() {
     for (_, gpu) in gpus() {
         let (small, small_grad) = scene.upload(&gpu);
         let [sh, means, grad] = [0, 1, GRAD].map(|i| Buffer::from_slice(&gpu, &repeated(i)));
-        let large = ShDeviceInputs { sh: sh.into(), means, cam_from_world: small.cam_from_world.clone() };
+        let large = ShDeviceInputs { sh, means, cam_from_world: small.cam_from_world.clone() };
         let run = |inputs: &ShDeviceInputs, grad: &Buffer<f32>| {
             let found = launch_sh_backward(&gpu, inputs, None, 1, grad, Shading { means: false, ..ALL });
             [launch_sh(&gpu, inputs, None, 1).read(&gpu), found.sh.expect("asked for").read(&gpu)]
@@ -284,40 +283,6 @@ fn a_centre_that_is_nowhere_spoils_no_sum() {
         for (name, found) in NAMES.iter().zip(&found).skip(1) {
             let found = found.as_ref().expect("asked for");
             assert!(found.iter().all(|value| value.is_finite()), "{form}: the gradient of {name}");
-        }
-    }
-}
-
-/// Rows of halves are loaded word by word at degree 1, begin in the middle of a word at degree 2, and are vectors at degree 3.
-#[test]
-fn halves_give_the_colours_and_gradients_of_the_numbers_that_they_hold() {
-    for degree in 1..=3 {
-        let (count, coefficients) = (301, coefficients_of(degree));
-        let mut scene = StageInputs::random(20 + degree as u64, count, degree, false);
-        let halves: Vec<f16> = to_f32(&scene.tensors[0]).into_iter().map(f16::from_f32).collect();
-        scene.tensors[0] = halves.iter().map(|half| half.to_f64()).collect();
-        let mut bits: Vec<u16> = halves.iter().map(|half| half.to_bits()).collect();
-        bits.resize(bits.len().next_multiple_of(2), 0);
-        let words: Vec<u32> = bits.chunks_exact(2).map(|two| u32::from(two[0]) | u32::from(two[1]) << 16).collect();
-        for (form, gpu) in gpus() {
-            let (full, grad) = scene.upload(&gpu);
-            let sh = DeviceShCoefficients::halves(Buffer::from_slice(&gpu, &words), halves.len());
-            let half = ShDeviceInputs { sh, ..full.clone() };
-            let run = |inputs: &ShDeviceInputs| {
-                let found = launch_sh_backward(&gpu, inputs, None, coefficients, &grad, ALL);
-                let [sh, means, pose] = read(&gpu, &found).map(|found| found.expect("asked for"));
-                [launch_sh(&gpu, inputs, None, coefficients).read(&gpu), sh, means, pose]
-            };
-            for (i, (found, expected)) in run(&half).iter().zip(run(&full)).enumerate() {
-                assert_eq!(found.len(), expected.len());
-                let scale =
-                    expected.iter().filter(|value| value.is_finite()).fold(0.0_f32, |most, v| most.max(v.abs()));
-                for (found, expected) in found.iter().zip(expected) {
-                    // Infinity is no half that is widened: it becomes NaN.
-                    let same = !expected.is_finite() || (found - expected).abs() <= 1e-6 * scale;
-                    assert!(same, "degree {degree}, {form}, output {i}: {found} instead of {expected}");
-                }
-            }
         }
     }
 }

@@ -4,50 +4,21 @@ use cubecl::prelude::{CubeCount, CubeDim};
 
 use super::backward::{pose_backward_kernel, sh_backward_kernel};
 use super::forward::{FrameLaunch, sh_forward_kernel};
-use super::{Harmonics, Shading, degree_of, extent_sigmas};
+use super::{Shading, degree_of, extent_sigmas, vector_width};
 use crate::gpu::math::POSE;
 use crate::gpu::reduce::launch_column_sums;
 use crate::gpu::{Buffer, Gpu, UNITS, elementwise, given};
-use crate::options::Storage;
 use crate::project::ProjectSpec;
 
 /// Inputs of `evaluate_sh` on the device, row-major.
 #[derive(Clone, Debug)]
 pub(crate) struct ShDeviceInputs {
     /// `[N, (degree+1)², 3]`.
-    pub sh: DeviceShCoefficients,
+    pub sh: Buffer<f32>,
     /// `[N, 3]`, world frame.
     pub means: Buffer<f32>,
     /// `[3, 4]`.
     pub cam_from_world: Buffer<f32>,
-}
-
-/// Coefficients on the device, row-major.
-#[derive(Clone, Debug)]
-pub(crate) struct DeviceShCoefficients {
-    /// The bits of f32 values, or words of two half-precision values.
-    pub words: Buffer<u32>,
-    /// Number of coefficients.
-    pub len: usize,
-    pub storage: Storage,
-}
-
-impl From<Buffer<f32>> for DeviceShCoefficients {
-    fn from(values: Buffer<f32>) -> Self {
-        Self { len: values.len, words: Buffer::from_handle(values.handle, values.len), storage: Storage::Full }
-    }
-}
-
-impl DeviceShCoefficients {
-    /// Half-precision coefficients, from words that hold two each.
-    pub fn halves(words: Buffer<u32>, len: usize) -> Self {
-        Self { words, len, storage: Storage::Half }
-    }
-
-    /// Compile-time constants of a kernel for this number of coefficients per channel.
-    pub fn harmonics(&self, coefficients: usize) -> Harmonics {
-        Harmonics { degree: degree_of(coefficients), storage: self.storage }
-    }
 }
 
 /// Gaussians whose colours are computed: those whose packed ellipses, `[N, 7]`, can show in a picture.
@@ -73,8 +44,8 @@ pub(crate) fn launch_sh(
         return colours;
     }
     let (grid, dim) = elementwise(count);
-    let harmonics = inputs.sh.harmonics(coefficients);
-    let width = harmonics.load_width();
+    let degree = degree_of(coefficients);
+    let width = vector_width(degree);
     // SAFETY: every access is guarded by the number of Gaussians.
     unsafe {
         sh_forward_kernel::launch_unchecked(
@@ -82,14 +53,14 @@ pub(crate) fn launch_sh(
             grid,
             dim,
             width,
-            inputs.sh.words.vectors(width),
+            inputs.sh.vectors(width),
             inputs.means.arg(),
             inputs.cam_from_world.arg(),
             visible.map(|(ellipses, _)| ellipses.arg()).into(),
             colours.arg(),
             frame(visible),
             count as u32,
-            harmonics,
+            degree,
         );
     }
     colours
@@ -105,19 +76,18 @@ pub(crate) fn launch_sh_backward(
     grad: &Buffer<f32>,
     needs: Shading<bool>,
 ) -> Shading<Option<Buffer<f32>>> {
-    let (count, harmonics) = (inputs.means.len / 3, inputs.sh.harmonics(coefficients));
+    let (count, degree) = (inputs.means.len / 3, degree_of(coefficients));
     let mut grads = Shading {
         sh: Buffer::if_needed(gpu, needs.sh, inputs.sh.len),
         means: Buffer::if_needed(gpu, needs.means, inputs.means.len),
         cam_from_world: None,
     };
     // A colour of degree zero does not depend on the camera's position.
-    let through_pose = needs.cam_from_world && harmonics.degree > 0 && count > 0;
+    let through_pose = needs.cam_from_world && degree > 0 && count > 0;
     let view_direction_rows = Buffer::if_needed(gpu, through_pose, count.div_ceil(UNITS) * 3);
     if count > 0 && (needs.sh || needs.means || through_pose) {
         let output = |buffer: &Option<Buffer<f32>>| buffer.as_ref().map(Buffer::arg).into();
-        let (width, grad_width) = (harmonics.load_width(), harmonics.store_width());
-        let (grid, dim) = elementwise(count);
+        let ((grid, dim), width) = (elementwise(count), vector_width(degree));
         // SAFETY: every access is guarded by the number of Gaussians.
         unsafe {
             sh_backward_kernel::launch_unchecked(
@@ -125,18 +95,17 @@ pub(crate) fn launch_sh_backward(
                 grid,
                 dim,
                 width,
-                grad_width,
-                inputs.sh.words.vectors(width),
+                inputs.sh.vectors(width),
                 inputs.means.arg(),
                 inputs.cam_from_world.arg(),
                 visible.map(|(ellipses, _)| ellipses.arg()).into(),
                 grad.arg(),
-                grads.sh.as_ref().map(|grads| grads.vectors(grad_width)).into(),
+                grads.sh.as_ref().map(|grads| grads.vectors(width)).into(),
                 output(&grads.means),
                 output(&view_direction_rows),
                 frame(visible),
                 count as u32,
-                harmonics,
+                degree,
                 given([&grads.sh, &grads.means, &view_direction_rows]),
             );
         }

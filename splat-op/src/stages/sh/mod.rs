@@ -5,9 +5,6 @@
 //! are those of Sloan 2013, "Efficient Spherical Harmonic Evaluation"). The gradient flows to the coefficients and,
 //! through the direction, to the centre and the pose; it is zero in a channel that is clamped to zero.
 //!
-//! Coefficients may be in half precision while all other tensors are f32 or f64 ([`crate::Storage`]). They are read in half
-//! precision; arithmetic and gradients, including those of the coefficients, use the other type.
-//!
 //! # Visibility
 //!
 //! If the packed ellipses of `project` are given, the stage computes colours only for Gaussians that can show in their picture. The
@@ -43,8 +40,6 @@ mod visible_kernel_tests;
 #[cfg(test)]
 mod visible_tests;
 
-#[cfg(feature = "cube")]
-use crate::options::Storage;
 use crate::record::record;
 
 /// Highest supported degree of the spherical harmonics.
@@ -77,55 +72,10 @@ pub(crate) const fn coefficients_of(degree: usize) -> usize {
     (degree + 1) * (degree + 1)
 }
 
-/// Compile-time constants of a kernel.
+/// Length of the vectors that a Gaussian's coefficients are loaded or stored by: rows of vectors of four are aligned to 16 bytes.
 #[cfg(feature = "cube")]
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub(crate) struct Harmonics {
-    /// Degree, 0 to 4.
-    pub degree: usize,
-    /// Storage of the coefficients.
-    pub storage: Storage,
-}
-
-#[cfg(feature = "cube")]
-impl Harmonics {
-    /// Number of coefficients per channel.
-    pub const fn coefficients(self) -> usize {
-        coefficients_of(self.degree)
-    }
-
-    /// Number of coefficients of a Gaussian.
-    pub const fn row(self) -> usize {
-        3 * self.coefficients()
-    }
-
-    /// Number of words of a Gaussian's coefficients, if they begin and end with words. Rows of an odd number of halves do not.
-    pub const fn words(self) -> Option<usize> {
-        match self.storage {
-            Storage::Full => Some(self.row()),
-            Storage::Half if self.row().is_multiple_of(2) => Some(self.row() / 2),
-            Storage::Half => None,
-        }
-    }
-
-    /// Number of words that a load takes.
-    pub const fn load_width(self) -> usize {
-        match self.words() {
-            Some(words) => vector_width(words),
-            None => 1,
-        }
-    }
-
-    /// Number of gradients that a store takes.
-    pub const fn store_width(self) -> usize {
-        vector_width(self.row())
-    }
-}
-
-/// Length of the vectors that a row of numbers is loaded or stored by: rows of vectors of four are aligned to 16 bytes.
-#[cfg(feature = "cube")]
-const fn vector_width(row: usize) -> usize {
-    if row.is_multiple_of(4) { 4 } else { 1 }
+const fn vector_width(degree: usize) -> usize {
+    if (3 * coefficients_of(degree)).is_multiple_of(4) { 4 } else { 1 }
 }
 
 /// Factor by which the box of visibility is wider than in exact arithmetic, and the addend to the square of the extent.
@@ -145,8 +95,7 @@ fn extent_sigmas(alpha_min: f64) -> f64 {
 record! {
     /// Inputs of the stage.
     pub struct Shading {
-        /// `[N, (degree+1)², 3]` coefficients, in half precision or in the type of the others. The gradient has the type of the
-        /// others.
+        /// `[N, (degree+1)², 3]` coefficients.
         sh,
         /// `[N, 3]` centres, world frame, scene units.
         means,

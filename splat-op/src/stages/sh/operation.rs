@@ -3,10 +3,10 @@
 use super::Shading;
 use super::cpu::{ShCpuInputs, Visible, sh_backward_cpu, sh_cpu};
 #[cfg(feature = "cube")]
-use super::launch::{DeviceShCoefficients, ShDeviceInputs, launch_sh, launch_sh_backward};
+use super::launch::{ShDeviceInputs, launch_sh, launch_sh_backward};
 #[cfg(feature = "cube")]
 use crate::backend::cube::{gpu_outputs, optional_outputs};
-use crate::backend::host::{Host, HostCoefficients, float_outputs};
+use crate::backend::host::{Host, float_outputs};
 use crate::backend::*;
 use crate::project::ProjectSpec;
 
@@ -16,7 +16,7 @@ use crate::project::ProjectSpec;
 pub(crate) struct EvaluateSh(pub ProjectSpec);
 
 struct Read<F: Real> {
-    sh: HostCoefficients<F>,
+    sh: Host<F>,
     means: Host<F>,
     cam_from_world: Host<F>,
     ellipses: Option<Host<F>>,
@@ -26,7 +26,7 @@ struct Read<F: Real> {
 impl<F: Real> Read<F> {
     fn new(args: &HostArgs) -> Self {
         Self {
-            sh: args.coefficients(0),
+            sh: args.floats(0),
             means: args.floats(1),
             cam_from_world: args.floats(2),
             ellipses: args.has(3).then(|| args.floats(3)),
@@ -35,8 +35,8 @@ impl<F: Real> Read<F> {
     }
 
     fn inputs(&self) -> ShCpuInputs<'_, F> {
-        let Self { means, cam_from_world, coefficients, .. } = self;
-        ShCpuInputs { sh: self.sh.view(), means, cam_from_world, coefficients: *coefficients }
+        let Self { sh, means, cam_from_world, coefficients, .. } = self;
+        ShCpuInputs { sh, means, cam_from_world, coefficients: *coefficients }
     }
 
     fn visible(&self, spec: &ProjectSpec) -> Option<Visible<'_, F>> {
@@ -46,18 +46,7 @@ impl<F: Real> Read<F> {
 
 #[cfg(feature = "cube")]
 fn read(args: &GpuArgs) -> ShDeviceInputs {
-    use burn::tensor::DType;
-
-    use crate::gpu::Buffer;
-
-    let sh = match args.tensor(0).dtype {
-        DType::F16 => {
-            let len = args.shape(0).num_elements();
-            DeviceShCoefficients::halves(Buffer::from_handle(args.handle(0), len.div_ceil(2)), len)
-        }
-        _ => args.buffer(0).into(),
-    };
-    ShDeviceInputs { sh, means: args.buffer(1), cam_from_world: args.buffer(2) }
+    ShDeviceInputs { sh: args.buffer(0), means: args.buffer(1), cam_from_world: args.buffer(2) }
 }
 
 impl Operation for EvaluateSh {

@@ -1,6 +1,6 @@
 //! `evaluate_sh`: central finite differences, published values of the basis, and the clamp.
 
-use super::cpu::{ShCoefficients, ShCpuInputs, sh_backward_cpu, sh_cpu};
+use super::cpu::{ShCpuInputs, sh_backward_cpu, sh_cpu};
 use super::{Shading, sh_degree};
 use crate::testing::finite::{check_gradient, inner_product};
 use crate::testing::random::Random;
@@ -28,7 +28,7 @@ impl StageInputs {
 
     fn inputs(&self) -> ShCpuInputs<'_, f64> {
         let [sh, means, cam_from_world] = &self.0;
-        ShCpuInputs { sh: ShCoefficients::Full(sh), means, cam_from_world, coefficients: self.1 }
+        ShCpuInputs { sh, means, cam_from_world, coefficients: self.1 }
     }
 }
 

@@ -13,11 +13,8 @@ use crate::testing::gpu::gpus;
 /// Inputs, packed ellipses and gradient of the colours.
 fn upload(scene: &StageInputs, spec: &ProjectSpec, gpu: &Gpu) -> (ShDeviceInputs, Buffer<f32>, Buffer<f32>) {
     let buffer = |values: &[f64]| Buffer::from_slice(gpu, &to_f32(values));
-    let inputs = ShDeviceInputs {
-        sh: buffer(&scene.0[4]).into(),
-        means: buffer(&scene.0[0]),
-        cam_from_world: buffer(&scene.0[5]),
-    };
+    let inputs =
+        ShDeviceInputs { sh: buffer(&scene.0[4]), means: buffer(&scene.0[0]), cam_from_world: buffer(&scene.0[5]) };
     (inputs, buffer(&project_cpu(scene.geometry(), spec)), buffer(scene.grad()))
 }
 

@@ -1,6 +1,6 @@
 //! Visibility against colours of all Gaussians, and against the lists of `intersect`.
 
-use super::cpu::{ShCoefficients, ShCpuInputs, Visible, sh_backward_cpu, sh_cpu};
+use super::cpu::{ShCpuInputs, Visible, sh_backward_cpu, sh_cpu};
 use super::{Shading, extent_sigmas};
 use crate::camera::Intrinsics;
 use crate::intersect::cpu::intersect_cpu;
@@ -54,7 +54,7 @@ impl StageInputs {
     }
 
     pub fn inputs(&self) -> ShCpuInputs<'_, f64> {
-        let (sh, means, cam_from_world) = (ShCoefficients::Full(&self.0[4][..]), &self.0[0][..], &self.0[5][..]);
+        let (sh, means, cam_from_world) = (&self.0[4][..], &self.0[0][..], &self.0[5][..]);
         ShCpuInputs { sh, means, cam_from_world, coefficients: COEFFICIENTS }
     }
 

@@ -1,24 +1,18 @@
-//! Storage with fewer bits: coefficients in half precision, and scene files with a few bytes per Gaussian.
+//! Scene files with a few bytes per Gaussian.
 
 use std::error::Error;
 
-use burn::tensor::{DType, Device, Tensor};
+use burn::tensor::Device;
 use glam::DAffine3;
 use splat_model::formats::{self, Format, SceneFile};
 use splat_model::gaussians::{GaussianRows, Gaussians};
-use splat_op::{Camera, Extras, Intrinsics, RenderOptions, Storage, render_view};
+use splat_op::{Camera, Extras, Intrinsics, RenderOptions, render_view};
 
 use crate::case::{CaseOutcome, HardCase, MeasuredDeviation, TestDevice};
-use crate::ceiling::ceiling_used;
 use crate::compare::relative_error;
-use crate::evaluate::{Outputs, evaluate};
 use crate::random::Random;
-use crate::scene::{HardScene, Splat};
 use crate::scratch::TemporaryFolder;
-use crate::tensors::{host, tensor};
-
-/// The largest half-precision float.
-const HALF_MAX: f64 = 65_504.0;
+use crate::tensors::host;
 
 /// Largest error of a picture from a compressed file, relative to its largest element. The formats store colours and opacities in
 /// eight bits.
@@ -33,108 +27,12 @@ pub fn cases() -> Vec<HardCase> {
     };
     let poison = "a format that cannot represent NaN would draw the Gaussian, and ranges of NaN spoil a whole chunk";
     let extremes = "one Gaussian a million units away widens the grid on which all others are placed";
-    let mut cases = vec![
-        HardCase::check(
-            "coefficients in half precision",
-            "halves end at 65,504, have three digits, and vanish below 6e-8; gradients must not be halves too",
-            judge_half,
-        )
-        .hardness("coefficients from 1e-9 to 6e4"),
-        HardCase::check(
-            "coefficients beyond half precision",
-            "the nearest half is infinity, and so is every picture of it",
-            judge_overflow,
-        )
-        .hardness("coefficients of 1e5 and 1e30"),
-    ];
+    let mut cases = Vec::new();
     for format in [Format::CompressedPly, Format::Spz, Format::Sog] {
         cases.push(file("poisoned Gaussians", poison, format, poisoned));
         cases.push(file("extreme Gaussians", extremes, format, extreme));
     }
     cases
-}
-
-/// A scene of harmonics of degree 3 whose coefficients have the sizes `sizes`, in turn.
-fn harmonics(label: &str, sizes: &[f64]) -> HardScene {
-    let mut random = Random::new(11);
-    let mut splat = |px: [f64; 2], depth: f64, sigma_px: f64| {
-        let colour = |i: usize| sizes[i % sizes.len()] * random.between(0.5, 1.0) * if i % 3 == 1 { -1.0 } else { 1.0 };
-        let colour: Vec<f64> = (0..48).map(colour).collect();
-        Splat::at(px, depth, sigma_px).colour(&colour)
-    };
-    let splats = [splat([24.3, 20.6], 3.0, 3.0), splat([30.8, 24.1], 4.0, 5.0)];
-    HardScene::new(label, &splats).with_harmonics(3)
-}
-
-/// The scene with its coefficients as halves hold them.
-fn halved(scene: &HardScene) -> HardScene {
-    let colours: Tensor<1> = tensor(&scene.colours, [scene.colours.len()], &Device::flex(), DType::F32);
-    let colours = host(colours.clamp(-HALF_MAX, HALF_MAX).cast(DType::F16).cast(DType::F32));
-    HardScene { colours, ..scene.clone() }
-}
-
-fn in_half(scene: &HardScene) -> HardScene {
-    HardScene { options: RenderOptions { coefficients: Storage::Half, ..scene.options }, ..scene.clone() }
-}
-
-fn judge_half(place: &TestDevice) -> CaseOutcome {
-    if !place.device.supports_dtype(DType::F16) {
-        return refusal(place);
-    }
-    let scene = harmonics("mixed", &[1e-9, 1e-4, 1.0, 30.0, 6e4]).rounded();
-    let (weights, rounded) = (scene.weights(), halved(&scene));
-    let exact = |scene: &HardScene| evaluate(scene, &weights, &Device::flex(), DType::F64);
-    let expected = exact(&rounded);
-    let mut spread = expected.clone();
-    spread.tensors_mut().for_each(|tensor| tensor.values.fill(0.0));
-    for draw in 0..scene.draws {
-        let moved = exact(&halved(&rounded.moved(&mut Random::new(draw))));
-        for ((spread, moved), plain) in spread.tensors_mut().zip(moved.tensors()).zip(expected.tensors()) {
-            let changes = moved.values.iter().zip(&plain.values).map(|(moved, plain)| (moved - plain).abs());
-            spread.values.iter_mut().zip(changes).for_each(|(spread, change)| *spread = spread.max(change));
-        }
-    }
-    let found = evaluate(&in_half(&scene), &weights, &place.device, DType::F32);
-    let mut outcome = CaseOutcome::default();
-    let score = |of: fn(&Outputs) -> &[crate::tensors::Named], outcome: &mut CaseOutcome| {
-        let mut worst = MeasuredDeviation::default();
-        for ((found, expected), spread) in of(&found).iter().zip(of(&expected)).zip(of(&spread)) {
-            let used = ceiling_used(&found.values, &expected.values, &spread.values);
-            outcome.require(used <= 1.0, || format!("{} uses {used:.2e} of its ceiling", found.name));
-            worst = worst.worst(MeasuredDeviation { error: relative_error(&found.values, &expected.values), used });
-        }
-        Some(worst)
-    };
-    outcome.forward = score(|outputs| &outputs.pictures, &mut outcome);
-    outcome.gradient = score(|outputs| &outputs.gradients, &mut outcome);
-    outcome
-}
-
-/// A device without half precision says so.
-fn refusal(place: &TestDevice) -> CaseOutcome {
-    let mut outcome = CaseOutcome::default();
-    let rows = GaussianRows { sh_degree: 0, ..GaussianRows::default() };
-    let told = Gaussians::from_rows(&rows, &place.device).map(|scene| {
-        let options = RenderOptions { coefficients: Storage::Half, ..RenderOptions::standard() };
-        scene.splats().stored(&options).err().map(|error| error.to_string())
-    });
-    let named = matches!(&told, Ok(Some(error)) if error.contains("Storage::Full"));
-    outcome.require(named, || format!("without half precision, the error is {told:?}"));
-    outcome
-}
-
-fn judge_overflow(place: &TestDevice) -> CaseOutcome {
-    if !place.device.supports_dtype(DType::F16) {
-        return refusal(place);
-    }
-    let mut outcome = CaseOutcome::default();
-    let scene = harmonics("large", &[1.0, 1e5, 1e30]);
-    let found = evaluate(&in_half(&scene), &scene.weights(), &place.device, DType::F32);
-    for tensor in found.tensors() {
-        let finite = tensor.values.iter().all(|value| value.is_finite());
-        outcome.require(finite, || format!("{} is not finite", tensor.name));
-    }
-    outcome
 }
 
 /// Adds hard Gaussians to a scene, all behind the camera or unusable, so that a picture shows the others alone.
