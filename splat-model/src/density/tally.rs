@@ -12,12 +12,11 @@ pub struct Tally {
 }
 
 /// Returns the tally after one more step, or after the first if there is none. `grad`, `[N, 2]`, is without autodiff, and is scaled by
-/// `per_axis`. NaN counts as no gradient and is added to the sum.
+/// `per_axis`.
 pub fn add(tally: Option<Tally>, grad: &Tensor<2>, per_axis: [f32; 2]) -> Tally {
-    // Columns instead of a sum over the axis, so that a GPU computes all in one kernel.
-    let [x, y] = [0, 1].map(|axis| grad.clone().narrow(1, axis, 1).squeeze_dim::<1>(1).mul_scalar(per_axis[axis]));
-    let norms = (x.square() + y.square()).sqrt();
-    let shown = norms.clone().greater_elem(0.0).float();
+    let per_axis = Tensor::<1>::from_floats(per_axis, &grad.device());
+    let norms = (grad.clone() * per_axis.unsqueeze()).square().sum_dim(1).sqrt().squeeze_dim::<1>(1);
+    let shown = norms.clone().sign();
     match tally {
         Some(Tally { sums, counts }) => Tally { sums: sums + norms, counts: counts + shown },
         None => Tally { sums: norms, counts: shown },
