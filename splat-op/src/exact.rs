@@ -1,7 +1,7 @@
 //! Reference renderer: float64, without cut-offs, tiles or any other approximation, and simple enough to verify by reading.
 //!
-//! It follows the model choices of [`RenderOptions`] (`blur`, `near`, `jacobian_margin`, `antialias`, `projection`) and ignores
-//! its numerical dials. It alone can order each pixel by itself ([`ExactView::sorted_per_pixel`]), which says what the order of the
+//! It follows the model choices of [`RenderOptions`] (`blur`, `near`, `far`, `radius_clip`, `jacobian_margin`, `antialias`,
+//! `projection`) and ignores its numerical dials. It alone can order each pixel by itself ([`ExactView::sorted_per_pixel`]), which says what the order of the
 //! centres costs. It shares no arithmetic with the stages except a camera's limits (the domain of a lens and the
 //! slopes at which the Jacobian is clamped). Covariances are formed and inverted as the papers write them, which in float64 loses
 //! digits only for Gaussians some 1e6 times longer than wide. Every pixel visits every Gaussian, so it is for tests, not for
@@ -15,7 +15,7 @@ use glam::{DMat2, DMat3, DQuat, DVec2, DVec3};
 use self::ray::Solid;
 use crate::camera::Intrinsics;
 use crate::options::{Projection, RenderOptions};
-use crate::project::COMPENSATION_MIN;
+use crate::project::{COMPENSATION_MIN, RADIUS_SIGMAS};
 
 /// One Gaussian with activated parameters.
 #[derive(Clone, Debug, PartialEq)]
@@ -117,7 +117,7 @@ impl<'a> ExactView<'a> {
         let needs_ray = self.options.along_rays() || self.sorted_per_pixel;
         let ray = if needs_ray { lens::direction(&self.camera, centre_px) } else { None };
         let seen = self.ellipses.iter().map(|ellipse| match ray {
-            Some(ray) => ellipse.on_ray(centre_px, ray, (&self.options, self.sorted_per_pixel)),
+            Some(ray) => ellipse.on_ray(centre_px, ray, &self.options, self.sorted_per_pixel),
             None => ellipse.at(centre_px, if needs_ray { 0.0 } else { 1.0 }),
         });
         let mut seen: Vec<Contribution> = seen.collect();
@@ -136,7 +136,7 @@ impl<'a> ExactEllipse<'a> {
     }
 
     /// The Gaussian along the ray of that position, whose direction has z one, perhaps with the maximum as its key.
-    fn on_ray(&self, centre_px: DVec2, ray: DVec3, (options, by_pixel): (&RenderOptions, bool)) -> Contribution<'a> {
+    fn on_ray(&self, centre_px: DVec2, ray: DVec3, options: &RenderOptions, by_pixel: bool) -> Contribution<'a> {
         let (mut seen, solid) = (self.at(centre_px, 1.0), &self.solid);
         let met = match options.projection {
             Projection::RayMax => solid.meet(ray),
@@ -176,7 +176,7 @@ fn project<'a>(
 ) -> Option<ExactEllipse<'a>> {
     let mean_cam = pose.rotation * gaussian.mean + pose.translation;
     let DVec3 { x, y, z } = mean_cam;
-    if z <= options.near {
+    if z <= options.near || z >= options.far {
         return None;
     }
     let [qw, qx, qy, qz] = gaussian.rotation;
@@ -197,6 +197,10 @@ fn project<'a>(
     let (c0, c1) = (covariance_cam * j0, covariance_cam * j1);
     let sharp = DMat2::from_cols(DVec2::new(j0.dot(c0), j1.dot(c0)), DVec2::new(j0.dot(c1), j1.dot(c1)));
     let covariance = sharp + DMat2::from_diagonal(DVec2::splat(options.blur));
+    let widest = covariance.x_axis.x.max(covariance.y_axis.y).sqrt();
+    if RADIUS_SIGMAS * widest <= options.radius_clip {
+        return None;
+    }
     let compensation = if options.antialias {
         (sharp.determinant() / covariance.determinant()).max(0.0).sqrt().max(COMPENSATION_MIN)
     } else {

@@ -57,6 +57,7 @@ pub fn gradients_of(
         background: Some(background.clone()),
         mean2d_probe: Some(probe.clone()),
         mean2d_abs_probe: Some(abs_probe.clone()),
+        ..Extras::default()
     };
     let out = render(&splats, &views, &extras, options).expect("a valid scene");
     let mut random = Random::new(5);

@@ -166,11 +166,8 @@ fn no_splats_and_none_visible_show_the_background_and_have_no_gradient() {
                 colour: Colour::SphericalHarmonics(sh.clone()),
             };
             let probe = Tensor::<2>::zeros([count, 2], &tracked).require_grad();
-            let extras = Extras {
-                background: Some(background.clone()),
-                mean2d_probe: Some(probe.clone()),
-                mean2d_abs_probe: None,
-            };
+            let extras =
+                Extras { background: Some(background.clone()), mean2d_probe: Some(probe.clone()), ..Extras::default() };
             let out = render(&splats, std::slice::from_ref(&camera), &extras, &options).expect("a valid scene");
             let expected: Vec<f64> = scene.background.iter().map(|v| f64::from(*v as f32)).collect();
             let grads = (out.colour.clone().sum() + out.alpha.clone().sum()).backward();

@@ -130,6 +130,7 @@ impl Trainer {
             ),
             mean2d_probe: probe(signals.gradient),
             mean2d_abs_probe: probe(signals.abs_gradient),
+            ..Extras::default()
         };
         self.probe = Some(values);
         let (camera, truth) = self.views.prepare(view, drawn)?;

@@ -22,19 +22,21 @@ use crate::stages::Projected;
 /// If a tensor's shape, type or device does not fit.
 pub fn evaluate_sh(sh: &Tensor<3>, means: &Tensor<2>, camera: &Camera) -> Result<Tensor<2>, SplatError> {
     // The options are read only to decide visibility, which needs ellipses.
-    sh_visible(sh, means, camera, (None, &RenderOptions::standard()))
+    sh_visible(sh, means, camera, None, &RenderOptions::standard())
 }
 
 /// Evaluates spherical harmonics up to a degree, given in blocks of consecutive Gaussians, block by block as [`sh_visible`].
 fn blocks_visible(
-    (blocks, degree): (&[Tensor<3>], Option<usize>),
+    blocks: &[Tensor<3>],
+    degree: Option<usize>,
     means: &Tensor<2>,
     camera: &Camera,
-    (visible, options): (Option<&Projected>, &RenderOptions),
+    visible: Option<&Projected>,
+    options: &RenderOptions,
 ) -> Result<Tensor<2>, SplatError> {
     let visible = visible.map(|visible| (visible.packed().clone(), *visible.intrinsics()));
     if let [sh] = blocks {
-        return sh_visible(&up_to_degree(sh, degree), means, camera, (visible, options));
+        return sh_visible(&up_to_degree(sh, degree), means, camera, visible, options);
     }
     let counts: Vec<usize> = blocks.iter().map(|sh| sh.dims()[0]).collect();
     let count = means.dims()[0];
@@ -50,7 +52,7 @@ fn blocks_visible(
     let colours = blocks.iter().zip(counts).filter(|(_, rows)| *rows > 0).map(|(sh, rows)| {
         let of_block = |all: Tensor<2>| all.narrow(0, first, rows);
         let visible = visible.clone().map(|(packed, intrinsics)| (of_block(packed), intrinsics));
-        let colours = sh_visible(&up_to_degree(sh, degree), &of_block(means.clone()), camera, (visible, options));
+        let colours = sh_visible(&up_to_degree(sh, degree), &of_block(means.clone()), camera, visible, options);
         first += rows;
         colours
     });
@@ -67,7 +69,8 @@ fn sh_visible(
     sh: &Tensor<3>,
     means: &Tensor<2>,
     camera: &Camera,
-    (visible, options): (Option<(Tensor<2>, Intrinsics)>, &RenderOptions),
+    visible: Option<(Tensor<2>, Intrinsics)>,
+    options: &RenderOptions,
 ) -> Result<Tensor<2>, SplatError> {
     let reference = Reference::new("means", means)?;
     let count = means.dims()[0];
@@ -104,8 +107,8 @@ pub fn colours_up_to(splats: &Splats, camera: &Camera, degree: Option<usize>) ->
     match &splats.colour {
         Colour::Features(features) => Ok(features.clone()),
         harmonics => {
-            let seen = (None, &RenderOptions::standard());
-            blocks_visible((harmonics.blocks(), degree), &splats.means, camera, seen)
+            let options = RenderOptions::standard();
+            blocks_visible(harmonics.blocks(), degree, &splats.means, camera, None, &options)
         }
     }
 }
@@ -130,8 +133,7 @@ pub fn visible_colours(
         harmonics => {
             // A ray may hit a Gaussian whose ellipse lies outside the picture.
             let visible = (!options.along_rays()).then_some(projected);
-            let blocks = (harmonics.blocks(), options.sh_degree);
-            blocks_visible(blocks, &splats.means, camera, (visible, options))
+            blocks_visible(harmonics.blocks(), options.sh_degree, &splats.means, camera, visible, options)
         }
     }
 }

@@ -16,11 +16,12 @@ pub mod rasterize_rays;
 
 // Their inputs, and all of them in one call.
 pub(crate) mod colour;
+pub(crate) mod normals;
 pub mod options;
 pub(crate) mod render;
 pub(crate) mod splats;
 
-use burn::tensor::{Int, Tensor};
+use burn::tensor::{Bool, Int, Tensor};
 
 use self::splats::{Colour, Extras, Splats, sh_need};
 use crate::abilities::check_fits;
@@ -33,7 +34,7 @@ use crate::intersect::{IntersectionCell, tile_grid};
 use crate::limits::Need;
 use crate::options::RenderOptions;
 use crate::project::operation::Project;
-use crate::project::{COLUMNS, Geometry, ProjectSpec};
+use crate::project::{COLUMNS, Geometry, ProjectSpec, RADIUS_SIGMAS};
 use crate::rasterize::operation::Rasterize;
 use crate::rasterize::{RasterizeSpec, TraceCell};
 use crate::ray_space::operation::{Bounds, RaySpace};
@@ -89,6 +90,14 @@ pub struct Rendered<const D: usize> {
     pub depth: Option<Tensor<D>>,
 }
 
+impl<const D: usize> Rendered<D> {
+    /// Returns the depth divided by alpha, `[.., H, W, 1]`, scene units: the mean depth of what a pixel shows. It is zero where nothing is.
+    /// Present if `options.depth` was set. The divisor is at least 1e-10, as in gsplat.
+    pub fn expected_depth(&self) -> Option<Tensor<D>> {
+        self.depth.clone().map(|depth| depth / self.alpha.clone().clamp_min(1e-10))
+    }
+}
+
 impl Projected {
     /// Takes packed ellipses without rows in ray space.
     pub(crate) fn of(packed: Tensor<2>, intrinsics: Intrinsics) -> Self {
@@ -116,6 +125,25 @@ impl Projected {
             depth: column(5),
             opacity: column(6),
         }
+    }
+
+    /// Returns the radii of the ellipses, three standard deviations along x and y, `[N, 2]`, px; zero for culled Gaussians. Without
+    /// gradient.
+    pub fn radii(&self) -> Tensor<2> {
+        let Ellipses { sigma_u, shear, sigma_v, .. } = self.clone().detached().ellipses();
+        let vertical = ((shear * sigma_u.clone()).square() + sigma_v.square()).sqrt();
+        let radii: Tensor<2> = Tensor::stack(vec![sigma_u, vertical], 1);
+        let culled: Tensor<2, Bool> = self.visible().bool_not().unsqueeze_dim(1);
+        radii.mul_scalar(RADIUS_SIGMAS).mask_fill(culled.expand([self.len(), 2]), 0.0)
+    }
+
+    /// Returns which Gaussians are not culled, `[N]`: those with an opacity above zero.
+    pub fn visible(&self) -> Tensor<1, Bool> {
+        self.clone().detached().ellipses().opacity.greater_elem(0.0)
+    }
+
+    fn detached(self) -> Self {
+        Self { packed: self.packed.detach(), ..self }
     }
 
     /// Returns the number of Gaussians, including culled ones.

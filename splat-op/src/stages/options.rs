@@ -14,6 +14,11 @@ pub struct RenderOptions {
     pub blur: f64,
     /// Model: near plane, scene units. Splats whose centre has a camera z of at most this are culled.
     pub near: f64,
+    /// Model: far plane, scene units. Splats whose centre has a camera z of this or more are culled. Infinite for none.
+    pub far: f64,
+    /// Model: splats that reach at most this far from their centre along x and along y, three standard deviations, are culled. Zero for
+    /// none; px. It saves time where a scene is seen from far away, and makes it darker.
+    pub radius_clip: f64,
     /// Model: margin around the picture, as a share of half its size, within which the Jacobian of the projection is evaluated. For
     /// centres farther out it is evaluated at the margin, because the affine approximation degrades there. The Jacobian of a
     /// fisheye is exact everywhere and is never clamped.
@@ -91,6 +96,8 @@ impl RenderOptions {
         Self {
             blur: 0.3,
             near: 0.01,
+            far: f64::INFINITY,
+            radius_clip: 0.0,
             jacobian_margin: 0.3,
             antialias: false,
             projection: Projection::Affine,
@@ -155,6 +162,8 @@ impl RenderOptions {
         };
         within("blur", self.blur, 0.0, 1e6, "a variance from 0 to 1e6 px²")?;
         within("near", self.near, 0.0, 1e30, "a distance of at least 0")?;
+        within("far", self.far, 0.0, f64::INFINITY, "a distance of at least 0")?;
+        within("radius_clip", self.radius_clip, 0.0, 1e6, "a radius from 0 to 1e6 px")?;
         within("jacobian_margin", self.jacobian_margin, 0.0, 1e6, "a share of at least 0")?;
         if let Some(degree) = self.sh_degree.filter(|degree| *degree > MAX_SH_DEGREE) {
             let expected = "a degree from 0 to 4, or `None` for all degrees";
@@ -207,6 +216,10 @@ builders! {
     with_depth(depth: bool);
     /// Sets the near plane, scene units.
     with_near(near: f64);
+    /// Sets the far plane, scene units.
+    with_far(far: f64);
+    /// Sets the radius up to which splats are culled, px.
+    with_radius_clip(radius_clip: f64);
     /// Sets whether opacities are compensated for the blur.
     with_antialias(antialias: bool);
     /// Sets the projection.

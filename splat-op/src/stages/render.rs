@@ -31,12 +31,11 @@ pub fn render(
         return Err(SplatError::Value {
             field: "cameras",
             found: format!("pictures of {:?} and {:?} px", size(&cameras[0]), size(other)),
-            expected: "cameras of one size: render the others in a separate call",
+            expected: "cameras of one size: `render_each` takes others",
         });
     }
     check_render_fits(splats, cameras.len(), &cameras[0].intrinsics, options)?;
-    let pictures = cameras.iter().map(|camera| stages(splats, camera, extras, options));
-    let pictures: Vec<Rendered<3>> = pictures.collect::<Result<_, _>>()?;
+    let pictures = render_each(splats, cameras, extras, options)?;
     Ok(Rendered {
         colour: stack(pictures.iter().map(|picture| picture.colour.clone())),
         alpha: stack(pictures.iter().map(|picture| picture.alpha.clone())),
@@ -44,10 +43,33 @@ pub fn render(
     })
 }
 
+/// Renders Gaussians as seen by cameras whose pictures may differ in size. Returns a picture for each camera, `[H, W, C]`; see
+/// [`render`].
+///
+/// # Errors
+/// As [`render`]; pictures may differ in size, and there may be no camera.
+pub fn render_each(
+    splats: &Splats,
+    cameras: &[Camera],
+    extras: &Extras,
+    options: &RenderOptions,
+) -> Result<Vec<Rendered<3>>, SplatError> {
+    if let Some(backgrounds) = extras.backgrounds.as_ref().filter(|rows| rows.dims()[0] != cameras.len()) {
+        let (found, hint) = (backgrounds.dims().to_vec(), format!("there are {} cameras", cameras.len()));
+        return Err(SplatError::Shape { name: "backgrounds", found, expected: "[B, C] for B cameras", hint });
+    }
+    let one = |(i, camera): (usize, &Camera)| {
+        let own = extras.backgrounds.as_ref().map(|rows| rows.clone().narrow(0, i, 1).squeeze_dim(0));
+        let extras = Extras { background: own.or(extras.background.clone()), backgrounds: None, ..extras.clone() };
+        render_view(splats, camera, &extras, options)
+    };
+    cameras.iter().enumerate().map(one).collect()
+}
+
 /// Renders Gaussians as seen by one camera.
 ///
 /// Returns one picture, `[H, W, C]`. It computes what [`render`] computes, without the dimension of the cameras; some backends
-/// copy the picture to remove that dimension again.
+/// copy the picture to remove that dimension again. `extras.backgrounds` is not read.
 ///
 /// # Errors
 /// As [`render`].
@@ -58,15 +80,6 @@ pub fn render_view(
     options: &RenderOptions,
 ) -> Result<Rendered<3>, SplatError> {
     check_render_fits(splats, 1, &camera.intrinsics, options)?;
-    stages(splats, camera, extras, options)
-}
-
-fn stages(
-    splats: &Splats,
-    camera: &Camera,
-    extras: &Extras,
-    options: &RenderOptions,
-) -> Result<Rendered<3>, SplatError> {
     let projected = project(splats, camera, extras, options)?;
     let features = visible_colours(splats, camera, &projected, options)?;
     let tiles = intersect(&projected, options)?;

@@ -24,6 +24,8 @@ pub struct Splats {
 pub struct Extras {
     /// `[C]`: background colour or features, seen through the Gaussians; zero if absent.
     pub background: Option<Tensor<1>>,
+    /// `[B, C]`: a background for each of the cameras of [`render`](fn@crate::render), instead of `background`.
+    pub backgrounds: Option<Tensor<2>>,
     /// `[N, 2]`: tracked leaf tensor whose gradient becomes `∂L/∂mean2d` at the projected centres, per px, summed over the
     /// cameras. (Burn keeps no gradients of intermediate tensors.) Its values are not read. The field's densification threshold,
     /// 2e-4, is per unit of normalised device coordinates: multiply the gradient by `[width / 2, height / 2]` before comparing.

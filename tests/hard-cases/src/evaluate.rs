@@ -105,7 +105,7 @@ pub fn evaluate(scene: &HardScene, weights: &OutputWeights, device: &Device, dty
     let background: Tensor<1> = leaf(&scene.background, [scene.channels()], &device, dtype);
     let probe = Tensor::zeros([scene.count(), 2], (&device, dtype)).require_grad();
     let extras =
-        Extras { background: Some(background.clone()), mean2d_probe: Some(probe.clone()), mean2d_abs_probe: None };
+        Extras { background: Some(background.clone()), mean2d_probe: Some(probe.clone()), ..Extras::default() };
     let out = render(&splats, std::slice::from_ref(&camera), &extras, &scene.options)
         .unwrap_or_else(|error| panic!("{}: {error}", scene.label));
     let depth = out.depth.expect("depth was asked for");

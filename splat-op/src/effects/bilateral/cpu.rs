@@ -249,7 +249,7 @@ impl<F: Real> PixelBand<'_, F> {
             let to = width.min(from + lanes);
             let (first, last) = self.columns.around(from, to);
             let x = load(simd, &self.columns.x[from..]);
-            self.mix_columns(simd, (x, first..=last), &mut maps);
+            self.mix_columns(simd, x, first..=last, &mut maps);
             wide.fill(F::ZERO);
             let (mut low, mut high) = (levels - 1, 0);
             for (y, down, out) in rows.iter_mut() {
@@ -281,7 +281,7 @@ impl<F: Real> PixelBand<'_, F> {
     /// Writes the maps of a vector of pixels in the upper row of the grid, by level and entry, a vector each, and then what the lower row
     /// adds to them. They are the same for every row of pixels.
     #[inline(always)]
-    fn mix_columns<S: Simd>(&self, simd: S, (x, columns): (F::Block<S>, RangeInclusive<usize>), to: &mut [F]) {
+    fn mix_columns<S: Simd>(&self, simd: S, x: F::Block<S>, columns: RangeInclusive<usize>, to: &mut [F]) {
         let (entries, lanes) = (self.size.levels * MAP, block_len::<S, F>());
         let (upper, lower) = self.maps.split_at(self.maps.len() / 2);
         let (of_upper, of_lower) = to.split_at_mut(entries * lanes);

@@ -45,7 +45,7 @@ pub(crate) fn expose_backward_cpu<F: Real>(inputs: Exposed<&[F]>, grad: &[F], sp
     let rows = inputs.projected.chunks(CHUNK * COLUMNS).zip(grad.chunks(CHUNK * COLUMNS));
     let sums = tasks::map(
         projected.chunks_mut(CHUNK * COLUMNS).zip(rows),
-        |_, (out, rows)| dispatch!(F, simd => gradients_of_run::<_, F>(simd, inputs.twist, spec, rows, out)),
+        |_, (out, (rows, grad))| dispatch!(F, simd => gradients_of_run::<_, F>(simd, inputs.twist, spec, rows, grad, out)),
     );
     let mut twist = vec![F::ZERO; inputs.twist.len()];
     for sums in sums {
@@ -60,7 +60,8 @@ fn gradients_of_run<S: Simd, F: Real>(
     simd: S,
     twist: &[F],
     spec: &OpticsSpec,
-    (rows, grad): (&[F], &[F]),
+    rows: &[F],
+    grad: &[F],
     out: &mut [F],
 ) -> [F; PARAMETERS] {
     let change = ChangeSimd::<S, F>::new(simd, twist, spec);

@@ -98,7 +98,7 @@ impl<F: Real> ChunkIntersections<F> {
         };
         for (first, rows) in (first..).step_by(ROW_BLOCK).zip(rows.chunks(ROW_BLOCK * COLUMNS)) {
             let counts = dispatch!(F, simd => {
-                extent.emit(simd, rows, scratch, (&mut found.tiles, &mut found.boxes))
+                extent.emit(simd, rows, scratch, &mut found.tiles, &mut found.boxes)
             });
             for ((gaussian, row), count) in (first..).zip(rows.chunks_exact(COLUMNS)).zip(counts) {
                 if count > 0 {

@@ -62,7 +62,8 @@ impl<F: Real> ExtentRules<F> {
         simd: S,
         rows: &[F],
         scratch: &mut ExtentScratch<F>,
-        (tiles, boxes): (&mut Vec<u32>, &mut Vec<PixelBox>),
+        tiles: &mut Vec<u32>,
+        boxes: &mut Vec<PixelBox>,
     ) -> [u32; ROW_BLOCK] {
         let count = rows.len() / COLUMNS;
         scratch.ellipses.read(rows);

@@ -21,6 +21,8 @@ fn every_field_has_a_builder_that_sets_it_alone() {
     let built = RenderOptions::standard()
         .with_blur(0.1)
         .with_near(0.2)
+        .with_far(9.0)
+        .with_radius_clip(1.5)
         .with_jacobian_margin(0.4)
         .with_antialias(true)
         .with_sh_degree(Some(1))
@@ -33,6 +35,8 @@ fn every_field_has_a_builder_that_sets_it_alone() {
     let expected = RenderOptions {
         blur: 0.1,
         near: 0.2,
+        far: 9.0,
+        radius_clip: 1.5,
         jacobian_margin: 0.4,
         antialias: true,
         sh_degree: Some(1),

@@ -183,20 +183,22 @@ pub(crate) fn stage_gradients<F: Real, T: GaussianStage<C>, const C: usize, cons
 ) -> Geometry<Vec<F>> {
     chunks_of_gradients(
         &inputs,
-        (grad, C),
+        grad,
+        C,
         spec,
         needs,
-        |inputs, camera, part, pose, out| dispatch!(F, simd => gradients_of_chunk::<_, F, T, C, BENDS>(simd, inputs, camera, part, pose, out)),
+        |inputs, camera, first, grad, pose, out| dispatch!(F, simd => gradients_of_chunk::<_, F, T, C, BENDS>(simd, inputs, camera, first, grad, pose, out)),
     )
 }
 
 /// Writes the gradients of the Gaussians from a number on, and returns their share of the pose's.
 type GradientsOfChunk<F> =
-    fn(&Geometry<&[F]>, &ProjectCameraSimd<F>, (usize, &[F]), bool, &mut Geometry<&mut [F]>) -> [F; 12];
+    fn(&Geometry<&[F]>, &ProjectCameraSimd<F>, usize, &[F], bool, &mut Geometry<&mut [F]>) -> [F; 12];
 
 fn chunks_of_gradients<F: Real>(
     inputs: &Geometry<&[F]>,
-    (grad, columns): (&[F], usize),
+    grad: &[F],
+    columns: usize,
     spec: &ProjectSpec,
     needs: Geometry<bool>,
     gradients_of_chunk: GradientsOfChunk<F>,
@@ -209,7 +211,7 @@ fn chunks_of_gradients<F: Real>(
     let pose = tasks::map(chunks, |chunk, mut out| {
         let first = chunk * CHUNK;
         let grad = &grad[first * columns..count.min(first + CHUNK) * columns];
-        gradients_of_chunk(inputs, &camera, (first, grad), needs.cam_from_world, &mut out)
+        gradients_of_chunk(inputs, &camera, first, grad, needs.cam_from_world, &mut out)
     });
     if needs.cam_from_world {
         let mut total = [F::ZERO; 12];
@@ -227,7 +229,8 @@ fn write<F: Real>(
     out: &mut Geometry<&mut [F]>,
     found: &Parameters<F>,
     mean2d: &Columns<F, 2>,
-    (first, count): (usize, usize),
+    first: usize,
+    count: usize,
 ) {
     let parts = out.each_mut().zip(WIDTHS).map(|(rows, width)| match rows.is_empty() {
         true => &mut rows[..],
@@ -247,7 +250,8 @@ fn gradients_of_chunk<S: Simd, F: Real, T: GaussianStage<C>, const C: usize, con
     simd: S,
     inputs: &Geometry<&[F]>,
     camera: &ProjectCameraSimd<F>,
-    (first, grad): (usize, &[F]),
+    first: usize,
+    grad: &[F],
     needs_pose: bool,
     out: &mut Geometry<&mut [F]>,
 ) -> [F; 12] {
@@ -276,7 +280,7 @@ fn gradients_of_chunk<S: Simd, F: Real, T: GaussianStage<C>, const C: usize, con
                 mean2d.store(axis, at, value);
             }
         }
-        write(out, &found, &mean2d, (block * ROW_BLOCK, count));
+        write(out, &found, &mean2d, block * ROW_BLOCK, count);
     }
     let mut sums = [F::ZERO; 12];
     for (sum, lanes) in sums.iter_mut().zip(pose) {

@@ -27,14 +27,19 @@ pub(crate) struct CameraAxis {
 pub(crate) struct ProjectCamera {
     pub x: CameraAxis,
     pub y: CameraAxis,
-    /// Near plane, camera z, scene units.
+    /// Near and far plane, camera z, scene units.
     pub near: f32,
+    pub far: f32,
+    /// Standard deviation up to which splats are culled, if `clips` is set, px.
+    pub clip_sigma: f32,
     /// Square root of the blur, px.
     pub blur_sigma: f32,
     /// Lens; absent for a pinhole.
     pub distortion: ComptimeOption<Distortion>,
     #[cube(comptime)]
     pub antialias: bool,
+    #[cube(comptime)]
+    pub clips: bool,
 }
 
 /// One Gaussian's parameters.
@@ -218,8 +223,13 @@ pub(crate) fn project_one(gaussian: &Gaussian, pose: &Pose, camera: &ProjectCame
     let sigma_v = Vec3::new(p_length, camera.blur_sigma, camera.blur_sigma * along.length()).length();
     let shear = n.dot(along);
 
-    let in_front = depth > camera.near && depth > 0.0 && finite(depth) && finite(x.ratio) && finite(y.ratio);
-    let wide = sigma_u > 0.0 && finite(sigma_u) && sigma_v > 0.0 && finite(sigma_v) && finite(shear);
+    let between = depth > camera.near && depth > 0.0 && depth < camera.far;
+    let in_front = between && finite(depth) && finite(x.ratio) && finite(y.ratio);
+    let mut wide = sigma_u > 0.0 && finite(sigma_u) && sigma_v > 0.0 && finite(sigma_v) && finite(shear);
+    if comptime!(camera.clips) {
+        let vertical = Vec3::new(shear * sigma_u, sigma_v, 0.0).length();
+        wide = wide && (sigma_u > camera.clip_sigma || vertical > camera.clip_sigma);
+    }
     let drawn = gaussian.finite() && in_front && quaternion_length > 0.0 && wide;
     let visible = within_domain(drawn, bent);
 

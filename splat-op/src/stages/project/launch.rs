@@ -3,7 +3,7 @@
 use super::backward::project_backward_kernel;
 use super::forward::{CameraAxisLaunch, ProjectCameraLaunch, project_forward_kernel};
 use super::lens_forward::DistortionLaunch;
-use super::{COLUMNS, Geometry, ProjectSpec, WIDTHS};
+use super::{COLUMNS, Geometry, ProjectSpec, RADIUS_SIGMAS, WIDTHS};
 use crate::camera::{CameraModel, Intrinsics};
 use crate::gpu::math::{POSE, Vec2Launch};
 use crate::gpu::reduce::launch_column_sums;
@@ -20,9 +20,13 @@ pub(crate) fn project_camera(spec: &ProjectSpec) -> ProjectCameraLaunch {
         axis(camera.fx, camera.cx, x),
         axis(camera.fy, camera.cy, y),
         options.near as f32,
+        // Shader compilers may assume that infinity does not occur.
+        (options.far as f32).min(f32::MAX),
+        (options.radius_clip / RADIUS_SIGMAS) as f32,
         options.blur.sqrt() as f32,
         distortion(camera).into(),
         options.antialias,
+        options.radius_clip > 0.0,
     )
 }
 

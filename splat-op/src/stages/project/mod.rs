@@ -49,6 +49,10 @@ pub(crate) const COLUMNS: usize = 7;
 /// The column of the opacity, the last one.
 pub(crate) const OPACITY: usize = 6;
 
+/// Number of standard deviations that the radius of a splat has, for [`RenderOptions::radius_clip`] and
+/// [`Projected::radii`](crate::Projected::radii).
+pub(crate) const RADIUS_SIGMAS: f64 = 3.0;
+
 /// Lower limit of the opacity compensation of an anti-aliased render, as in gsplat. It leaves a splat much smaller than a pixel
 /// visible enough to have a gradient by which it can grow.
 pub(crate) const COMPENSATION_MIN: f64 = 0.005;

@@ -4,7 +4,7 @@
 use fearless_simd::prelude::*;
 
 use super::lens_simd::{DistortionSimd, LensProjectionGrad, LensProjectionSimd};
-use super::{COMPENSATION_MIN, Ellipse, ProjectSpec};
+use super::{COMPENSATION_MIN, Ellipse, ProjectSpec, RADIUS_SIGMAS};
 use crate::linalg::{Matrix3, add, cross, dot, hadamard, matmul, matvec, rotation_of, scale, sub, transposed_matvec};
 use crate::simd::each;
 use crate::simd::real::Real;
@@ -19,6 +19,9 @@ pub(crate) struct ProjectCameraSimd<L> {
     pub low: [L; 2],
     pub high: [L; 2],
     pub near: L,
+    far: L,
+    /// Standard deviation up to which splats are culled, px; `None` for none.
+    clip_sigma: Option<L>,
     /// `√blur`
     pub blur_sigma: L,
     antialias: bool,
@@ -39,6 +42,8 @@ impl<F: Real> ProjectCameraSimd<F> {
             low: limits.map(|[low, _]| F::of(low)),
             high: limits.map(|[_, high]| F::of(high)),
             near: F::of(options.near),
+            far: F::of(options.far).min_of(F::MAX),
+            clip_sigma: (options.radius_clip > 0.0).then(|| F::of(options.radius_clip / RADIUS_SIGMAS)),
             blur_sigma: F::of(options.blur).sqrt(),
             antialias: options.antialias,
             distortion: DistortionSimd::new(camera),
@@ -56,6 +61,12 @@ impl<F: Real> ProjectCameraSimd<F> {
             low: each!(self.low, |value| lanes(value)),
             high: each!(self.high, |value| lanes(value)),
             near: lanes(self.near),
+            far: lanes(self.far),
+            #[allow(clippy::manual_map, reason = "a closure may be left out of line, without vector instructions")]
+            clip_sigma: match self.clip_sigma {
+                Some(sigma) => Some(lanes(sigma)),
+                None => None,
+            },
             blur_sigma: lanes(self.blur_sigma),
             antialias: self.antialias,
             #[allow(clippy::manual_map, reason = "a closure may be left out of line, without vector instructions")]
@@ -140,7 +151,7 @@ impl<S: Simd, F: Real> ProjectionTermsSimd<S, F> {
         let [x, y, z] = mean_cam;
         let mut ratio = [x / z, y / z];
         let (quaternion, quaternion_length) = unit_quaternion::<S, F>(simd, g.rotation);
-        let mut seen = g.all(finite) & z.simd_gt(camera.near) & z.simd_gt(zero) & finite(z);
+        let mut seen = g.all(finite) & z.simd_gt(camera.near) & z.simd_gt(zero) & z.simd_lt(camera.far) & finite(z);
         let world_from_gaussian = rotation_of(one, quaternion);
         let cam_from_gaussian = matmul(&camera.rotation, &world_from_gaussian);
 
@@ -169,6 +180,10 @@ impl<S: Simd, F: Real> ProjectionTermsSimd<S, F> {
         let sigma_v = norm::<S, F>(simd, [camera.blur_sigma, p_norm, camera.blur_sigma * norm::<S, F>(simd, along)]);
         let shear = dot(n, along);
         seen = seen & sigma_u.simd_gt(zero) & finite(sigma_u) & sigma_v.simd_gt(zero) & finite(sigma_v) & finite(shear);
+        if let Some(clip) = camera.clip_sigma {
+            let vertical = norm::<S, F>(simd, [shear * sigma_u, sigma_v, zero]);
+            seen &= sigma_u.simd_gt(clip) | vertical.simd_gt(clip);
+        }
         let (compensation, compensation_free) = if camera.antialias {
             let (areas, floor) = (p_norm / sigma_v, lanes(F::of(COMPENSATION_MIN)));
             let free = areas.simd_gt(floor);

@@ -189,7 +189,8 @@ pub(crate) fn rasterize_backward_cpu<F: Real>(
     inputs: Layers<&[F]>,
     grad: PlaneParts<&[F]>,
     spec: &RasterizeSpec,
-    (intersections, trace): (&IntersectionLists, Option<&Trace<F>>),
+    intersections: &IntersectionLists,
+    trace: Option<&Trace<F>>,
     needs: Layers<bool>,
 ) -> Layers<Vec<F>> {
     let rebuilt;
@@ -201,8 +202,8 @@ pub(crate) fn rasterize_backward_cpu<F: Real>(
         }
     };
     match trace {
-        Trace::Ellipses(trace) => backward(inputs, grad, spec, (intersections, trace), needs),
-        Trace::Rays(trace) => backward(inputs, grad, spec, (intersections, trace), needs),
+        Trace::Ellipses(trace) => backward(inputs, grad, spec, intersections, trace, needs),
+        Trace::Rays(trace) => backward(inputs, grad, spec, intersections, trace, needs),
     }
 }
 
@@ -210,18 +211,19 @@ fn backward<F: Real, P: Footprint<F>>(
     inputs: Layers<&[F]>,
     grad: PlaneParts<&[F]>,
     spec: &RasterizeSpec,
-    (intersections, trace): (&IntersectionLists, &SplatTrace<F, P>),
+    intersections: &IntersectionLists,
+    trace: &SplatTrace<F, P>,
     needs: Layers<bool>,
 ) -> Layers<Vec<F>> {
     let prepared = Prepared::new(inputs, spec, intersections, Some(trace));
     let columns = MOMENTS + prepared.channels + P::EXTRA_COLUMNS + if needs.mean2d_abs { 2 } else { 0 };
     let features = inputs.background.len();
-    let (rows, background) = tile_rows(intersections, [columns, features], |buffers, tile, sums| {
-        tile_sums(&prepared, inputs.background, grad, &trace.tiles[tile], (tile, sums, needs), buffers)
-    });
+    let job = TileSums { prepared: &prepared, background: inputs.background, grad, trace, needs };
+    let (rows, background) =
+        tile_rows(intersections, [columns, features], |buffers, tile, sums| job.fill(tile, sums, buffers));
     let ray_columns = if P::ALONG_RAYS { ray_space::columns(&spec.intrinsics) } else { 0 };
     let sums = RowSums { rows: &rows, columns, channels: prepared.channels, unscale: P::UNSCALE };
-    let grads = gather(inputs.projected, features, intersections, &sums, (needs, ray_columns));
+    let grads = gather(inputs.projected, features, intersections, &sums, needs, ray_columns);
     Layers { background: if needs.background { background } else { Vec::new() }, ..grads }
 }
 
@@ -251,34 +253,39 @@ struct Buffers<F: Real> {
     scratch: TileScratch<F>,
 }
 
-/// Fills one tile's sums per intersection and returns its share of the background's gradient if it is needed.
-fn tile_sums<F: Real, P: Footprint<F>>(
-    prepared: &Prepared<F, P>,
-    background: &[F],
-    grad: PlaneParts<&[F]>,
-    trace: &TileTrace<F>,
-    (tile, sums, needs): (usize, &mut [F], Layers<bool>),
-    buffers: &mut Buffers<F>,
-) -> Vec<F> {
-    let view = prepared.view(tile);
-    let features = background.len();
-    let size = PictureSize { pixels: prepared.size, features, depth: prepared.depth };
-    let Buffers { grad: of_planes, scratch } = buffers;
-    of_planes.read(grad, &size, view.origin, background);
-    let wanted = if needs.background { features } else { 0 };
-    if of_planes.is_zero() {
-        return vec![F::ZERO; wanted];
+/// What the backward pass needs for each tile.
+struct TileSums<'a, F: Real, P: Footprint<F>> {
+    prepared: &'a Prepared<'a, F, P>,
+    background: &'a [F],
+    grad: PlaneParts<&'a [F]>,
+    trace: &'a SplatTrace<F, P>,
+    needs: Layers<bool>,
+}
+
+impl<F: Real, P: Footprint<F>> TileSums<'_, F, P> {
+    /// Fills one tile's sums per intersection and returns its share of the background's gradient if it is needed.
+    fn fill(&self, tile: usize, sums: &mut [F], buffers: &mut Buffers<F>) -> Vec<F> {
+        let Self { prepared, background, grad, needs, .. } = *self;
+        let (view, trace) = (prepared.view(tile), &self.trace.tiles[tile]);
+        let features = background.len();
+        let size = PictureSize { pixels: prepared.size, features, depth: prepared.depth };
+        let Buffers { grad: of_planes, scratch } = buffers;
+        of_planes.read(grad, &size, view.origin, background);
+        let wanted = if needs.background { features } else { 0 };
+        if of_planes.is_zero() {
+            return vec![F::ZERO; wanted];
+        }
+        let TilePlanes { planes, background_rho } = of_planes;
+        let (absolute, finite, depth) = (needs.mean2d_abs, prepared.finite, prepared.depth);
+        let tile_grad = TileGrad { planes, background_rho, trace, absolute, finite, depth };
+        let mut transmittance = [F::ZERO; TILE_PIXELS];
+        specialised!(prepared, tile, simd, C, IS_LONG => {
+            let thresholds = Thresholds::<_, F>::new(simd, prepared.thresholds);
+            let out = (sums, &mut transmittance);
+            rasterize_tile_backward::<_, F, P, C, IS_LONG>(simd, &view, &tile_grad, &thresholds, out, scratch);
+        });
+        of_planes.background_gradient(&transmittance, wanted)
     }
-    let TilePlanes { planes, background_rho } = of_planes;
-    let (absolute, finite, depth) = (needs.mean2d_abs, prepared.finite, prepared.depth);
-    let tile_grad = TileGrad { planes, background_rho, trace, absolute, finite, depth };
-    let mut transmittance = [F::ZERO; TILE_PIXELS];
-    specialised!(prepared, tile, simd, C, IS_LONG => {
-        let thresholds = Thresholds::<_, F>::new(simd, prepared.thresholds);
-        let out = (sums, &mut transmittance);
-        rasterize_tile_backward::<_, F, P, C, IS_LONG>(simd, &view, &tile_grad, &thresholds, out, scratch);
-    });
-    of_planes.background_gradient(&transmittance, wanted)
 }
 
 /// Gradients of a tile's planes.

@@ -119,7 +119,7 @@ fn on_cpu<F: Real>(scene: &Scene) -> [Vec<f64>; 3] {
     let (planes, trace) = rasterize_cpu(inputs, spec, &lists, true);
     let needs = Layers { projected: true, features: true, ..Layers::default() };
     let grad = PlaneParts::split(&grad, spec, background.len());
-    let grads = rasterize_backward_cpu(inputs, grad, spec, (&lists, trace.as_ref()), needs);
+    let grads = rasterize_backward_cpu(inputs, grad, spec, &lists, trace.as_ref(), needs);
     [planes, grads.projected, grads.features].map(widened)
 }
 

@@ -27,7 +27,8 @@ pub(super) fn gather<F: Real>(
     features: usize,
     intersections: &IntersectionLists,
     sums: &RowSums<F>,
-    (needs, ray_columns): (Layers<bool>, usize),
+    needs: Layers<bool>,
+    ray_columns: usize,
 ) -> Layers<Vec<F>> {
     let RowSums { rows, columns, channels, unscale } = *sums;
     let (count, lists) = (ellipses.len() / COLUMNS, intersections);

@@ -72,7 +72,7 @@ impl StageInputs {
     fn backward(&self, grad: &[f64]) -> Layers<Vec<f64>> {
         let lists = intersect_cpu(&self.projected, &self.spec.intrinsics, Cut::of(&self.spec.options));
         let grad = PlaneParts::split(grad, &self.spec, self.background.len());
-        rasterize_backward_cpu(self.inputs(), grad, &self.spec, (&lists, None), ALL)
+        rasterize_backward_cpu(self.inputs(), grad, &self.spec, &lists, None, ALL)
     }
 
     /// Returns the scene with other inputs: projected, features, background.

@@ -210,7 +210,7 @@ pub(crate) fn launch_rasterize_backward(
     }
     let background = background.map(|rows| launch_column_sums(gpu, &rows, shape.features));
     match rows_needed {
-        true => Layers { background, ..launch_gather(gpu, inputs, lists, (&rows, columns), spec, needs) },
+        true => Layers { background, ..launch_gather(gpu, inputs, lists, &rows, columns, spec, needs) },
         false => Layers { background, ..Layers::default() },
     }
 }
@@ -327,7 +327,8 @@ fn launch_gather(
     gpu: &Gpu,
     inputs: &Layers<Buffer<f32>>,
     lists: &DeviceIntersections,
-    (rows, columns): (&[Rows], usize),
+    rows: &[Rows],
+    columns: usize,
     spec: &RasterizeSpec,
     needs: Layers<bool>,
 ) -> Layers<Option<Buffer<f32>>> {

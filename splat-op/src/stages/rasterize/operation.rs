@@ -177,9 +177,8 @@ impl Operation for Rasterize {
         let (read, of_planes) = (host_layers::<F>(args), host_grads(args, &self.spec));
         let inputs = layer_slices(&read);
         let kept = self.trace.as_ref().and_then(TraceCell::kept::<Trace<F>>);
-        let lists = (self.host_lists(&inputs), kept);
-        let needs = Layers::from_array(args.needs());
-        let grads = rasterize_backward_cpu(inputs, plane_slices(&of_planes), &self.spec, lists, needs);
+        let (lists, needs) = (self.host_lists(&inputs), Layers::from_array(args.needs()));
+        let grads = rasterize_backward_cpu(inputs, plane_slices(&of_planes), &self.spec, lists, kept, needs);
         float_outputs(grads.into_array()).into_iter().chain([HostOutput::Nothing]).collect()
     }
 

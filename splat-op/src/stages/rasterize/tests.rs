@@ -56,7 +56,7 @@ impl StageInputs {
         let lists = self.lists();
         let (_, trace) = rasterize_cpu(inputs(&self.inputs), &self.spec, &lists, true);
         let grad = PlaneParts::split(grad, &self.spec, self.channels());
-        rasterize_backward_cpu(inputs(&self.inputs), grad, &self.spec, (&lists, trace.as_ref()), needs)
+        rasterize_backward_cpu(inputs(&self.inputs), grad, &self.spec, &lists, trace.as_ref(), needs)
     }
 
     fn channels(&self) -> usize {
@@ -239,7 +239,7 @@ fn each_gradient_is_the_same_alone_and_without_a_trace() {
     let list = |g: Layers<Vec<f64>>| [g.projected, g.features, g.background, g.mean2d_abs];
     let all = list(scene.backward(&grad, ALL));
     let parts = PlaneParts::split(&grad, &scene.spec, scene.channels());
-    let without = rasterize_backward_cpu(inputs(&scene.inputs), parts, &scene.spec, (&lists, None), ALL);
+    let without = rasterize_backward_cpu(inputs(&scene.inputs), parts, &scene.spec, &lists, None, ALL);
     assert_eq!(list(without), all, "a trace is a cache");
     for alone in 0..4 {
         let [projected, features, background, mean2d_abs] = std::array::from_fn(|i| i == alone);
@@ -262,7 +262,7 @@ fn many_layers_behind_an_opaque_one_keep_their_digits() {
     let single_grad: Vec<f32> = scene.random_grad(91).iter().map(|v| *v as f32).collect();
     let lists = intersect_cpu(&single_inputs[0], &scene.spec.intrinsics, 0.0.into());
     let single_grad = PlaneParts::split(&single_grad, &scene.spec, scene.channels());
-    let single = rasterize_backward_cpu(inputs(&single_inputs), single_grad, &scene.spec, (&lists, None), ALL);
+    let single = rasterize_backward_cpu(inputs(&single_inputs), single_grad, &scene.spec, &lists, None, ALL);
     for (name, single, double) in
         [("ellipses", &single.projected, &double.projected), ("features", &single.features, &double.features)]
     {

@@ -78,7 +78,7 @@ impl Scene {
         let wanted = Layers { projected: true, ray_space: true, features: false, background: false, mean2d_abs: false };
         let grad = PlaneParts::split(grad, &spec, 3);
         let lists = self.lists(&rows);
-        let grads = rasterize_backward_cpu(self.layers(&rows), grad, &spec, (&lists, None), wanted);
+        let grads = rasterize_backward_cpu(self.layers(&rows), grad, &spec, &lists, None, wanted);
         let through_ellipses = project_backward_cpu(self.geometry(), &pass(&grads.projected), &project, ALL);
         let through_rows = ray_space_backward_cpu(self.geometry(), &pass(&grads.ray_space), &project, ALL);
         through_ellipses.zip(through_rows).map(|(a, b)| a.iter().zip(b).map(|(a, b)| a + b).collect())

@@ -79,7 +79,7 @@ impl StageInputs {
 
     fn backward(&self, grad: &[f64]) -> Layers<Vec<f64>> {
         let grad = PlaneParts::split(grad, &self.spec, self.inputs[3].len());
-        rasterize_backward_cpu(self.view(), grad, &self.spec, (&self.lists(), None), ALL)
+        rasterize_backward_cpu(self.view(), grad, &self.spec, &self.lists(), None, ALL)
     }
 
     /// Marks the pixels whose result jumps when rounding moves a threshold.

@@ -79,7 +79,7 @@ impl StageInputs {
 
     fn backward(&self, grad: &[f64], needs: Layers<bool>) -> Layers<Vec<f64>> {
         let grad = PlaneParts::split(grad, &self.spec, self.inputs[3].len());
-        rasterize_backward_cpu(self.view(), grad, &self.spec, (&self.lists(), None), needs)
+        rasterize_backward_cpu(self.view(), grad, &self.spec, &self.lists(), None, needs)
     }
 
     fn random_grad(&self) -> Vec<f64> {

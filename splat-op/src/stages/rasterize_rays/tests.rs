@@ -59,7 +59,7 @@ impl StageInputs {
 
     fn backward(&self, grad: &[f64], needs: Layers<bool>) -> Layers<Vec<f64>> {
         let grad = PlaneParts::split(grad, &self.spec, self.channels());
-        rasterize_backward_cpu(inputs(&self.inputs), grad, &self.spec, (&self.lists(), None), needs)
+        rasterize_backward_cpu(inputs(&self.inputs), grad, &self.spec, &self.lists(), None, needs)
     }
 
     fn channels(&self) -> usize {
@@ -253,7 +253,7 @@ fn the_trace_leaves_out_only_what_contributes_nothing() {
     assert!(2 * few < all && few > lists.gaussian.len(), "{few} of {all} blocks");
     let with = |trace| {
         let grad = PlaneParts::split(&grad, &scene.spec, scene.channels());
-        let g = rasterize_backward_cpu(inputs(&scene.inputs), grad, &scene.spec, (&lists, Some(trace)), ALL);
+        let g = rasterize_backward_cpu(inputs(&scene.inputs), grad, &scene.spec, &lists, Some(trace), ALL);
         [g.projected, g.ray_space, g.features, g.background, g.mean2d_abs]
     };
     assert!(with(&kept) == with(&whole));

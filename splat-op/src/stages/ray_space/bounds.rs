@@ -23,10 +23,10 @@ const CHUNK: usize = 1024;
 /// Gaussians stay culled.
 pub(crate) fn bounds_cpu<F: Real>(packed: &[F], ray_rows: &[F], spec: &RasterizeSpec) -> Vec<F> {
     match PictureRays::of(&spec.intrinsics) {
-        None => by_chunks::<F, RAY_SPACE>(packed, ray_rows, (spec, None)),
+        None => by_chunks::<F, RAY_SPACE>(packed, ray_rows, spec, None),
         Some(rays) => {
             let limits = LensLimitsSimd::new(&spec.intrinsics, &rays);
-            by_chunks::<F, LENS_COLUMNS>(packed, ray_rows, (spec, Some(&limits)))
+            by_chunks::<F, LENS_COLUMNS>(packed, ray_rows, spec, Some(&limits))
         }
     }
 }
@@ -34,12 +34,13 @@ pub(crate) fn bounds_cpu<F: Real>(packed: &[F], ray_rows: &[F], spec: &Rasterize
 fn by_chunks<F: Real, const C: usize>(
     packed: &[F],
     ray_rows: &[F],
-    picture: (&RasterizeSpec, Option<&LensLimitsSimd<F>>),
+    spec: &RasterizeSpec,
+    limits: Option<&LensLimitsSimd<F>>,
 ) -> Vec<F> {
     let mut bounds = vec![F::ZERO; packed.len()];
     let chunks = packed.chunks(CHUNK * COLUMNS).zip(ray_rows.chunks(CHUNK * C));
     tasks::for_each(bounds.chunks_mut(CHUNK * COLUMNS).zip(chunks), |_, (out, (rows, slopes))| {
-        dispatch!(F, simd => chunk::<_, F, C>(simd, out, rows, slopes, picture));
+        dispatch!(F, simd => chunk::<_, F, C>(simd, out, rows, slopes, spec, limits));
     });
     bounds
 }
@@ -51,7 +52,8 @@ fn chunk<S: Simd, F: Real, const C: usize>(
     out: &mut [F],
     packed: &[F],
     ray_rows: &[F],
-    (spec, limits): (&RasterizeSpec, Option<&LensLimitsSimd<F>>),
+    spec: &RasterizeSpec,
+    limits: Option<&LensLimitsSimd<F>>,
 ) {
     let (mut ellipses, mut slopes, mut found) =
         (Columns::<F, COLUMNS>::new(), Columns::<F, C>::new(), Columns::<F, COLUMNS>::new());

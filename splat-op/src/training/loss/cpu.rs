@@ -62,7 +62,7 @@ pub(crate) fn photometric_cpu<F: Real>(
             let reached = band.rows.start.saturating_sub(HALF)..size.height.min(band.rows.end + HALF);
             maps.resize(3 * size.width * reached.len(), F::ZERO);
             let sum = job.index(simd, &band, &reached, maps);
-            job.gradient(simd, &band, (maps, reached.start), gradient);
+            job.gradient(simd, &band, maps, reached.start, gradient);
             sum
         })
     });
@@ -209,7 +209,7 @@ impl<F: Real> LossTask<'_, F> {
     /// Second sweep. Computes `K ∂Kx + 2 x K ∂Kx² + y K ∂Kxy` and the derivative of `|x − y|` over a band from the maps
     /// of the first sweep, which begin with row `first`.
     #[inline(always)]
-    fn gradient<S: Simd>(&self, simd: S, band: &RowBand, (maps, first): (&[F], usize), out: &mut [F]) {
+    fn gradient<S: Simd>(&self, simd: S, band: &RowBand, maps: &[F], first: usize, out: &mut [F]) {
         let Self { inputs, size, .. } = *self;
         let weight = (F::ONE - self.lambda) * self.share;
         let (up, down) = (F::Eight::<S>::splat(simd, weight), F::Eight::<S>::splat(simd, -weight));

@@ -170,6 +170,7 @@ impl Poisoned {
             background: Some(background.clone()),
             mean2d_probe: Some(mean2d.clone()),
             mean2d_abs_probe: Some(mean2d_abs.clone()),
+            ..Extras::default()
         };
         let splats = gaussians.splats();
         let out = render(&splats, &[camera], &extras, &self.options).expect("a valid scene");

@@ -63,9 +63,10 @@ pub fn step_on_host(state: HostState, width: usize, band: Option<Band>, step: &P
         for (block, ((param, grad), words)) in blocks.enumerate() {
             let codes = &mut codes[..param.len()];
             let first = ((task * BLOCKS_PER_TASK + block) * numbers) as u32;
+            let numbers = BlockNumbers { param, grad, codes, rates: &rates, first };
             match step.packing {
-                Packing::Sixteen => step_block::<false>(scalars, (param, grad, words, codes), (width, &rates, first)),
-                Packing::Eight => step_block::<true>(scalars, (param, grad, words, codes), (width, &rates, first)),
+                Packing::Sixteen => step_block::<false>(scalars, numbers, words, width),
+                Packing::Eight => step_block::<true>(scalars, numbers, words, width),
             }
         }
     });
@@ -80,18 +81,25 @@ fn rates(rate: Rates, band: Option<Band>, width: usize, rows: usize) -> Vec<f32>
     (0..rows * width).map(|at| of(at) as f32).collect()
 }
 
-fn step_block<const EIGHT: bool>(
-    scalars: Scalars,
-    (param, grad, words, codes): (&mut [f32], &[f32], &mut [i32], &mut [u32]),
-    (width, rates, first): (usize, &[f32], u32),
-) {
+/// Whole rows of a parameter.
+struct BlockNumbers<'a> {
+    param: &'a mut [f32],
+    grad: &'a [f32],
+    /// Room for the codes of the moments.
+    codes: &'a mut [u32],
+    rates: &'a [f32],
+    /// Index of the first number.
+    first: u32,
+}
+
+fn step_block<const EIGHT: bool>(scalars: Scalars, mut block: BlockNumbers, words: &mut [i32], width: usize) {
     let form = const { if EIGHT { Packing::Eight.form() } else { Packing::Sixteen.form() } };
-    unpack(form, words, codes, width);
+    unpack(form, words, block.codes, width);
     dispatch!(f32, simd => {
         let _ = simd;
-        step_codes::<EIGHT>(scalars, param, grad, codes, rates, first);
+        step_codes::<EIGHT>(scalars, &mut block);
     });
-    pack(form, codes, words, width);
+    pack(form, block.codes, words, width);
 }
 
 /// The codes of whole rows.
@@ -115,16 +123,10 @@ fn pack(form: Form, codes: &[u32], words: &mut [i32], width: usize) {
     }
 }
 
-/// Performs the steps of a block of numbers, of which `first` is the index of the first.
+/// Performs the steps of a block of numbers.
 #[inline(always)]
-fn step_codes<const EIGHT: bool>(
-    scalars: Scalars,
-    param: &mut [f32],
-    grad: &[f32],
-    codes: &mut [u32],
-    rates: &[f32],
-    first: u32,
-) {
+fn step_codes<const EIGHT: bool>(scalars: Scalars, block: &mut BlockNumbers) {
+    let BlockNumbers { param, grad, codes, rates, first } = block;
     let form = const { if EIGHT { Packing::Eight.form() } else { Packing::Sixteen.form() } };
     let Scalars { beta1, beta2, floor, largest, reach, phase } = scalars;
     let count = param.len();

@@ -1,0 +1,57 @@
+//! Normals of Gaussians, as tensor code on every device.
+
+use burn::tensor::Tensor;
+
+use super::check_geometry;
+use super::splats::Splats;
+use crate::camera::Camera;
+use crate::error::SplatError;
+use crate::options::RenderOptions;
+
+/// Returns the unit normal of each Gaussian, `[N, 3]`, world frame: its shortest axis, turned towards the camera. Of equally short axes it
+/// is the first.
+///
+/// Differentiable in the rotations; which axis it is, and which way it is turned, are constants. As
+/// [`Colour::Features`](crate::Colour::Features) the normals become a plane of normals, weighted as colours are; divide it by alpha for
+/// their mean, which is shorter than one where normals differ.
+///
+/// # Errors
+/// If a tensor's shape, type or device does not fit.
+pub fn normals(splats: &Splats, camera: &Camera) -> Result<Tensor<2>, SplatError> {
+    check_geometry(splats, camera, &RenderOptions::standard())?;
+    let count = splats.means.dims()[0];
+    if count == 0 {
+        return Ok(splats.means.clone());
+    }
+    // Scaled first, so that no length overflows. A zero quaternion, which is culled, has a normal without NaN.
+    let q = splats.rotations.clone();
+    let largest = q.clone().detach().abs().max_dim(1).clamp_min(f32::MIN_POSITIVE);
+    let q = q / largest;
+    let length = q.clone().square().sum_dim(1).sqrt().clamp_min(f32::MIN_POSITIVE);
+    let q = q / length;
+    let [w, x, y, z] = [0, 1, 2, 3].map(|i| q.clone().narrow(1, i, 1));
+    let twice = |a: &Tensor<2>, b: &Tensor<2>| (a.clone() * b.clone()).mul_scalar(2.0);
+    let one_less = |a: Tensor<2>| a.neg().add_scalar(1.0);
+    let axes = [
+        vec![one_less(twice(&y, &y) + twice(&z, &z)), twice(&x, &y) + twice(&w, &z), twice(&x, &z) - twice(&w, &y)],
+        vec![twice(&x, &y) - twice(&w, &z), one_less(twice(&x, &x) + twice(&z, &z)), twice(&y, &z) + twice(&w, &x)],
+        vec![twice(&x, &z) + twice(&w, &y), twice(&y, &z) - twice(&w, &x), one_less(twice(&x, &x) + twice(&y, &y))],
+    ];
+    let shortest = splats.scales.clone().detach().argmin(1);
+    let chosen = axes.into_iter().enumerate().map(|(i, axis)| {
+        let is_shortest = shortest.clone().equal_elem(i as i64).expand([count, 3]);
+        let axis = Tensor::cat(axis, 1);
+        let none = axis.zeros_like();
+        axis.mask_where(is_shortest.bool_not(), none)
+    });
+    let normal = chosen.reduce(|sum, axis| sum + axis).expect("three axes");
+
+    let pose = camera.cam_from_world.clone().detach();
+    let rotation = pose.clone().narrow(1, 0, 3).transpose();
+    let translation = pose.narrow(1, 3, 1).transpose();
+    let mean_cam = splats.means.clone().detach().matmul(rotation.clone()) + translation;
+    let normal_cam = normal.clone().detach().matmul(rotation);
+    let away = (mean_cam * normal_cam).sum_dim(1).greater_elem(0.0).expand([count, 3]);
+    let turned = normal.clone().neg();
+    Ok(normal.mask_where(away, turned))
+}
