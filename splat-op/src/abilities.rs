@@ -1,7 +1,5 @@
 //! Features and limits of a device.
 
-use std::sync::atomic::{AtomicU64, Ordering};
-
 #[cfg(feature = "cube")]
 use burn::backend::DispatchDevice;
 use burn::tensor::Device;
@@ -9,7 +7,7 @@ use burn::tensor::Device;
 use crate::error::SplatError;
 #[cfg(feature = "cube")]
 use crate::gpu::Gpu;
-use crate::limits::Need;
+use crate::limits::{Need, lowered_limit};
 
 /// Optional features of a device. The kernels use each one if the device supports it and a fallback if it does not.
 #[cfg(feature = "cube")]
@@ -51,19 +49,6 @@ pub(crate) fn check_fits(device: &Device, needs: &[Need]) -> Result<(), SplatErr
 /// Returns whether a device is a GPU, which computes asynchronously.
 pub fn is_gpu(device: &Device) -> bool {
     buffer_limit(device).is_some()
-}
-
-/// Bound of the size of buffers and tensors, for tests.
-static LARGEST: AtomicU64 = AtomicU64::new(u64::MAX);
-
-/// Lowers the size of every device's largest buffer and tensor to `bytes`. For tests of steps that exceed a real device's.
-pub fn lower_limit(bytes: u64) {
-    LARGEST.store(bytes, Ordering::Relaxed);
-}
-
-/// The bound that [`lower_limit`] sets.
-pub(crate) fn lowered_limit() -> u64 {
-    LARGEST.load(Ordering::Relaxed)
 }
 
 /// Returns the size of the largest tensor that kernels can use on a device, bytes: that of a GPU's largest buffer. CPUs have no

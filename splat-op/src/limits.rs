@@ -1,5 +1,7 @@
 //! Limits of a device's buffers: checks before a stage runs if the size is known by then, and a panic message otherwise.
 
+use std::sync::atomic::{AtomicU64, Ordering};
+
 use crate::error::SplatError;
 
 /// A buffer that a call needs.
@@ -40,6 +42,19 @@ impl Need {
             panic!("{error}");
         }
     }
+}
+
+/// Bound of the size of buffers and tensors, for tests.
+static LARGEST: AtomicU64 = AtomicU64::new(u64::MAX);
+
+/// Lowers the size of every device's largest buffer and tensor to `bytes`. For tests of steps that exceed a real device's.
+pub fn lower_limit(bytes: u64) {
+    LARGEST.store(bytes, Ordering::Relaxed);
+}
+
+/// The bound that [`lower_limit`] sets.
+pub(crate) fn lowered_limit() -> u64 {
+    LARGEST.load(Ordering::Relaxed)
 }
 
 #[cfg(test)]

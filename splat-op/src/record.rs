@@ -5,10 +5,10 @@
 ///
 /// The gradient of an input is the field of the same name and has the input's shape.
 macro_rules! record {
-    ($(#[$meta:meta])* pub struct $name:ident { $($(#[$field_meta:meta])* $field:ident,)* }) => {
+    ($(#[$meta:meta])* $vis:vis struct $name:ident { $($(#[$field_meta:meta])* $field:ident,)* }) => {
         $(#[$meta])*
         #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-        pub struct $name<T> {
+        $vis struct $name<T> {
             $($(#[$field_meta])* pub $field: T,)*
         }
 

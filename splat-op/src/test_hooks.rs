@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use burn::backend::{Backend, Dispatch};
 use burn::tensor::{Device, Tensor};
 
-pub use crate::abilities::{buffer_limit, lower_limit};
+pub use crate::abilities::buffer_limit;
 #[cfg(feature = "cube")]
 pub use crate::counters::{PairCounts, count_pairs};
 pub use crate::counters::{
@@ -13,6 +13,7 @@ pub use crate::counters::{
 };
 #[cfg(feature = "cube")]
 pub use crate::gpu::poison;
+pub use crate::limits::lower_limit;
 
 /// Rasterizes as [`rasterize`](fn@crate::rasterize) without extras, and returns the numbers of pairs that a GPU evaluates; `None` for a CPU.
 /// Waits for the device.

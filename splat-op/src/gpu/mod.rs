@@ -16,8 +16,8 @@ use cubecl::prelude::{CubeCount, CubeDim};
 pub use buffer::poison;
 pub(crate) use buffer::{Buffer, PART_BYTES, launch_scale, roomy};
 
-use crate::abilities::lowered_limit;
 use crate::counters::count_dispatch;
+use crate::limits::lowered_limit;
 
 /// Returns a bit for each buffer that there is. A kernel with several optional buffers takes the bits as a comptime argument that it does
 /// not read: without them, CubeCL 0.11.3 gives its forms with equally many buffers one key in the cache of compiled kernels, and loads

@@ -2,10 +2,17 @@
 
 use fearless_simd::prelude::*;
 
+use crate::linalg::dot;
 use crate::simd::real::{LANES, Real};
 
 /// A vector of Gaussians.
 pub(crate) type Lanes<S, F> = <F as Real>::Lanes<S>;
+
+/// A flag for each lane.
+pub(crate) type MaskOf<S, F> = <Lanes<S, F> as SimdBase<S>>::Mask;
+
+/// Vectors of three components.
+pub(crate) type Vector<S, F> = [Lanes<S, F>; 3];
 
 /// Number of lanes of [`Real::Lanes`].
 #[inline(always)]
@@ -104,4 +111,21 @@ pub(crate) fn map_lanes<S: Simd, F: Real, const N: usize>(
             out.copy_from_slice(&padded[..out.len()]);
         }
     }
+}
+
+/// Length of vectors, without intermediate overflow or underflow.
+#[inline(always)]
+pub(crate) fn norm<S: Simd, F: Real>(simd: S, v: Vector<S, F>) -> F::Lanes<S> {
+    let lanes = |value: f64| F::Lanes::<S>::splat(simd, F::of(value));
+    let squared = dot(v, v);
+    // Within these bounds no square has overflowed, and squares that underflowed are negligible.
+    let in_range = squared.simd_gt(lanes(1e-20)) & squared.simd_lt(lanes(1e30));
+    let plain = squared.sqrt();
+    if in_range.all_true() {
+        return plain;
+    }
+    let largest = v[0].abs().max(v[1].abs()).max(v[2].abs());
+    let unit = [v[0] / largest, v[1] / largest, v[2] / largest];
+    let scaled = largest.simd_gt(lanes(0.0)).select(largest * dot(unit, unit).sqrt(), largest);
+    in_range.select(plain, scaled)
 }

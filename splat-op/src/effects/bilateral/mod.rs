@@ -40,7 +40,7 @@ pub const LUMA: [f64; 3] = [0.299, 0.587, 0.114];
 
 record! {
     /// Inputs of the slice, or their gradients.
-    pub struct Sliced {
+    pub(crate) struct Sliced {
         /// `[3, H, W]`: the picture.
         image,
         /// `[12, L, R, C]`: the grid.

@@ -24,7 +24,7 @@ use crate::record::record;
 
 record! {
     /// Inputs of the map, or their gradients.
-    pub struct Mapped {
+    pub(crate) struct Mapped {
         /// `[3, H, W]`: the picture.
         image,
         /// `[3, 4]`: the map.

@@ -33,7 +33,7 @@ use crate::sh::sh_degree;
 
 record! {
     /// Inputs of the composition, or their gradients.
-    pub struct Sky {
+    pub(crate) struct Sky {
         /// `[3, H, W]`: the render over black.
         image,
         /// `[1, H, W]`: its alpha.

@@ -84,7 +84,7 @@ pub(crate) const PARAMETERS: usize = 6;
 
 record! {
     /// Inputs of a change, or their gradients.
-    pub struct Exposed {
+    pub(crate) struct Exposed {
         /// `[N, 7]`: packed ellipses.
         projected,
         /// `[6]`: a twist.
@@ -103,7 +103,7 @@ pub enum Exposure {
 
 /// A change of ellipses but for its tensors.
 #[derive(Clone, Copy, Debug)]
-pub struct OpticsSpec {
+pub(crate) struct OpticsSpec {
     pub(crate) intrinsics: Intrinsics,
     pub(crate) exposure: Exposure,
     /// Share of half the picture's size by which a centre may lie outside it before its velocity is that at the margin.

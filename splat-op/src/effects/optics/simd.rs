@@ -5,9 +5,8 @@ use fearless_simd::prelude::*;
 
 use super::{Exposure, LARGEST_SHARE, OpticsSpec, PARAMETERS};
 use crate::project::COLUMNS;
-use crate::project::simd::{MaskOf, norm};
 use crate::simd::each;
-use crate::simd::lanes::Lanes;
+use crate::simd::lanes::{Lanes, MaskOf, norm};
 use crate::simd::real::Real;
 
 /// A packed ellipse, or its gradient.

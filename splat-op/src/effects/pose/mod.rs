@@ -46,7 +46,7 @@ const LEAST_SQUARE: f64 = 1e-30;
 
 record! {
     /// Inputs of a correction, or their gradients.
-    pub struct Corrected {
+    pub(crate) struct Corrected {
         /// `[2, 3]`: `ω`, rad, and `τ`.
         correction,
         /// `[3, 4]`: the given pose. A constant.

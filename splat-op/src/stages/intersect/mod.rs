@@ -24,6 +24,8 @@ pub(crate) mod launch;
 pub(crate) mod operation;
 #[cfg(feature = "cube")]
 pub(crate) mod sort;
+#[cfg(all(test, feature = "cube"))]
+mod sort_kernel_tests;
 #[cfg(test)]
 mod tests;
 

@@ -12,7 +12,8 @@
 
 use cubecl::prelude::*;
 
-use super::forward::{CameraAxis, Gaussian, JacobianRow, PackedEllipse, ProjectCamera, ProjectionTerms, project_one};
+use super::axis::{CameraAxis, JacobianRow};
+use super::forward::{Gaussian, PackedEllipse, ProjectCamera, ProjectionTerms, project_one};
 use super::lens_backward::bent_backward;
 use super::lens_forward::SeenGrad;
 use crate::gpu::UNITS;

@@ -3,7 +3,8 @@
 
 use fearless_simd::prelude::*;
 
-use super::simd::{GaussiansSimd, GradientsSimd, ProjectCameraSimd, ProjectionTermsSimd};
+use super::simd::{GaussiansSimd, ProjectCameraSimd, ProjectionTermsSimd};
+use super::simd_backward::GradientsSimd;
 use super::{COLUMNS, Ellipse, Geometry, ProjectSpec, WIDTHS};
 use crate::camera::CameraModel;
 use crate::simd::dispatch;

@@ -6,20 +6,10 @@
 
 use cubecl::prelude::*;
 
+use super::axis::{CameraAxis, JacobianRow};
 use super::lens_forward::{Distortion, LensProjection, bent_rows};
 use super::{COLUMNS, COMPENSATION_MIN};
-use crate::gpu::math::{Mat3, Pose, Quaternion, Vec3, finite, within};
-
-/// One axis of the picture, px.
-#[derive(CubeType, CubeLaunch, Clone, Copy)]
-#[expand(derive(Clone, Copy))]
-pub(crate) struct CameraAxis {
-    pub focal: f32,
-    pub principal: f32,
-    /// Limits to which `x/z` or `y/z` is clamped for the Jacobian.
-    pub low: f32,
-    pub high: f32,
-}
+use crate::gpu::math::{Mat3, Pose, Quaternion, Vec3, finite};
 
 /// Camera and options as arguments of the kernels.
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
@@ -117,31 +107,6 @@ impl PackedEllipse {
     }
 }
 
-/// Projection of a Gaussian along one axis of the picture.
-#[derive(CubeType, Clone, Copy)]
-#[expand(derive(Clone, Copy))]
-pub(crate) struct JacobianRow {
-    /// `x/z` or `y/z`, the slope at which the Jacobian is evaluated, and whether that slope is free (not clamped). With a lens,
-    /// `ratio` is the distorted position of the centre in units of the focal length.
-    pub ratio: f32,
-    pub slope: f32,
-    pub slope_free: bool,
-    /// Row of `J W R`, and that row times the scales.
-    pub j: Vec3,
-    pub m: Vec3,
-}
-
-#[cube]
-impl CameraAxis {
-    /// `across` is the camera x or y of the centre; `row` and `last` are rows of `W R`.
-    fn project(&self, across: f32, depth: f32, row: Vec3, last: Vec3, scale: Vec3) -> JacobianRow {
-        let ratio = across / depth;
-        let slope = within(ratio, self.low, self.high);
-        let j = row.minus(last.times(slope)).times(self.focal / depth);
-        JacobianRow { ratio, slope, slope_free: slope == ratio, j, m: j.by_axis(scale) }
-    }
-}
-
 /// Intermediate values of the forward pass that the backward pass needs. The names are those of the equations of
 /// [`project`](super).
 #[derive(CubeType, Clone, Copy)]
@@ -183,7 +148,7 @@ fn seen_rows(
     #[comptime]
     match camera.distortion {
         ComptimeOption::Some(distortion) => {
-            let (x, y, bent) = bent_rows(mean_cam, cam_from_gaussian, scale, camera, &distortion);
+            let (x, y, bent) = bent_rows(mean_cam, cam_from_gaussian, scale, &camera.x, &camera.y, &distortion);
             (x, y, ComptimeOption::new_Some(bent))
         }
         ComptimeOption::None => {

@@ -1,7 +1,8 @@
 //! Launches of `project`.
 
+use super::axis::CameraAxisLaunch;
 use super::backward::project_backward_kernel;
-use super::forward::{CameraAxisLaunch, ProjectCameraLaunch, project_forward_kernel};
+use super::forward::{ProjectCameraLaunch, project_forward_kernel};
 use super::lens_forward::DistortionLaunch;
 use super::{COLUMNS, Geometry, ProjectSpec, RADIUS_SIGMAS, WIDTHS};
 use crate::camera::{CameraModel, Intrinsics};

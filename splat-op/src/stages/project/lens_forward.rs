@@ -2,7 +2,7 @@
 
 use cubecl::prelude::*;
 
-use super::forward::{JacobianRow, ProjectCamera};
+use super::axis::{CameraAxis, JacobianRow};
 use super::lens::HALF_ANGLE_F32;
 use crate::camera::CameraModel;
 use crate::gpu::math::{Mat3, Vec2, Vec3, within};
@@ -168,15 +168,16 @@ pub(crate) fn bent_rows(
     mean_cam: Vec3,
     rows: Mat3,
     scale: Vec3,
-    camera: &ProjectCamera,
+    x_axis: &CameraAxis,
+    y_axis: &CameraAxis,
     distortion: &Distortion,
 ) -> (JacobianRow, JacobianRow, LensProjection) {
     let bent = if comptime!(distortion.model.is_fisheye()) {
         fisheye(mean_cam, rows, distortion)
     } else {
-        perspective(mean_cam, rows, camera, distortion)
+        perspective(mean_cam, rows, x_axis, y_axis, distortion)
     };
-    let (by, focal_x, focal_y) = (bent.held.by, camera.x.focal, camera.y.focal);
+    let (by, focal_x, focal_y) = (bent.held.by, x_axis.focal, y_axis.focal);
     let j_x = bent.base_x.times(focal_x * by.x.x).plus(bent.base_y.times(focal_x * by.x.y));
     let j_y = bent.base_x.times(focal_y * by.y.x).plus(bent.base_y.times(focal_y * by.y.y));
     let (seen_at, s) = (bent.centre.value, bent.held.s);
@@ -186,10 +187,16 @@ pub(crate) fn bent_rows(
 }
 
 #[cube]
-fn perspective(mean_cam: Vec3, rows: Mat3, camera: &ProjectCamera, distortion: &Distortion) -> LensProjection {
+fn perspective(
+    mean_cam: Vec3,
+    rows: Mat3,
+    x_axis: &CameraAxis,
+    y_axis: &CameraAxis,
+    distortion: &Distortion,
+) -> LensProjection {
     let inverse_depth = 1.0 / mean_cam.z;
     let ratio = Vec2::new(mean_cam.x / mean_cam.z, mean_cam.y / mean_cam.z);
-    let s = Vec2::new(within(ratio.x, camera.x.low, camera.x.high), within(ratio.y, camera.y.low, camera.y.high));
+    let s = Vec2::new(within(ratio.x, x_axis.low, x_axis.high), within(ratio.y, y_axis.low, y_axis.high));
     let (free_x, free_y) = (s.x == ratio.x, s.y == ratio.y);
     LensProjection {
         within: ratio.dot(ratio) < distortion.max_radius_squared,

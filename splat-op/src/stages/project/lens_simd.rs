@@ -4,11 +4,10 @@ use burn::tensor::DType;
 use fearless_simd::prelude::*;
 
 use super::lens::{HALF_ANGLE_F32, HALF_ANGLE_F64};
-use super::simd::{MaskOf, Vector, norm};
 use crate::camera::{CameraModel, Intrinsics};
 use crate::linalg::{Entry, Matrix3, add, dot, scale, sub};
 use crate::simd::each;
-use crate::simd::lanes::Lanes;
+use crate::simd::lanes::{Lanes, MaskOf, Vector, norm};
 use crate::simd::real::Real;
 
 /// A lens's planar map, as numbers or broadcast to all lanes.

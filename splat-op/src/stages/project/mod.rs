@@ -20,6 +20,8 @@
 //! Shapes: means `[N, 3]`, rotations `[N, 4]`, scales `[N, 3]`, opacities `[N]`, pose `[3, 4]` → packed `[N, 7]`.
 
 #[cfg(feature = "cube")]
+mod axis;
+#[cfg(feature = "cube")]
 pub(crate) mod backward;
 pub(crate) mod cpu;
 #[cfg(feature = "cube")]
@@ -36,6 +38,7 @@ pub(crate) mod lens_forward;
 pub(crate) mod lens_simd;
 pub(crate) mod operation;
 pub(crate) mod simd;
+pub(crate) mod simd_backward;
 #[cfg(test)]
 mod tests;
 
@@ -93,7 +96,7 @@ impl<F: Copy> Ellipse<F> {
 
 record! {
     /// Inputs of the stage: the geometry of Gaussians and the pose of a camera.
-    pub struct Geometry {
+    pub(crate) struct Geometry {
         /// `[N, 3]`: centres, world frame, scene units.
         means,
         /// `[N, 4]`: quaternions wxyz, world-from-Gaussian, of any non-zero length.
@@ -116,7 +119,7 @@ pub(crate) const WIDTHS: Geometry<usize> =
 
 /// Parameters of the stage that are not tensors.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ProjectSpec {
+pub(crate) struct ProjectSpec {
     /// Camera intrinsics.
     pub intrinsics: Intrinsics,
     /// Render options.

@@ -12,71 +12,18 @@
 use cubecl::prelude::*;
 
 use super::MOMENTS;
-use super::backward_block::{add_block, pass_pixels};
+use super::backward_block::{SEGMENT_UNITS, STRIDE, SegmentMemory, add_block, pass_pixels, shares_colours};
 use super::blocks::{BLOCK_PIXELS, BLOCKS, pixel_of};
-use super::forward::WORDS;
-use super::layer::{BUCKET, BUCKETS, Four, KernelShape, RasterFrame, TilePixel, tile_origin};
+use super::layer::{BUCKET, KernelShape, RasterFrame, SplatInputs, TilePixel, tile_origin};
 use super::segment::{KeptTrace, RowCells, Segment, SegmentRange, clear_rows};
-use super::splat::{Splat, SplatInputs, behind_word, colours_of};
+use super::splat::{Splat, behind_word, colours_of};
+use super::trace::WORDS;
 use crate::gpu::atomic::FloatCell;
 use crate::intersect::TILE_PIXELS;
-
-/// Number of units of a cube: of the pixels in a block and of the places in a bucket.
-pub(super) const SEGMENT_UNITS: usize = 32;
-const _: () = assert!(BLOCK_PIXELS == SEGMENT_UNITS && BUCKET == SEGMENT_UNITS && WORDS == SEGMENT_UNITS);
-
-/// Distance of the rows of a table of places and pixels. Neither direction of reading has bank conflicts.
-pub(super) const STRIDE: usize = SEGMENT_UNITS + 1;
 
 /// Number of values in a row: the moments, the channels, those of the splat, and the two sums of absolute values if they are wanted.
 pub(crate) const fn row_len<S: Splat>(shape: KernelShape, absolute: bool) -> usize {
     MOMENTS + shape.channels() + S::EXTRA_COLUMNS + if absolute { 2 } else { 0 }
-}
-
-/// Whether the colours of a bucket and the gradients of a block's pixels go through shared memory. Along rays the Gaussians take
-/// their room.
-pub(super) const fn shares_colours<S: Splat>(shape: KernelShape) -> bool {
-    shape.few() && !S::ALONG_RAYS
-}
-
-/// Shared memory of a cube.
-#[derive(CubeType)]
-pub(super) struct SegmentMemory {
-    pub words: Shared<[u32]>,
-    /// `[bucket][unit]`: the transmittances before each bucket.
-    pub checkpoints: Shared<[f32]>,
-    /// `[unit]`: `ρ` behind the layers still to pass.
-    pub rho: Shared<[f32]>,
-    /// Of the bucket.
-    pub splats: Shared<[Four]>,
-    pub colours: Shared<[Four]>,
-    pub gaussians: Shared<[u32]>,
-    /// Rows that the sums are written or added to.
-    pub targets: Shared<[u32]>,
-    /// `[place][pixel]`: alphas at first, then `h`.
-    pub alphas: Shared<[f32]>,
-    pub weights: Shared<[f32]>,
-    /// Of the block: `g` of its pixels.
-    pub gradients: Shared<[f32]>,
-}
-
-#[cube]
-impl SegmentMemory {
-    fn new<S: Splat>(#[comptime] shape: KernelShape) -> SegmentMemory {
-        let shares = comptime!(shares_colours::<S>(shape));
-        SegmentMemory {
-            words: Shared::<[u32]>::new_slice(comptime!(WORDS)),
-            checkpoints: Shared::<[f32]>::new_slice(comptime!(BUCKETS * TILE_PIXELS)),
-            rho: Shared::<[f32]>::new_slice(comptime!(TILE_PIXELS)),
-            splats: Shared::<[Four]>::new_slice(comptime!(BUCKET * S::VECTORS)),
-            colours: Shared::<[Four]>::new_slice(comptime!(if shares { BUCKET } else { 1 })),
-            gaussians: Shared::<[u32]>::new_slice(comptime!(if shares { 1 } else { BUCKET })),
-            targets: Shared::<[u32]>::new_slice(comptime!(BUCKET)),
-            alphas: Shared::<[f32]>::new_slice(comptime!(BUCKET * STRIDE)),
-            weights: Shared::<[f32]>::new_slice(comptime!(BUCKET * STRIDE)),
-            gradients: Shared::<[f32]>::new_slice(comptime!(if shares { BLOCK_PIXELS * shape.channels() } else { 1 })),
-        }
-    }
 }
 
 /// Computes the rows of each segment's intersections. A cube goes forwards through the segment for the transmittances

@@ -3,12 +3,65 @@
 use cubecl::prelude::*;
 
 use super::MOMENTS;
-use super::backward::{STRIDE, SegmentMemory, shares_colours};
 use super::blocks::{BLOCK_HEIGHT, BLOCK_PIXELS, BLOCK_WIDTH, pixel_of};
-use super::layer::{KernelShape, RasterFrame, TilePixel, layer};
-use super::splat::{BlockPairs, Splat, SplatInputs, colour};
+use super::layer::{BUCKET, BUCKETS, Four, KernelShape, RasterFrame, SplatInputs, TilePixel, layer};
+use super::splat::{BlockPairs, Splat, colour};
 use super::suffix::plane_of;
+use super::trace::WORDS;
 use crate::intersect::TILE_PIXELS;
+
+/// Number of units of a cube: of the pixels in a block and of the places in a bucket.
+pub(super) const SEGMENT_UNITS: usize = 32;
+const _: () = assert!(BLOCK_PIXELS == SEGMENT_UNITS && BUCKET == SEGMENT_UNITS && WORDS == SEGMENT_UNITS);
+
+/// Distance of the rows of a table of places and pixels. Neither direction of reading has bank conflicts.
+pub(super) const STRIDE: usize = SEGMENT_UNITS + 1;
+
+/// Whether the colours of a bucket and the gradients of a block's pixels go through shared memory. Along rays the Gaussians take
+/// their room.
+pub(super) const fn shares_colours<S: Splat>(shape: KernelShape) -> bool {
+    shape.few() && !S::ALONG_RAYS
+}
+
+/// Shared memory of a cube.
+#[derive(CubeType)]
+pub(super) struct SegmentMemory {
+    pub words: Shared<[u32]>,
+    /// `[bucket][unit]`: the transmittances before each bucket.
+    pub checkpoints: Shared<[f32]>,
+    /// `[unit]`: `ρ` behind the layers still to pass.
+    pub rho: Shared<[f32]>,
+    /// Of the bucket.
+    pub splats: Shared<[Four]>,
+    pub colours: Shared<[Four]>,
+    pub gaussians: Shared<[u32]>,
+    /// Rows that the sums are written or added to.
+    pub targets: Shared<[u32]>,
+    /// `[place][pixel]`: alphas at first, then `h`.
+    pub alphas: Shared<[f32]>,
+    pub weights: Shared<[f32]>,
+    /// Of the block: `g` of its pixels.
+    pub gradients: Shared<[f32]>,
+}
+
+#[cube]
+impl SegmentMemory {
+    pub fn new<S: Splat>(#[comptime] shape: KernelShape) -> SegmentMemory {
+        let shares = comptime!(shares_colours::<S>(shape));
+        SegmentMemory {
+            words: Shared::<[u32]>::new_slice(comptime!(WORDS)),
+            checkpoints: Shared::<[f32]>::new_slice(comptime!(BUCKETS * TILE_PIXELS)),
+            rho: Shared::<[f32]>::new_slice(comptime!(TILE_PIXELS)),
+            splats: Shared::<[Four]>::new_slice(comptime!(BUCKET * S::VECTORS)),
+            colours: Shared::<[Four]>::new_slice(comptime!(if shares { BUCKET } else { 1 })),
+            gaussians: Shared::<[u32]>::new_slice(comptime!(if shares { 1 } else { BUCKET })),
+            targets: Shared::<[u32]>::new_slice(comptime!(BUCKET)),
+            alphas: Shared::<[f32]>::new_slice(comptime!(BUCKET * STRIDE)),
+            weights: Shared::<[f32]>::new_slice(comptime!(BUCKET * STRIDE)),
+            gradients: Shared::<[f32]>::new_slice(comptime!(if shares { BLOCK_PIXELS * shape.channels() } else { 1 })),
+        }
+    }
+}
 
 /// Number of channels, of many, that are read together.
 const CHANNELS_AT_ONCE: usize = 8;

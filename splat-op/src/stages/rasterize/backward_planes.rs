@@ -10,11 +10,11 @@ use super::MOMENTS;
 use super::backward::{row_len, store_cell};
 use super::blocks::{BLOCK_PIXELS, BLOCK_WIDTH, BLOCKS, pixel_of};
 use super::ellipse::LayerEllipse;
-use super::forward::WORDS;
-use super::layer::{BUCKET, Four, KernelShape, RasterFrame, SEGMENT, TilePixel, layer, tile_origin};
+use super::layer::{BUCKET, Four, KernelShape, RasterFrame, SEGMENT, SplatInputs, TilePixel, layer, tile_origin};
 use super::segment::{KeptTrace, Segment, SegmentRange, clear_rows};
-use super::splat::{Splat, SplatInputs, behind_word, colours_of};
+use super::splat::{Splat, behind_word, colours_of};
 use super::suffix::plane_of;
+use super::trace::WORDS;
 use crate::gpu::atomic::FloatCell;
 use crate::intersect::TILE_PIXELS;
 

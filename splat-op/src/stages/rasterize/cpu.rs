@@ -3,52 +3,21 @@
 
 use std::borrow::Cow;
 
-use super::footprint::EllipseFootprint;
 use super::gather_cpu::{RowSums, gather};
+use super::layer_cpu::Thresholds;
+use super::pixels::SIMD_WIDTH;
 use super::pixels::{Plane, in_block_order};
 use super::prepared::Prepared;
+pub(crate) use super::prepared::{SplatTrace, Trace};
 use super::splat_cpu::Footprint;
-use super::tile::{Thresholds, TileTrace, rasterize_tile};
+use super::tile::{TileTrace, rasterize_tile};
 use super::tile_backward::{TileGrad, TileScratch, rasterize_tile_backward};
-use super::tile_blocks::SIMD_WIDTH;
 use super::{Layers, MOMENTS, PlaneParts, RasterizeSpec};
 use crate::intersect::{IntersectionLists, TILE_PIXELS, TILE_SIZE, tile_grid};
-use crate::rasterize_rays::footprint::RayFootprint;
 use crate::ray_space;
 use crate::simd::real::Real;
 use crate::simd::{dispatch, is_f32};
 use crate::tasks;
-
-/// Number of Gaussians per task.
-pub(super) const CHUNK: usize = 1024;
-
-/// Values that the forward pass keeps for the backward pass.
-pub(crate) enum Trace<F> {
-    Ellipses(SplatTrace<F, EllipseFootprint<F>>),
-    Rays(SplatTrace<F, RayFootprint<F>>),
-}
-
-/// A trace of one kind of splats.
-pub(crate) struct SplatTrace<F, P> {
-    pub(super) footprints: Vec<P>,
-    /// Features and depth of each Gaussian if depth is rendered; otherwise nothing.
-    pub(super) colours: Vec<F>,
-    /// Whether all features are finite.
-    pub(super) finite: bool,
-    pub(super) tiles: Vec<TileTrace<F>>,
-}
-
-#[cfg(test)]
-impl<F> Trace<F> {
-    /// For each Gaussian of each tile, a bit for each block that the backward pass evaluates.
-    pub fn reached(&mut self) -> impl Iterator<Item = &mut u16> {
-        let tiles = match self {
-            Self::Ellipses(trace) => &mut trace.tiles,
-            Self::Rays(trace) => &mut trace.tiles,
-        };
-        tiles.iter_mut().flat_map(|tile| &mut tile.reached)
-    }
-}
 
 /// Runs `$body` with the SIMD level of this processor as `$simd` and the number of channels as the constant `$c`, or
 /// zero if no specialised version exists. `$long` is the constant of [`is_long`].

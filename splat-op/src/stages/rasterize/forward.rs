@@ -8,19 +8,12 @@ use cubecl::prelude::*;
 
 use super::blocks::{BLOCK_PIXELS, BLOCKS, HALF_BLOCKS, pixel_of};
 use super::layer::{
-    BUCKET, BUCKETS, Four, KernelShape, RasterFrame, SEGMENT, TilePixel, add_compensated, first_slot, layer,
-    lost_after_bucket, tile_origin, transmittance_after_bucket,
+    BUCKET, BUCKETS, Four, KernelShape, RasterFrame, SEGMENT, SplatInputs, TilePixel, add_compensated, first_slot,
+    layer, lost_after_bucket, tile_origin, transmittance_after_bucket,
 };
-use super::splat::{Splat, SplatInputs, colour, colours_of};
-use super::trace::TileRun;
+use super::splat::{Splat, colour, colours_of};
+use super::trace::{PAIR_COUNTS, TileRun, WORDS};
 use crate::intersect::{TILE_PIXELS, TILE_SIZE};
-
-/// Number of words of a segment.
-pub(super) const WORDS: usize = BUCKETS * BLOCKS;
-
-/// Numbers that are counted for each unit: pairs of a pixel and a Gaussian evaluated forwards, those that the backward
-/// pass evaluates, and pairs that contribute.
-pub(super) const PAIR_COUNTS: usize = 3;
 
 /// Writes the planes `[C, H, W]`, and from `alpha_start` and `depth_start` on those of alpha and depth. If a trace is kept, it also writes
 /// - the kept values `[slot][value][unit]`,

@@ -2,7 +2,7 @@
 
 use super::Layers;
 use super::MOMENTS;
-use super::cpu::CHUNK;
+use super::prepared::CHUNK;
 use crate::intersect::IntersectionLists;
 use crate::project::{COLUMNS, Ellipse, OPACITY};
 use crate::ray_space::{SHAPE, SLOPES};

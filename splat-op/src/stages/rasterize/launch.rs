@@ -2,17 +2,18 @@
 
 use cubecl::prelude::*;
 
-use super::backward::{SEGMENT_UNITS, rasterize_backward_kernel, row_len};
+use super::backward::{rasterize_backward_kernel, row_len};
+use super::backward_block::SEGMENT_UNITS;
 use super::backward_planes::{PLANES, rasterize_backward_planes_kernel, shared_bytes};
 use super::ellipse::LayerEllipse;
-use super::forward::{PAIR_COUNTS, rasterize_forward_kernel};
+use super::forward::rasterize_forward_kernel;
 use super::gather::rasterize_gather_kernel;
-use super::layer::{KernelShape, RasterFrameLaunch};
+use super::layer::{KernelShape, RasterFrameLaunch, SplatInputsLaunch};
 use super::rows::Rows;
 use super::segment::{KeptTraceLaunch, SegmentRangeLaunch};
-use super::splat::{Splat, SplatInputsLaunch};
+use super::splat::Splat;
 use super::suffix::rasterize_suffix_kernel;
-use super::trace::{DeviceTrace, TraceRun, runs_of};
+use super::trace::{DeviceTrace, PAIR_COUNTS, TraceRun, runs_of};
 use super::{Layers, RasterizeSpec};
 use crate::camera::{Intrinsics, PictureRays};
 use crate::counters::pairs_are_counted;

@@ -3,9 +3,9 @@
 
 use cubecl::prelude::*;
 
-use super::splat::SplatInputs;
 use crate::gpu::math::Vec2;
 use crate::intersect::TILE_SIZE;
+use crate::intersect::forward::TileLists;
 use crate::options::RenderOptions;
 
 /// Number of places in a bucket. Within a bucket the transmittance of a pixel is relative to that before it, and one
@@ -34,6 +34,32 @@ pub(crate) fn four(a: f32, b: f32, c: f32, d: f32) -> Four {
     all.insert(2usize, c);
     all.insert(3usize, d);
     all
+}
+
+/// What the kernels read of a view's Gaussians.
+#[derive(CubeType, CubeLaunch)]
+pub(crate) struct SplatInputs {
+    /// `[N, 7]`: packed ellipses.
+    pub projected: Box<[f32]>,
+    /// `[N, C]`
+    pub features: Box<[f32]>,
+    /// `[N, 9]`, with a lens `[N, 15]`: rows of `ray_space`, for Gaussians seen along rays.
+    pub ray_space: ComptimeOption<Box<[f32]>>,
+    /// `[H, W, 2]`: slopes of the pixels' rays, for Gaussians seen along rays through a lens.
+    pub slopes: ComptimeOption<Box<[f32]>>,
+    pub lists: TileLists,
+}
+
+#[cube]
+impl SplatInputs {
+    /// Returns a value of the rows of `ray_space`, zero if there are none.
+    pub fn ray_value(&self, at: usize) -> f32 {
+        #[comptime]
+        match &self.ray_space {
+            ComptimeOption::Some(rows) => rows[at],
+            ComptimeOption::None => 0.0f32.runtime(),
+        }
+    }
 }
 
 /// Size of the picture in pixels, its tiles along x, and thresholds of the render.

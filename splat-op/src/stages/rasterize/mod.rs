@@ -42,6 +42,7 @@ mod kernel_tests;
 pub(crate) mod launch;
 #[cfg(feature = "cube")]
 pub(crate) mod layer;
+mod layer_cpu;
 pub(crate) mod operation;
 pub(crate) mod pixels;
 mod prepared;
@@ -74,7 +75,7 @@ pub(crate) const MOMENTS: usize = 6;
 
 record! {
     /// Inputs of the rasterizer.
-    pub struct Layers {
+    pub(crate) struct Layers {
         /// `[N, 7]`: ellipses, packed by `project`.
         projected,
         /// `[N, C]`: features of each Gaussian.
@@ -91,7 +92,7 @@ record! {
 
 record! {
     /// Gradients of the planes of a render, or their absence.
-    pub struct PlaneParts {
+    pub(crate) struct PlaneParts {
         /// `[C, H, W]`: of the features.
         colour,
         /// `[1, H, W]`
@@ -103,7 +104,7 @@ record! {
 
 /// Camera intrinsics and options of the stage.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct RasterizeSpec {
+pub(crate) struct RasterizeSpec {
     /// Camera intrinsics.
     pub intrinsics: Intrinsics,
     /// Render options.
@@ -131,4 +132,4 @@ impl<'a, F> PlaneParts<&'a [F]> {
 /// Cache of the transmittances that the forward pass keeps for the backward pass. A backward pass that finds it empty
 /// recomputes them.
 #[derive(Clone, Debug, Default)]
-pub struct TraceCell(pub(crate) Arc<OnceLock<Box<dyn Any + Send + Sync>>>);
+pub(crate) struct TraceCell(pub(crate) Arc<OnceLock<Box<dyn Any + Send + Sync>>>);

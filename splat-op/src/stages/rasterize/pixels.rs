@@ -2,11 +2,15 @@
 
 use fearless_simd::prelude::*;
 
-use super::tile::TileView;
-use super::tile_blocks::{SIMD_ROWS, SIMD_WIDTH};
 use crate::camera::LEAST_NO_RAY;
 use crate::intersect::{TILE_PIXELS, TILE_SIZE};
 use crate::simd::real::Real;
+
+/// Number of pixels along a row of a block.
+pub(crate) const SIMD_WIDTH: usize = 8;
+
+/// Number of rows of a block. The widest SIMD vectors hold a block's 16 pixels; narrower ones hold a part of it.
+pub(crate) const SIMD_ROWS: usize = 2;
 
 /// Number of pixels in a block of a tile.
 pub(crate) const SIMD_BLOCK: usize = SIMD_WIDTH * SIMD_ROWS;
@@ -145,5 +149,49 @@ impl<F: Real> TilePixels<F> {
     #[inline(always)]
     pub fn rows<S: Simd>(&self, simd: S, place: usize) -> F::Block<S> {
         lanes(simd, &self.rows, place)
+    }
+}
+
+/// Position of a tile and the Gaussians that it lists.
+#[derive(Clone, Copy)]
+pub(crate) struct TileView<'a, F, P> {
+    /// First pixel of the tile.
+    pub origin: [usize; 2],
+    /// Number of the tile's pixels inside the picture along x and y.
+    pub size: [usize; 2],
+    /// Gaussians of the tile's intersections, front to back.
+    pub gaussians: &'a [u32],
+    /// Width of the picture, px, and the slopes of its rays, if Gaussians are seen along rays through a lens.
+    pub slopes: Option<(usize, &'a [[f64; 2]])>,
+    /// Footprint of each Gaussian.
+    pub footprints: &'a [P],
+    /// `[N, channels]`: colours of each Gaussian.
+    pub colours: &'a [F],
+    pub channels: usize,
+    /// Whether depth is the last channel.
+    pub depth: bool,
+    /// Whether all colours of all Gaussians are finite.
+    pub finite: bool,
+}
+
+impl<F: Real, P> TileView<'_, F, P> {
+    #[inline(always)]
+    pub fn corner(&self) -> [F; 2] {
+        self.origin.map(|px| F::of(px as f64))
+    }
+
+    /// Number of pixels with this transmittance that are not finished.
+    #[inline(always)]
+    pub fn open(&self, transmittance: &Plane<F>) -> usize {
+        match self.slopes {
+            None => self.size[0] * self.size[1],
+            Some(_) => transmittance.iter().filter(|t| **t > F::ZERO).count(),
+        }
+    }
+
+    #[inline(always)]
+    pub fn colour(&self, gaussian: u32) -> &[F] {
+        let first = gaussian as usize * self.channels;
+        &self.colours[first..first + self.channels]
     }
 }

@@ -3,16 +3,50 @@
 use std::borrow::Cow;
 use std::sync::Arc;
 
-use super::cpu::{CHUNK, SplatTrace};
+use super::footprint::EllipseFootprint;
+use super::layer_cpu::is_long;
+use super::pixels::TileView;
 use super::splat_cpu::{Footprint, FootprintView};
-use super::tile::{TileView, is_finite, is_long};
+use super::tile::{TileTrace, is_finite};
 use super::{Layers, RasterizeSpec};
 use crate::camera::PictureRays;
 use crate::intersect::{IntersectionLists, TILE_SIZE, tile_grid};
 use crate::project::{COLUMNS, Ellipse};
+use crate::rasterize_rays::footprint::RayFootprint;
 use crate::ray_space::LensLimitsSimd;
 use crate::simd::real::Real;
 use crate::tasks;
+
+/// Number of Gaussians per task.
+pub(super) const CHUNK: usize = 1024;
+
+/// Values that the forward pass keeps for the backward pass.
+pub(crate) enum Trace<F> {
+    Ellipses(SplatTrace<F, EllipseFootprint<F>>),
+    Rays(SplatTrace<F, RayFootprint<F>>),
+}
+
+/// A trace of one kind of splats.
+pub(crate) struct SplatTrace<F, P> {
+    pub(super) footprints: Vec<P>,
+    /// Features and depth of each Gaussian if depth is rendered; otherwise nothing.
+    pub(super) colours: Vec<F>,
+    /// Whether all features are finite.
+    pub(super) finite: bool,
+    pub(super) tiles: Vec<TileTrace<F>>,
+}
+
+#[cfg(test)]
+impl<F> Trace<F> {
+    /// For each Gaussian of each tile, a bit for each block that the backward pass evaluates.
+    pub fn reached(&mut self) -> impl Iterator<Item = &mut u16> {
+        let tiles = match self {
+            Self::Ellipses(trace) => &mut trace.tiles,
+            Self::Rays(trace) => &mut trace.tiles,
+        };
+        tiles.iter_mut().flat_map(|tile| &mut tile.reached)
+    }
+}
 
 /// Inputs in the form that the loops over the tiles read.
 pub(super) struct Prepared<'a, F: Real, P: Footprint<F>> {

@@ -3,35 +3,8 @@
 
 use cubecl::prelude::*;
 
-use super::layer::{FEW, Four, KernelShape, RasterFrame, TilePixel, layer, transmittance_after_bucket};
-use crate::intersect::forward::TileLists;
+use super::layer::{FEW, Four, KernelShape, RasterFrame, SplatInputs, TilePixel, layer, transmittance_after_bucket};
 use crate::project::COLUMNS;
-
-/// What the kernels read of a view's Gaussians.
-#[derive(CubeType, CubeLaunch)]
-pub(crate) struct SplatInputs {
-    /// `[N, 7]`: packed ellipses.
-    pub projected: Box<[f32]>,
-    /// `[N, C]`
-    pub features: Box<[f32]>,
-    /// `[N, 9]`, with a lens `[N, 15]`: rows of `ray_space`, for Gaussians seen along rays.
-    pub ray_space: ComptimeOption<Box<[f32]>>,
-    /// `[H, W, 2]`: slopes of the pixels' rays, for Gaussians seen along rays through a lens.
-    pub slopes: ComptimeOption<Box<[f32]>>,
-    pub lists: TileLists,
-}
-
-#[cube]
-impl SplatInputs {
-    /// Returns a value of the rows of `ray_space`, zero if there are none.
-    pub fn ray_value(&self, at: usize) -> f32 {
-        #[comptime]
-        match &self.ray_space {
-            ComptimeOption::Some(rows) => rows[at],
-            ComptimeOption::None => 0.0f32.runtime(),
-        }
-    }
-}
 
 /// A block of a tile, whose pixels gave each place of a bucket a value `h = α ∂L/∂α` and a weight `α T`.
 #[derive(CubeType, Clone, Copy)]

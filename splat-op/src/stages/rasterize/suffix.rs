@@ -3,13 +3,13 @@
 use cubecl::prelude::*;
 
 use super::blocks::{BLOCK_PIXELS, BLOCKS, pixel_of};
-use super::forward::WORDS;
 use super::layer::{
-    BUCKET, BUCKETS, Four, KernelShape, RasterFrame, SEGMENT, TilePixel, add_compensated, first_slot, layer,
-    tile_origin, transmittance_after_bucket,
+    BUCKET, BUCKETS, Four, KernelShape, RasterFrame, SEGMENT, SplatInputs, TilePixel, add_compensated, first_slot,
+    layer, tile_origin, transmittance_after_bucket,
 };
-use super::splat::{Splat, SplatInputs, colour};
+use super::splat::{Splat, colour};
 use super::trace::TileRun;
+use super::trace::WORDS;
 use crate::gpu::reduce::cube_sum;
 use crate::intersect::TILE_PIXELS;
 

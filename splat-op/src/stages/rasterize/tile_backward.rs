@@ -7,9 +7,11 @@
 use fearless_simd::prelude::*;
 
 use super::MOMENTS;
+use super::layer_cpu::{Thresholds, Transmittances};
+use super::pixels::TileView;
 use super::pixels::{Plane, SIMD_BLOCK, SIMD_BLOCK_ROW, TilePixels, lanes, len, store};
 use super::splat_cpu::{Footprint, FootprintLanes, PairSums};
-use super::tile::{CHECKPOINT_EVERY, Near, Thresholds, TileTrace, TileView, Transmittances, colour_lanes};
+use super::tile::{CHECKPOINT_EVERY, Near, TileTrace, colour_lanes};
 use super::tile_blocks::FIRST_COLUMN;
 use crate::intersect::TILE_PIXELS;
 use crate::simd::real::Real;
@@ -128,7 +130,7 @@ fn forwards<S: Simd, F: Real, P: Footprint<F>, const LONG: bool>(
                     let place = blocks.trailing_zeros() as usize * SIMD_BLOCK + part;
                     blocks &= blocks - 1;
                     let before = transmittance.load::<S, LONG>(simd, place);
-                    let layer = thresholds.layer::<_, LONG>(&splat, (&column, pixels, place), before);
+                    let layer = thresholds.layer::<_, LONG>(&splat, &column, pixels, place, before);
                     transmittance.store::<S, LONG>(layer.transmittance, place);
                     store(before[0], &mut scratch.layers, met * 2 * len::<S, F>());
                     store(layer.alpha, &mut scratch.layers, (met * 2 + 1) * len::<S, F>());

@@ -2,15 +2,9 @@
 
 use fearless_simd::prelude::*;
 
-use super::pixels::{lanes, len};
+use super::pixels::{SIMD_ROWS, SIMD_WIDTH, lanes, len};
 use crate::intersect::TILE_SIZE;
 use crate::simd::real::Real;
-
-/// Number of pixels along a row of a block.
-pub(crate) const SIMD_WIDTH: usize = 8;
-
-/// Number of rows of a block. The widest SIMD vectors hold a block's 16 pixels; narrower ones hold a part of it.
-pub(crate) const SIMD_ROWS: usize = 2;
 
 /// Number of blocks along a row of a tile.
 const SIMD_ACROSS: usize = TILE_SIZE / SIMD_WIDTH;

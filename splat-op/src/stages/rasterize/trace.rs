@@ -5,13 +5,20 @@ use std::ops::Range;
 
 use cubecl::prelude::*;
 
-use super::forward::{PAIR_COUNTS, WORDS};
-use super::layer::{KernelShape, SEGMENT};
+use super::blocks::BLOCKS;
+use super::layer::{BUCKETS, KernelShape, SEGMENT};
 use crate::counters::PairCounts;
 use crate::gpu::{Buffer, Gpu, split};
 use crate::intersect::TILE_PIXELS;
 use crate::intersect::launch::DeviceIntersections;
 use crate::limits::Need;
+
+/// Number of words of a segment.
+pub(super) const WORDS: usize = BUCKETS * BLOCKS;
+
+/// Numbers that are counted for each unit: pairs of a pixel and a Gaussian evaluated forwards, those that the backward
+/// pass evaluates, and pairs that contribute.
+pub(super) const PAIR_COUNTS: usize = 3;
 
 /// The tiles of a launch.
 #[derive(CubeType, CubeLaunch, Clone, Copy)]

@@ -8,8 +8,8 @@ use crate::camera::LEAST_NO_RAY;
 use crate::gpu::math::{Vec2, Vec3, finite, within};
 use crate::project::forward::PackedEllipse;
 use crate::rasterize::blocks::{BLOCK_PIXELS, HALF_BLOCKS, pixel_of};
-use crate::rasterize::layer::{Four, KernelShape, RasterFrame, TilePixel, four};
-use crate::rasterize::splat::{BlockPairs, Splat, SplatInputs};
+use crate::rasterize::layer::{Four, KernelShape, RasterFrame, SplatInputs, TilePixel, four};
+use crate::rasterize::splat::{BlockPairs, Splat};
 use crate::ray_space::{LENS_FRAME, LensFrame, RAY_SPACE, SLOPES};
 
 /// A Gaussian as pixels evaluate it: its whitening, its depth slope, its centre relative to the origin of the whitened

@@ -7,11 +7,10 @@ use super::{DEPTH_SLOPE, EXTENT, LEAST_REMAINDER, LENS_COLUMNS, RAY_SPACE, ROUND
 use crate::camera::{CameraModel, Intrinsics, PictureRays};
 use crate::intersect::extent::whitened_limit;
 use crate::linalg::{cross, dot, scale};
-use crate::project::simd::{MaskOf, norm};
 use crate::project::{COLUMNS, Ellipse};
 use crate::rasterize::RasterizeSpec;
 use crate::rasterize_rays::WHITENED_MAX;
-use crate::simd::lanes::{Columns, Lanes, ROW_BLOCK, width};
+use crate::simd::lanes::{Columns, Lanes, MaskOf, ROW_BLOCK, norm, width};
 use crate::simd::real::{LANES, Real};
 use crate::simd::{dispatch, each};
 use crate::tasks;

@@ -5,7 +5,8 @@ use fearless_simd::prelude::*;
 use super::simd::RaySpaceSimd;
 use super::{LENS_COLUMNS, RAY_SPACE, columns};
 use crate::project::cpu::{GaussianStage, stage_gradients, stage_rows};
-use crate::project::simd::{GaussiansSimd, GradientsSimd, ProjectCameraSimd};
+use crate::project::simd::{GaussiansSimd, ProjectCameraSimd};
+use crate::project::simd_backward::GradientsSimd;
 use crate::project::{Geometry, ProjectSpec};
 use crate::simd::real::Real;
 

@@ -9,8 +9,8 @@ use super::{EXTENT, RAY_SPACE, ROUNDING};
 use crate::camera::{Intrinsics, PictureRays};
 use crate::linalg::Entry;
 use crate::project::Ellipse;
-use crate::project::simd::{MaskOf, norm};
 use crate::simd::each;
+use crate::simd::lanes::{MaskOf, norm};
 use crate::simd::real::Real;
 
 /// Columns of a lens in a row.

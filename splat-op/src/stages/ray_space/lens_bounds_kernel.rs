@@ -28,7 +28,7 @@ pub(super) fn jacobian_at(
     distortion: &Distortion,
 ) -> (Vec3, Vec3, LensProjection) {
     let rows = Mat3 { x: Vec3::new(1.0, 0.0, 0.0), y: Vec3::new(0.0, 1.0, 0.0), z: Vec3::new(0.0, 0.0, 1.0) };
-    let (x, y, bent) = bent_rows(mean_cam, rows, Vec3::new(1.0, 1.0, 1.0), camera, distortion);
+    let (x, y, bent) = bent_rows(mean_cam, rows, Vec3::new(1.0, 1.0, 1.0), &camera.x, &camera.y, distortion);
     (x.j, y.j, bent)
 }
 

@@ -6,10 +6,10 @@ use fearless_simd::prelude::*;
 use super::{DEPTH_SLOPE, RAY_SPACE, THICKNESS_MAX};
 use crate::linalg::{Matrix3, add, cross, dot, hadamard, scale, sub};
 use crate::project::lens_simd::{LensProjectionGrad, LensProjectionSimd};
-use crate::project::simd::{
-    GaussiansSimd, GradientsSimd, MaskOf, ProjectCameraSimd, ProjectionTermsSimd, Vector, any_not_zero, norm,
-};
+use crate::project::simd::{GaussiansSimd, ProjectCameraSimd, ProjectionTermsSimd};
+use crate::project::simd_backward::{GradientsSimd, ShapeGrad, any_not_zero};
 use crate::simd::each;
+use crate::simd::lanes::{MaskOf, Vector, norm};
 use crate::simd::real::Real;
 
 /// Intermediate values of the forward pass, with the names of the module's documentation.
@@ -217,7 +217,14 @@ impl<S: Simd, F: Real> RaySpaceSimd<S, F> {
             through.mean_cam = add(through.mean_cam, of_lens.mean_cam);
         }
         GradientsSimd {
-            parameters: projection.parameters_backward(camera, g, takes_part, &through, (scales, zero), pose),
+            parameters: projection.parameters_backward(
+                camera,
+                g,
+                takes_part,
+                &through,
+                ShapeGrad { scales, opacity: zero },
+                pose,
+            ),
             mean2d: each!(of.centre, |value| takes_part.select(value, zero)),
         }
     }

@@ -94,7 +94,7 @@ fn extent_sigmas(alpha_min: f64) -> f64 {
 
 record! {
     /// Inputs of the stage.
-    pub struct Shading {
+    pub(crate) struct Shading {
         /// `[N, (degree+1)², 3]` coefficients.
         sh,
         /// `[N, 3]` centres, world frame, scene units.

@@ -11,7 +11,7 @@ pub const LARGEST_LOG_SCALE: f64 = 88.0;
 
 record! {
     /// Parameters as an optimiser holds them; see [`RawSplats`](crate::RawSplats).
-    pub struct Raw {
+    pub(crate) struct Raw {
         /// `[N, 3]`.
         means,
         /// `[N, 4]`.

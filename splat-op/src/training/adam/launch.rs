@@ -3,8 +3,7 @@
 use cubecl::prelude::ComptimeOptionArgs;
 
 use super::forward::{AdamParamLaunch, StepFactorsLaunch, WatchedCountsLaunch, adam_kernel, watch_kernel};
-use super::operation::WATCHED;
-use super::rule::{Band, Factors};
+use super::rule::{Band, Factors, WATCHED};
 use crate::gpu::{Buffer, Gpu, elementwise, given, search};
 
 /// A parameter and its moments on the device, all of one length.

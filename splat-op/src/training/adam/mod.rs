@@ -123,8 +123,8 @@ pub fn watch(
     at_step: u32,
 ) -> Tensor<1, Int> {
     let look = |verdict: Tensor<1, Int>, (launch, five): (usize, &[Option<&Tensor<2>>])| {
-        let first = (launch * operation::WATCHED) as u32;
-        let gradients = (0..operation::WATCHED).map(|i| five.get(i).copied().flatten().into());
+        let first = (launch * rule::WATCHED) as u32;
+        let gradients = (0..rule::WATCHED).map(|i| five.get(i).copied().flatten().into());
         apply_all(
             operation::Watch { at_step, first },
             [loss.into(), verdict.into()].into_iter().chain(gradients).collect(),
@@ -132,7 +132,7 @@ pub fn watch(
         .int(0)
     };
     // Once at least, for the loss.
-    let rest = gradients.get(operation::WATCHED..).unwrap_or_default();
+    let rest = gradients.get(rule::WATCHED..).unwrap_or_default();
     let first = &gradients[..gradients.len() - rest.len()];
-    std::iter::once(first).chain(rest.chunks(operation::WATCHED)).enumerate().fold(verdict, look)
+    std::iter::once(first).chain(rest.chunks(rule::WATCHED)).enumerate().fold(verdict, look)
 }

@@ -11,9 +11,6 @@ use burn_cubecl::tensor::CubeTensor;
 
 #[cfg(feature = "cube")]
 use super::launch::{DeviceState, DeviceStep, launch_adam, launch_watch};
-use super::packed::PackedFactors;
-#[cfg(feature = "cube")]
-use super::packed::launch::{DevicePackedStep, launch_adam_packed};
 use super::rule::{Factors, VERDICT};
 #[cfg(feature = "cube")]
 use crate::backend::cube::{buffer, owned};
@@ -23,13 +20,13 @@ use crate::gpu::Buffer;
 
 /// Returns a tensor of integers in the type that the kernels use: none of theirs is negative, or they are bits.
 #[cfg(feature = "cube")]
-fn unsigned(tensor: &CubeTensor, len: usize) -> Buffer<u32> {
+pub(super) fn unsigned(tensor: &CubeTensor, len: usize) -> Buffer<u32> {
     debug_assert!(tensor.dtype == DType::I32 && tensor.shape().num_elements() == len);
     Buffer::from_handle(tensor.handle.clone(), len)
 }
 
 #[cfg(feature = "cube")]
-fn verdict(args: &GpuArgs, i: usize) -> Option<Buffer<u32>> {
+pub(super) fn verdict(args: &GpuArgs, i: usize) -> Option<Buffer<u32>> {
     args.has(i).then(|| unsigned(args.tensor(i), VERDICT))
 }
 
@@ -81,38 +78,6 @@ impl Operation for AdamGroups {
         [mark.map(|mark| mark.handle)].into_iter().chain(steps.into_iter().flat_map(stepped)).collect()
     }
 }
-
-/// One step of a parameter with packed moments, unless the verdict names a step. Takes the parameter, its gradient, the moments,
-/// `[N, words]`, and, optionally, the verdict; returns the parameter and the moments.
-#[derive(Clone, Debug)]
-pub(super) struct AdamPacked(pub PackedFactors);
-
-impl Operation for AdamPacked {
-    fn outputs(&self, inputs: &[Option<Spec>]) -> Vec<Option<Spec>> {
-        vec![inputs[0].clone(), inputs[2].clone()]
-    }
-
-    #[cfg(feature = "cube")]
-    fn launch(&self, mut args: GpuArgs) -> Vec<GpuOutput> {
-        let (gpu, verdict, grad) = (args.gpu(), verdict(&args, 3), args.buffer(1));
-        let (param, words) = (owned(args.take(0)), owned(args.take(2)));
-        let shape = param.shape();
-        let dims = shape.as_slice();
-        let step = DevicePackedStep {
-            grad,
-            words: unsigned(&words, words.shape().num_elements()),
-            factors: self.0,
-            band: self.0.factors.rate.band(dims),
-            width: dims[1..].iter().product(),
-            param: buffer(param),
-        };
-        launch_adam_packed(&gpu, &step, verdict.as_ref());
-        vec![Some(step.param.handle), Some(words.handle)]
-    }
-}
-
-/// Gradients in a launch of [`Watch`].
-pub(super) const WATCHED: usize = 5;
 
 /// The verdict, `[2]`, after a check of the loss and of up to five gradients. Takes the loss, the verdict, and the gradients, each
 /// optional, whose bits begin after bit `first`.

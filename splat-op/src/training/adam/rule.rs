@@ -62,3 +62,6 @@ pub struct Factors {
     /// Largest absolute value to which gradients are clamped.
     pub largest: f64,
 }
+
+/// Gradients in a launch of the check for finite values.
+pub(super) const WATCHED: usize = 5;

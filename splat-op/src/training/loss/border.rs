@@ -2,9 +2,8 @@
 
 use fearless_simd::prelude::*;
 
-use super::cpu::{PlaneSize, Sweep, splat};
-use super::taps::HALF;
-use super::taps::{TAPS, half_window};
+use super::sweep::{PlaneSize, Sweep, splat};
+use super::taps::{HALF, TAPS, half_window};
 use crate::simd::dispatch;
 use crate::simd::real::{LANES, Real};
 

@@ -32,6 +32,7 @@ mod kernel_tests;
 #[cfg(feature = "cube")]
 pub(crate) mod launch;
 mod operation;
+pub(crate) mod sweep;
 pub(crate) mod taps;
 #[cfg(test)]
 mod tests;

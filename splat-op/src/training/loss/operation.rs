@@ -2,9 +2,10 @@
 
 use burn::tensor::Shape;
 
-use super::cpu::{PlaneSize, moments_cpu, photometric_cpu};
+use super::cpu::{moments_cpu, photometric_cpu};
 #[cfg(feature = "cube")]
 use super::launch::{launch_moments, launch_photometric};
+use super::sweep::PlaneSize;
 use super::taps::Compared;
 #[cfg(feature = "cube")]
 use crate::backend::cube::{gpu_outputs, optional_outputs};

@@ -1,6 +1,7 @@
 //! Tests of the CPU twin against sums written out in f64.
 
-use super::cpu::{PlaneSize, moments_cpu, photometric_cpu};
+use super::cpu::{moments_cpu, photometric_cpu};
+use super::sweep::PlaneSize;
 use super::taps::Compared;
 use crate::simd::real::Real;
 use crate::testing::ceiling::{PerturbedReference, rounded, to_f32};

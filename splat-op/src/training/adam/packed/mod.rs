@@ -31,6 +31,7 @@ mod forward;
 mod kernel_tests;
 #[cfg(feature = "cube")]
 pub(crate) mod launch;
+mod operation;
 #[cfg(test)]
 mod tests;
 
@@ -145,6 +146,6 @@ pub fn step_packed<const D: usize>(
     factors: PackedFactors,
 ) -> PackedStep<D> {
     let inputs = [from.param.into(), grad.into(), from.words.into(), verdict.into()];
-    let mut found = apply(super::operation::AdamPacked(factors), inputs);
+    let mut found = apply(operation::AdamPacked(factors), inputs);
     PackedStep { param: found.float(0), words: found.int(1) }
 }

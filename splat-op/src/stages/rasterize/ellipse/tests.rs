@@ -1,5 +1,6 @@
-use super::super::layer::{RasterFrame, TilePixel, tile_origin};
-use super::super::splat::{Splat, SplatInputs, SplatInputsLaunch};
+use super::super::blocks::BLOCK_PIXELS;
+use super::super::layer::{RasterFrame, SplatInputs, SplatInputsLaunch, TilePixel, tile_origin};
+use super::super::splat::Splat;
 use super::*;
 use crate::camera::Intrinsics;
 use crate::gpu::{Buffer, cubes};
