@@ -11,7 +11,7 @@ use splat_model::formats::{
 use splat_model::ply::TrainedAs;
 
 use crate::inputs::Inputs;
-use crate::output::prepare_file;
+use crate::output::{prepare_file, short};
 use crate::{input, progress};
 
 /// Range of SPZ's standard deviations, in words: their logarithms are stored in 8 bits.
@@ -208,7 +208,7 @@ fn dropped(scene: &SceneFile, format: Format, written: &Written, of_degree: usiz
 /// The table of rounding errors.
 fn table(loss: &QuantisationError, sh_degree: usize) -> Vec<String> {
     let row = |name: &str, Deviation { largest, rms }: Deviation, factor: f64, unit: &str| {
-        format!("{name:10} {:>10} {:>10}  {unit}", short(factor * largest), short(factor * rms))
+        format!("{name:10} {:>10} {:>10}  {unit}", short(factor * largest, 2), short(factor * rms, 2))
     };
     let mut rows = vec![
         format!("{:10} {:>10} {:>10}", "rounding", "largest", "RMS"),
@@ -223,15 +223,3 @@ fn table(loss: &QuantisationError, sh_degree: usize) -> Vec<String> {
     }
     rows
 }
-
-/// Formats a number with two significant digits.
-fn short(value: f64) -> String {
-    match value {
-        0.0 => "0".into(),
-        value if !(1e-3..1e3).contains(&value) => format!("{value:.1e}"),
-        value => format!("{value:.*}", (1 - value.log10().floor() as i32).max(0) as usize),
-    }
-}
-
-#[cfg(test)]
-mod tests;

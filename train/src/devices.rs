@@ -4,6 +4,7 @@ use std::num::NonZero;
 use std::thread;
 
 use anyhow::Result;
+use indicatif::BinaryBytes;
 
 use crate::device::{self, Adapter, DeviceName, Facts, Runtime, choose};
 use crate::progress;
@@ -47,24 +48,19 @@ fn row(adapter: &Adapter, opened: &Result<Facts>) -> TableRow {
     match opened {
         Ok(facts) => {
             let atomics = if facts.float_atomics { "yes" } else { "no" }.to_owned();
-            [name, facts.name.clone(), kind, facts.runtime.clone(), bytes(facts.buffer_limit), atomics]
+            [
+                name,
+                facts.name.clone(),
+                kind,
+                facts.runtime.clone(),
+                BinaryBytes(facts.buffer_limit).to_string(),
+                atomics,
+            ]
         }
         Err(error) => {
             let dash = || "-".to_owned();
             [name, error.to_string(), kind, adapter.runtime.feature().into(), dash(), dash()]
         }
-    }
-}
-
-/// Formats a size in the largest unit that leaves at least one, rounded down to a tenth so that it never overstates.
-fn bytes(count: u64) -> String {
-    const UNITS: [&str; 5] = ["B", "KiB", "MiB", "GiB", "TiB"];
-    let power = (count.max(1).ilog2() / 10).min(UNITS.len() as u32 - 1);
-    let tenths = (u128::from(count) * 10) >> (10 * power);
-    let unit = UNITS[power as usize];
-    match tenths % 10 {
-        0 => format!("{} {unit}", tenths / 10),
-        tenth => format!("{}.{tenth} {unit}", tenths / 10),
     }
 }
 

@@ -47,6 +47,14 @@ pub fn extent(capture: &Capture) -> f64 {
     scene_extent(&centres)
 }
 
+/// Names of a capture's first views, for a message.
+pub fn some_names(capture: &Capture) -> String {
+    const LISTED: usize = 5;
+    let names: Vec<&str> = capture.views.iter().take(LISTED).map(|view| view.name.as_str()).collect();
+    let more = if capture.views.len() > LISTED { ", ..." } else { "" };
+    format!("{}{more}", names.join(", "))
+}
+
 /// Decodes the photographs of some views of a capture, on all threads. With `masked`, they have their masks, and
 /// photographs whose masks exclude every pixel are dropped.
 ///
@@ -177,16 +185,18 @@ fn made_opaque(photo: Photo, opaque: bool) -> Photo {
     Photo { alpha, ..photo }
 }
 
-/// Reads the rows of a scene that `option` names, with positions relative to the origin of `capture`, and how it was trained. Prints a note
-/// if some of its Gaussians cannot be rendered.
+/// Reads the rows of a scene that `option` names, and how it was trained. Positions are relative to the origin of `capture`, or else to that of
+/// the scene. Prints a note if some of its Gaussians cannot be rendered.
 ///
 /// # Errors
 /// If the file is missing, is not a scene, or holds no Gaussian.
-pub fn rows(option: &str, path: &Path, capture: &Capture) -> Result<(GaussianRows, TrainedAs)> {
+pub fn rows(option: &str, path: &Path, capture: Option<&Capture>) -> Result<(GaussianRows, TrainedAs)> {
     let (scene, _) = formats::read(path).with_context(|| format!("cannot read the scene that `{option}` names"))?;
     let formats::SceneFile { mut rows, origin, antialiased, trained, .. } = scene;
     ensure!(!rows.is_empty(), "{} holds no Gaussian: name a scene that was trained with `{option}`", path.display());
-    move_means(&mut rows, (origin - capture.origin).to_array());
+    if let Some(capture) = capture {
+        move_means(&mut rows, (origin - capture.origin).to_array());
+    }
     progress::note_unusable(path, rows.unusable(), rows.len());
     Ok((rows, TrainedAs { antialias: antialiased, ..trained }))
 }

@@ -3,6 +3,7 @@
 
 mod forecast;
 
+use std::fmt::{self, Display};
 use std::io::{IsTerminal, Write};
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -95,17 +96,18 @@ pub fn line(value: &impl Serialize) {
 
 /// Returns a counter of things that take a moment each, such as pictures. Hidden without a terminal.
 pub fn counter(what: &'static str, total: usize) -> ProgressBar {
-    if is_quiet() || !std::io::stderr().is_terminal() {
-        return ProgressBar::hidden();
-    }
-    let bar = ProgressBar::new(total as u64).with_message(what);
-    bar.set_style(style("{msg} [{bar:32}] {pos}/{len}"));
-    bar
+    let bar = bar(Some(total), "{msg} [{bar:32}] {pos}/{len}");
+    bar.map_or_else(ProgressBar::hidden, |bar| bar.with_message(what))
 }
 
-/// Returns a style, or indicatif's default if it refuses the template, for which no template here gives a reason.
-fn style(template: &str) -> ProgressStyle {
-    ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar())
+/// Returns a bar, unless the process is quiet or has no terminal.
+fn bar(total: Option<usize>, template: &str) -> Option<ProgressBar> {
+    if is_quiet() || !std::io::stderr().is_terminal() {
+        return None;
+    }
+    let bar = total.map_or_else(ProgressBar::no_length, |total| ProgressBar::new(total as u64));
+    // indicatif refuses none of these templates.
+    Some(bar.with_style(ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar())))
 }
 
 /// Progress of a program that counts what it has done: a bar on a terminal, a line now and then elsewhere.
@@ -123,13 +125,8 @@ pub struct Counted {
 impl Counted {
     /// Begins with nothing done.
     pub fn new(what: &'static str, total: Option<usize>) -> Self {
-        let shows = !is_quiet() && std::io::stderr().is_terminal();
-        let bar = shows.then(|| match total {
-            Some(total) => ProgressBar::new(total as u64),
-            None => ProgressBar::no_length(),
-        });
+        let bar = bar(total, "{prefix} [{bar:32}] {pos}/{len}  {elapsed}{msg}");
         if let Some(bar) = &bar {
-            bar.set_style(style("{prefix} [{bar:32}] {pos}/{len}  {elapsed}{msg}"));
             bar.set_prefix(what);
             bar.enable_steady_tick(BETWEEN_FRAMES);
         }
@@ -199,14 +196,10 @@ impl StepProgress {
     /// Begins the progress of a run. `history` holds its steps so far.
     pub fn new(trainer: &Trainer, history: &History) -> Self {
         let steps = trainer.config().steps;
-        let shows = !is_quiet() && std::io::stderr().is_terminal();
-        let bar = shows.then(|| ProgressBar::new(steps as u64));
-        if let Some(bar) = &bar {
-            bar.set_style(style("[{bar:32}] {msg}"));
-        }
+        let bar = bar(Some(steps), "[{bar:32}] {msg}");
         let refinements = refinements(trainer);
         let splats = history.points.first().map_or(trainer.gaussians().len(), |point| point.splats);
-        let mut forecast = Forecast::new(trainer.config().clone(), refinements, (splats, trainer.mean_pixels()));
+        let mut forecast = Forecast::new(trainer.config().clone(), refinements, splats, trainer.mean_pixels());
         for point in &history.points {
             forecast.observe(RunProgress { step: point.step, splats: point.splats, seconds: point.seconds });
         }
@@ -222,7 +215,7 @@ impl StepProgress {
     }
 
     /// Adds the sum and the number of the losses since the last call.
-    pub fn add(&mut self, (sum, count): (f64, usize)) {
+    pub fn add(&mut self, sum: f64, count: usize) {
         self.losses.0 += sum;
         self.losses.1 += count;
     }
@@ -231,8 +224,15 @@ impl StepProgress {
     pub fn show(&mut self, step: usize, trainer: &Trainer) {
         self.shown = Instant::now();
         let (sum, count) = std::mem::take(&mut self.losses);
-        let (left, rate) = (self.left_s(), 1.0 / self.forecast.mean_s());
-        let line = progress_line((step, self.steps), sum / count as f64, trainer.gaussians().len(), (rate, left));
+        let line = ProgressLine {
+            step,
+            steps: self.steps,
+            loss: sum / count as f64,
+            splats: trainer.gaussians().len(),
+            rate: 1.0 / self.forecast.mean_s(),
+            left_s: self.left_s(),
+        };
+        let line = line.to_string();
         match &self.bar {
             None => note(&line),
             Some(bar) => {
@@ -269,10 +269,24 @@ fn refinements(trainer: &Trainer) -> Vec<usize> {
     (1..=trainer.config().steps).filter(|&step| trainer.refines_at(step)).collect()
 }
 
-fn progress_line((step, steps): (usize, usize), loss: f64, splats: usize, (rate, left): (f64, f64)) -> String {
-    let rate = if rate.is_finite() { format!("{rate:.1}") } else { "-".into() };
-    let left = clock(left);
-    format!("step {step}/{steps}  loss {loss:.4}  {splats} splats  {rate} steps/s  {left} left")
+/// The state of a run after a step, for people.
+struct ProgressLine {
+    step: usize,
+    steps: usize,
+    loss: f64,
+    splats: usize,
+    /// Steps a second.
+    rate: f64,
+    left_s: f64,
+}
+
+impl Display for ProgressLine {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { step, steps, loss, splats, rate, left_s } = self;
+        let rate = if rate.is_finite() { format!("{rate:.1}") } else { "-".into() };
+        let left = clock(*left_s);
+        write!(f, "step {step}/{steps}  loss {loss:.4}  {splats} splats  {rate} steps/s  {left} left")
+    }
 }
 
 /// The time that is left after `done` of `total` in `seconds`, with a remark; nothing before [`EXPECTED_FROM`] and after the last.

@@ -1,22 +1,6 @@
 use super::*;
 
 #[test]
-fn sizes_are_rounded_down() {
-    let cases = [
-        (0, "0 B"),
-        (1023, "1023 B"),
-        (128 << 20, "128 MiB"),
-        ((1 << 31) - 1, "1.9 GiB"),
-        ((1 << 31) - 4, "1.9 GiB"),
-        (1 << 31, "2 GiB"),
-        (u64::MAX, "16777215.9 TiB"),
-    ];
-    for (count, expected) in cases {
-        assert_eq!(bytes(count), expected);
-    }
-}
-
-#[test]
 fn columns_are_aligned() {
     let row = |name: &str, adapter: &str| {
         let mut row: TableRow = Default::default();

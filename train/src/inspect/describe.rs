@@ -13,6 +13,7 @@ use splat_model::ply::TrainedAs;
 use splat_op::RenderOptions;
 
 use crate::input;
+use crate::output::short;
 
 /// Smallest and largest of some positions, in the coordinates of the file, scene units.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -88,9 +89,6 @@ struct CameraInfo {
 }
 
 /// Describes a scene file.
-///
-/// # Errors
-/// If the file is no scene.
 pub fn of_scene(path: &Path) -> Result<SceneInfo> {
     let (scene, format) = formats::read(path).context("cannot read the scene")?;
     let rows = &scene.rows;
@@ -145,8 +143,8 @@ pub fn of_scene(path: &Path) -> Result<SceneInfo> {
     })
 }
 
-/// Describes a capture.
-pub fn of_capture(capture: &Capture) -> CaptureInfo {
+/// Describes a capture, `seen` being its points.
+pub fn of_capture(capture: &Capture, seen: &PointsSeen) -> CaptureInfo {
     let mut cameras: Vec<CameraInfo> = Vec::new();
     for view in &capture.views {
         let lens = &view.intrinsics;
@@ -168,8 +166,6 @@ pub fn of_capture(capture: &Capture) -> CaptureInfo {
     if capture.points.positions.is_empty() {
         warnings.push("there are no sparse points: training starts from random splats".into());
     } else {
-        let cameras: Vec<_> = capture.views.iter().map(|view| (view.intrinsics, view.cam_from_world)).collect();
-        let seen = PointsSeen::of(&cameras, &capture.points.positions);
         // A few points beyond all photographs are usual.
         warnings.extend((2 * seen.unseen > seen.points).then(|| seen.unseen_said()));
     }
@@ -261,16 +257,7 @@ fn line(name: &str, value: &str) -> String {
 }
 
 fn position(values: &[f64; 3]) -> String {
-    values.map(short).join(" ")
-}
-
-/// Formats a number with four significant digits.
-fn short(value: f64) -> String {
-    match value.abs() {
-        0.0 => "0".into(),
-        size if !(1e-3..1e6).contains(&size) => format!("{value:.3e}"),
-        size => format!("{value:.*}", (3 - size.log10().floor() as i32).max(0) as usize),
-    }
+    values.map(|value| short(value, 4)).join(" ")
 }
 
 impl std::fmt::Display for Bounds {
@@ -281,7 +268,7 @@ impl std::fmt::Display for Bounds {
 
 impl std::fmt::Display for Quantiles {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(&self.0.map(short).join(", "))
+        f.write_str(&self.0.map(|value| short(value, 4)).join(", "))
     }
 }
 

@@ -33,7 +33,7 @@ fn line(row: &SettingMeasurements, on_frontier: bool) -> String {
     let accuracy = row.accuracy.as_ref();
     let mut fields = vec![candidate.name.clone(), role, judge.into(), candidate.setting.to_string()];
     fields.extend([row.error_db(), accuracy.map(|a| a.rms), accuracy.map(|a| a.max)].map(number));
-    fields.extend([row.scores.map(|s| s.0), row.scores.map(|s| s.1)].map(number));
+    fields.extend([row.psnr_db, row.ssim].map(|score| number(Some(score))));
     fields.push(number(accuracy.map(|a| a.gradient_error)));
     fields.push(accuracy.map(|a| a.worst.to_owned()).unwrap_or_default());
     fields.push(number(accuracy.map(|a| a.gradient_cosine)));

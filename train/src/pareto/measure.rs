@@ -3,15 +3,17 @@
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail, ensure};
-use burn::tensor::Tensor;
+use burn::tensor::{Device, Tensor};
 use splat_model::accuracy::{DIALS, Dial, Judge};
+use splat_model::capture::Photo;
+use splat_model::gaussians::GaussianRows;
 use splat_op::RenderOptions;
 
 use super::dials::Candidate;
 use super::errors::{MeasuredError, PictureError, compare_gradients, same_bits, within_rounding};
 use super::quartiles::decibels;
 use super::reference::ReferenceRender;
-use super::subject::{DeviceScene, GradientSums, MeasuredView, PARAMETERS, host};
+use super::subject::{DeviceScene, GradientSums, PARAMETERS, host, off_the_clamp};
 use super::time::FrameTimes;
 use crate::memory::peak_mib;
 use crate::progress;
@@ -22,76 +24,68 @@ pub struct SettingMeasurements {
     pub candidate: Candidate,
     /// `None` for model choices, which define another function.
     pub accuracy: Option<MeasuredError>,
-    /// PSNR, dB, and SSIM against the photographs.
-    pub scores: Option<(f64, f64)>,
+    /// Scores against the photographs.
+    pub psnr_db: f64,
+    pub ssim: f64,
     /// Peak memory of a render with its backward pass, MiB; `None` where it is unknown.
     pub memory_mib: Option<f64>,
+    /// Zero until all settings are checked.
     pub times: FrameTimes,
 }
 
 /// The subject of the measurements.
 pub struct Bench<'a> {
     pub place: DeviceScene,
-    pub exact: DeviceScene,
-    pub shots: Vec<MeasuredView<'a>>,
-    pub base: RenderOptions,
-}
-
-/// Error of a value of a numerical dial in isolation.
-#[derive(Clone, Debug)]
-pub struct Isolated {
-    pub dial: &'static str,
-    pub value: &'static str,
-    /// Measured with every other numerical dial at its most accurate, so that no other error hides it.
-    pub accuracy: MeasuredError,
+    exact: DeviceScene,
+    pub photos: &'a [Photo],
+    base: RenderOptions,
 }
 
 /// Results of the measurements.
 pub struct BenchOutcome {
     pub rows: Vec<SettingMeasurements>,
-    /// Every measured value of every numerical dial.
-    pub alone: Vec<Isolated>,
     /// Largest difference between the reference renderer and the exact renderer in the pixels that both rendered.
     pub reference: f64,
-    /// Error of the order of centres against the order of each pixel, dB.
-    pub order_db: f64,
     pub rounds: usize,
 }
 
-impl Bench<'_> {
-    /// Checks and scores every candidate, and times all of them in turns until `budget` is spent.
-    ///
-    /// # Errors
-    /// If the reference or a candidate fails its check, or the operation refuses the scene.
+impl<'a> Bench<'a> {
+    /// Prepares a scene and views of it over a colour.
+    pub fn new(
+        rows: &GaussianRows,
+        photos: &'a [Photo],
+        background: [f32; 3],
+        base: RenderOptions,
+        device: &Device,
+    ) -> Result<Self> {
+        let rows = off_the_clamp(rows);
+        let place = DeviceScene::new(&rows, photos, background, device)?;
+        Ok(Self { place, exact: DeviceScene::in_f64(&rows, photos, background)?, photos, base })
+    }
+
+    /// Checks and scores every candidate, and times all of them in turns until `budget` is spent. `score` gives PSNR, dB, and SSIM.
     pub fn run(
         &self,
         candidates: Vec<Candidate>,
         budget: Duration,
-        score: impl Fn(&RenderOptions) -> Result<Option<(f64, f64)>>,
+        score: impl Fn(&RenderOptions) -> Result<(f64, f64)>,
     ) -> Result<BenchOutcome> {
         let mut truths: Vec<(RenderOptions, ReferenceRender)> = Vec::new();
         let counter = progress::counter("checking settings", candidates.len());
-        let mut checked = Vec::new();
+        let mut rows = Vec::new();
         for candidate in candidates {
             let row = self.check(&candidate, &mut truths, &score);
-            checked.push((
-                row.with_context(|| format!("the setting {:?} cannot be measured", candidate.name))?,
-                candidate,
-            ));
+            rows.push(row.with_context(|| format!("the setting {:?} cannot be measured", candidate.name))?);
             counter.inc(1);
         }
         counter.finish_and_clear();
-        let alone = self.alone(&mut truths)?;
-        let cotangents = self.cotangents(&mut truths)?;
+        let of_base = self.truth(&mut truths, &self.base)?;
+        let on_device = |(view, values): (usize, &Vec<f32>)| self.place.picture(view, values);
+        let cotangents: Vec<Tensor<3>> = of_base.cotangents.iter().enumerate().map(on_device).collect();
         let reference = truths.iter().map(|(_, truth)| truth.difference).fold(0.0, f64::max);
-        let order_db = -10.0 * self.truth(&mut truths, &self.base)?.order_error.log10();
         drop(truths);
-        let options: Vec<RenderOptions> = checked.iter().map(|(_, candidate)| candidate.options).collect();
-        let (times, rounds) = self.time(&options, &cotangents, budget)?;
-        let rows = checked.into_iter().zip(times).map(|(((accuracy, scores, memory_mib), candidate), times)| {
-            SettingMeasurements { candidate, accuracy, scores, memory_mib, times }
-        });
-        Ok(BenchOutcome { rows: rows.collect(), alone, reference, order_db, rounds })
+        let rounds = self.time(&mut rows, &cotangents, budget)?;
+        Ok(BenchOutcome { rows, reference, rounds })
     }
 
     /// Returns the exact reference under the model choices of `options`; it is computed once for each.
@@ -104,8 +98,8 @@ impl Bench<'_> {
         let place = match truths.iter().position(|(of, _)| *of == exact) {
             Some(place) => place,
             None => {
-                let counter = progress::counter("rendering exactly", self.shots.len());
-                let truth = ReferenceRender::new(&self.exact, &self.shots, &exact, || counter.inc(1))?;
+                let counter = progress::counter("rendering exactly", self.photos.len());
+                let truth = ReferenceRender::new(&self.exact, self.photos, &exact, || counter.inc(1))?;
                 counter.finish_and_clear();
                 truths.push((exact, truth));
                 truths.len() - 1
@@ -114,37 +108,12 @@ impl Bench<'_> {
         Ok(&truths[place].1)
     }
 
-    /// Measures the error of every value of every numerical dial, with the other dials at their most accurate.
-    fn alone(&self, truths: &mut Vec<(RenderOptions, ReferenceRender)>) -> Result<Vec<Isolated>> {
-        let gpu = splat_op::is_gpu(&self.place.device);
-        let numerical = || DIALS.iter().filter(|dial| dial.judge == Judge::Exact && (gpu || !dial.gpu_only));
-        let accurate = numerical().filter_map(|dial| dial.values.first());
-        let accurate = accurate.fold(self.base, |options, value| (value.set)(options));
-        let all: Vec<_> = numerical().flat_map(|dial| dial.values.iter().map(move |value| (dial, value))).collect();
-        let counter = progress::counter("checking dials alone", all.len());
-        let mut found = Vec::new();
-        for (dial, value) in all {
-            let (accuracy, _) = self.compare(&(value.set)(accurate), self.truth(truths, &self.base)?)?;
-            found.push(Isolated { dial: dial.name, value: value.name, accuracy });
-            counter.inc(1);
-        }
-        counter.finish_and_clear();
-        Ok(found)
-    }
-
-    /// Returns the cotangents of the base, on the device.
-    fn cotangents(&self, truths: &mut Vec<(RenderOptions, ReferenceRender)>) -> Result<Vec<Tensor<3>>> {
-        let truth = self.truth(truths, &self.base)?;
-        Ok(truth.cotangents.iter().enumerate().map(|(view, values)| self.place.picture(view, values)).collect())
-    }
-
-    #[expect(clippy::type_complexity, reason = "the parts of a row before it is timed")]
     fn check(
         &self,
         candidate: &Candidate,
         truths: &mut Vec<(RenderOptions, ReferenceRender)>,
-        score: &impl Fn(&RenderOptions) -> Result<Option<(f64, f64)>>,
-    ) -> Result<(Option<MeasuredError>, Option<(f64, f64)>, Option<f64>)> {
+        score: &impl Fn(&RenderOptions) -> Result<(f64, f64)>,
+    ) -> Result<SettingMeasurements> {
         let options = &candidate.options;
         self.check_same_picture(options, &self.same_picture(options))?;
         let judged = candidate.judge() == Judge::Exact;
@@ -156,7 +125,9 @@ impl Bench<'_> {
             "its pictures differ from the exact ones by {:.2e} (root mean square), more than the {bound:.2e} allowed: it is broken",
             found.rms
         );
-        Ok((judged.then_some(found), score(options)?, memory_mib))
+        let (accuracy, (psnr_db, ssim)) = (judged.then_some(found), score(options)?);
+        let (candidate, times) = (candidate.clone(), FrameTimes::default());
+        Ok(SettingMeasurements { candidate, accuracy, psnr_db, ssim, memory_mib, times })
     }
 
     /// Returns `options` with each dial that promises the same picture at the value of the base.
@@ -173,7 +144,7 @@ impl Bench<'_> {
         if plain == options {
             return Ok(());
         }
-        for view in 0..self.shots.len() {
+        for view in 0..self.photos.len() {
             let ours = host(self.place.render(view, options)?.colour);
             let theirs = host(self.place.render(view, plain)?.colour);
             let same = match splat_op::is_gpu(&self.place.device) {
@@ -190,7 +161,7 @@ impl Bench<'_> {
         let mut pictures = PictureError::default();
         let mut sums = GradientSums::default();
         let mut memory = None;
-        for view in 0..self.shots.len() {
+        for view in 0..self.photos.len() {
             let cotangent = self.place.picture(view, &truth.cotangents[view]);
             let (done, peak) = peak_mib(|| -> Result<_> {
                 let picture = self.place.tracked(view, options)?;

@@ -6,14 +6,14 @@ use anyhow::{Context, Result};
 use burn::tensor::Tensor;
 use splat_op::RenderOptions;
 
-use super::measure::Bench;
+use super::measure::{Bench, SettingMeasurements};
 use super::quartiles::Quartiles;
 
 /// Minimum number of rounds: fewer have no spread.
 pub const ROUNDS_MIN: usize = 3;
 
 /// Times of a frame, ms.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub struct FrameTimes {
     pub forward: Quartiles,
     pub backward: Quartiles,
@@ -23,18 +23,19 @@ pub struct FrameTimes {
 impl Bench<'_> {
     /// Times all settings on all views in turns, so that other load on the machine affects all alike. Every setting has
     /// run before, in its check, so kernels are compiled. After `budget` no round begins, unless there were fewer than
-    /// [`ROUNDS_MIN`]. Returns the times and the number of rounds.
+    /// [`ROUNDS_MIN`]. Returns the number of rounds.
     pub(super) fn time(
         &self,
-        all: &[RenderOptions],
+        settings: &mut [SettingMeasurements],
         cotangents: &[Tensor<3>],
         budget: Duration,
-    ) -> Result<(Vec<FrameTimes>, usize)> {
+    ) -> Result<usize> {
         let begin = Instant::now();
-        let mut samples = vec![[const { Vec::new() }; 3]; all.len()];
+        let mut samples = vec![[const { Vec::new() }; 3]; settings.len()];
         let mut rounds = 0;
         while rounds < ROUNDS_MIN || begin.elapsed() < budget {
-            for (options, samples) in all.iter().zip(&mut samples) {
+            for (setting, samples) in settings.iter().zip(&mut samples) {
+                let options = &setting.candidate.options;
                 let forward = self.time_forward(options)?;
                 let backward = self.time_backward(options, cotangents)?;
                 for (samples, ms) in samples.iter_mut().zip([forward, backward, forward + backward]) {
@@ -44,15 +45,15 @@ impl Bench<'_> {
             rounds += 1;
         }
         let spread = |samples: &Vec<f64>| Quartiles::of(samples).context("a time is not finite");
-        let times = samples.iter().map(|[forward, backward, step]| {
-            Ok(FrameTimes { forward: spread(forward)?, backward: spread(backward)?, step: spread(step)? })
-        });
-        Ok((times.collect::<Result<_>>()?, rounds))
+        for (setting, [forward, backward, step]) in settings.iter_mut().zip(&samples) {
+            setting.times = FrameTimes { forward: spread(forward)?, backward: spread(backward)?, step: spread(step)? };
+        }
+        Ok(rounds)
     }
 
     /// Time of a frame, ms.
     fn time_forward(&self, options: &RenderOptions) -> Result<f64> {
-        let views = 0..self.shots.len();
+        let views = 0..self.photos.len();
         self.place.device.sync()?;
         let start = Instant::now();
         // Kept until they are computed: a result that nobody waits for may never be computed.

@@ -116,9 +116,6 @@ impl Workspace {
     }
 
     /// Refuses a folder that holds something else than a reconstruction.
-    ///
-    /// # Errors
-    /// If it does.
     pub fn check(folder: &Path) -> Result<()> {
         let is_empty = fs::read_dir(folder).map_or(true, |mut entries| entries.next().is_none());
         let shown = folder.display();
@@ -266,9 +263,6 @@ impl Workspace {
 
 /// Keeps the size of a unit in the folder of a reconstruction. Elsewhere nothing is written, and a file that is there already stays unless
 /// this function wrote it.
-///
-/// # Errors
-/// If the file cannot be written.
 pub fn keep_scale(folder: &Path, scale: &Scale) -> Result<()> {
     let Some(stamp) = stamp_in(folder) else { return Ok(()) };
     let mut workspace = Workspace { folder: folder.to_owned(), stamp };

@@ -58,9 +58,6 @@ impl Colmap {
     }
 
     /// The options of a command.
-    ///
-    /// # Errors
-    /// If the program does not list them.
     pub fn options(&self, name: &str) -> Result<Options> {
         let mut command = Self::command(name);
         command.arg("-h");
@@ -92,9 +89,6 @@ pub struct Ffmpeg {
 
 impl Ffmpeg {
     /// Finds `ffmpeg` on the PATH.
-    ///
-    /// # Errors
-    /// If it is not there, with how to install it.
     pub fn find() -> Result<Self> {
         let mut command = Command::new("ffmpeg");
         command.args(["-hide_banner", "-h", "long"]);

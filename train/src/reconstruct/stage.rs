@@ -52,7 +52,8 @@ impl Ended {
 /// [`Interrupted`] if the user asked to stop, with `during` in the message; if the program cannot be started or the log written.
 pub fn run(
     mut command: Command,
-    (stop, during): (&Stop, &str),
+    stop: &Stop,
+    during: &str,
     log: &mut File,
     mut line: impl FnMut(&str),
 ) -> Result<Ended> {
@@ -101,8 +102,8 @@ pub fn run(
     Ok(Ended { status, tail, error })
 }
 
-/// A program that does not outlive its stage.
-struct Running(Child);
+/// A program that does not outlive this value.
+pub struct Running(pub Child);
 
 impl Drop for Running {
     fn drop(&mut self) {

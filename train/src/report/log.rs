@@ -61,9 +61,11 @@ impl RunLog {
         if !(shows || keeps) {
             return;
         }
-        let losses = self.losses.take().map_or((0.0, 0), |(sum, count)| (sum.into_scalar::<f64>(), count));
-        self.bar.add(losses);
-        self.recorder.add(losses);
+        if let Some((sum, count)) = self.losses.take() {
+            let sum = sum.into_scalar::<f64>();
+            self.bar.add(sum, count);
+            self.recorder.add(sum, count);
+        }
         if shows {
             self.bar.show(report.step, trainer);
         }
@@ -80,7 +82,8 @@ impl RunLog {
     pub fn evaluate(
         &mut self,
         trainer: &Trainer,
-        (test, device): (&[Photograph], &Device),
+        test: &[Photograph],
+        device: &Device,
         lpips: Option<&Lpips>,
     ) -> Result<()> {
         let start = Instant::now();

@@ -100,9 +100,6 @@ pub struct Checkpoints {
 
 impl Checkpoints {
     /// Opens the checkpoints of a run that writes to `out`.
-    ///
-    /// # Errors
-    /// If the folder cannot be made, or another process trains there.
     pub fn open(out: &Path) -> Result<Self> {
         let folder = out.join(FOLDER);
         let cannot = || format!("cannot write to {}: fix its permissions, or choose another `--out`", folder.display());
@@ -137,9 +134,6 @@ impl Checkpoints {
     }
 
     /// Clears the folder of checkpoints for a new run: those of an unfinished one are moved aside, and all other files stay.
-    ///
-    /// # Errors
-    /// If a checkpoint cannot be moved, or another file has the name of one.
     pub fn begin(&self) -> Result<()> {
         let before = self.folder.with_file_name(BEFORE);
         for folder in [&self.folder, &before] {
@@ -260,9 +254,6 @@ pub fn newest(out: &Path) -> Result<SavedRun> {
 }
 
 /// Reads a checkpoint.
-///
-/// # Errors
-/// If it cannot be read, is damaged, or was written by another version.
 pub fn read(path: &Path) -> Result<SavedRun> {
     let mut state = State::read(path)?;
     let (version, own): (String, _) = (state.told("version")?, env!("CARGO_PKG_VERSION"));
