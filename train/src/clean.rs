@@ -10,13 +10,13 @@ use splat_model::capture::{Capture, Photo};
 use splat_model::cleanup::{CameraHull, Contribution, ISOLATED, isolated};
 use splat_model::effects::background::Background;
 use splat_model::evaluate::evaluate;
-use splat_model::formats::{self, Format, SceneFile};
+use splat_model::formats::{self, SceneFile};
 use splat_model::gaussians::{GaussianRows, Gaussians};
 use splat_model::ply::TrainedAs;
 use splat_op::RenderOptions;
 
 use crate::background::ShowArgs;
-use crate::convert::describe_file;
+use crate::convert::{describe_file, format_of};
 use crate::inputs::Inputs;
 use crate::options::PhotoArgs;
 use crate::output::prepare_file;
@@ -59,11 +59,9 @@ pub struct CleanArgs {
 }
 
 /// Parses the margin of a hull.
-fn margin(text: &str) -> Result<f64, String> {
-    let margin: Option<f64> = text.parse().ok();
-    margin
-        .filter(|margin| *margin >= 0.0 && margin.is_finite())
-        .ok_or_else(|| "expected a number from 0 on, such as 0.5".into())
+fn margin(text: &str) -> Result<f64, &'static str> {
+    let margin = text.parse().ok().filter(|margin: &f64| *margin >= 0.0 && margin.is_finite());
+    margin.ok_or("expected a number from 0 on, such as 0.5")
 }
 
 /// A box along the axes of the scene file, between any two opposite corners.
@@ -173,10 +171,7 @@ impl Kept<'_> {
 /// If the scene or the capture cannot be read, there is nothing to remove by, no splat would be left, the file is one of those that are
 /// read, or cannot be written.
 pub fn run(args: &CleanArgs) -> Result<()> {
-    let shown = args.out.display();
-    let format = Format::of_name(&args.out).with_context(|| {
-        format!("the name {shown} does not give a format: end it in one of those of `splat convert`")
-    })?;
+    let format = format_of(&args.out)?;
     ensure!(
         args.crop.is_some() || args.capture.is_some(),
         "nothing says what to remove: give `--box`, or `--capture` to find splats that no view shows and floaters"

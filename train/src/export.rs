@@ -102,9 +102,10 @@ fn compressed(rows: GaussianRows) -> Result<Vec<u8>> {
 
 /// The viewpoints of the wanted photographs, with the names of their buttons.
 fn viewpoints(capture: &Capture, wanted: &[String]) -> Result<Vec<Viewpoint>> {
+    let of = |view: &View| Viewpoint::of(&view.name, &view.intrinsics, &view.cam_from_world);
     if wanted.is_empty() {
         let count = capture.views.len().min(VIEWS);
-        return Ok((0..count).map(|i| Viewpoint::of_view(&capture.views[i * capture.views.len() / count])).collect());
+        return Ok((0..count).map(|i| of(&capture.views[i * capture.views.len() / count])).collect());
     }
     let found = |name: &str| capture.views.iter().find(|view: &&View| view.name == name);
     let one = |wanted: &String| {
@@ -118,7 +119,7 @@ fn viewpoints(capture: &Capture, wanted: &[String]) -> Result<Vec<Viewpoint>> {
             )
         })?;
         ensure!(!text.is_empty(), "`--view {wanted}` has no text after `=`: add one, or leave the sign out");
-        Ok(Viewpoint { name: text.to_owned(), ..Viewpoint::of_view(view) })
+        Ok(Viewpoint { name: text.to_owned(), ..of(view) })
     };
     wanted.iter().map(one).collect()
 }

@@ -22,7 +22,7 @@ use splat_model::optim::{LearningRates, MomentBits, sh_every_for};
 use splat_model::trainer::{Resolution, TrainConfig, TrainError, Trainer};
 
 pub use self::checkpoints::{RunState, state_of};
-pub use self::run::{resume, resume_together, run, run_together, run_with};
+pub use self::run::{resume_together, run, run_together, run_with};
 pub use self::stop::Interrupted;
 pub(crate) use self::stop::Stop;
 use self::time_limit::{GUESS, TrainingTime};

@@ -11,7 +11,6 @@ use splat_model::capture::blocks::{BLOCK, BlockFile};
 use crate::report::{METRICS, SCENE};
 use crate::{input, output};
 
-/// The plan's file.
 pub const PLAN: &str = "plan.json";
 
 /// The file of lines that train the blocks.
@@ -32,16 +31,12 @@ pub struct BlockPlan {
     pub options: Vec<String>,
 }
 
-/// A plan and its folder.
 pub struct PlanFolder {
-    /// The folder.
     pub path: PathBuf,
-    /// The plan.
     pub plan: BlockPlan,
 }
 
 impl PlanFolder {
-    /// Reads a plan.
     pub fn open(path: &Path) -> Result<Self> {
         let file = path.join(PLAN);
         let shown = file.display();
@@ -51,7 +46,6 @@ impl PlanFolder {
         Ok(Self { path: path.to_owned(), plan })
     }
 
-    /// Writes the plan and its lines.
     pub fn write(&self, lines: &[String]) -> Result<()> {
         use std::io::Write;
         output::write(&self.path.join(JOBS), |file| {

@@ -178,25 +178,15 @@ impl Adapter {
     }
 }
 
-/// Properties of an open adapter. `Display` prints the name, kind and runtime on one line.
+/// Properties of an open adapter.
 #[derive(Clone, Debug)]
 pub struct Facts {
-    /// Name of the hardware.
-    pub name: String,
-    /// Kind of the adapter.
-    pub kind: AdapterKind,
-    /// Graphics interface and language of the kernels, or the maker's runtime.
-    pub runtime: String,
+    /// Name and kind of the hardware; graphics interface and language of the kernels, or the maker's runtime.
+    pub summary: String,
     /// Largest buffer, bytes.
     pub buffer_limit: u64,
     /// Whether atomic additions of f32 are supported.
     pub float_atomics: bool,
-}
-
-impl Display for Facts {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}, {}, {}", self.name, self.kind, self.runtime)
-    }
 }
 
 /// Returns the adapter that a name selects; `None` for the CPU.
@@ -269,7 +259,7 @@ impl DeviceName {
     pub fn resolve(self) -> Result<(Device, String)> {
         let adapters = list(&self.runtimes());
         let mut why = if self == Self::Auto { format!(": {}", why_cpu(&adapters)) } else { String::new() };
-        let open = |adapter: &Adapter| Ok((adapter.device.clone(), open(adapter)?.to_string()));
+        let open = |adapter: &Adapter| Ok((adapter.device.clone(), open(adapter)?.summary));
         let opened = choose_and_open(self, adapters, open, |line| {
             why.clear();
             progress::note(line);

@@ -61,13 +61,6 @@ fn address(text: &str) -> Result<(String, u16), String> {
     }
 }
 
-impl LiveArgs {
-    /// Begins to listen, if it was asked for.
-    pub fn listen(&self) -> Result<Option<Server>> {
-        self.live.as_ref().map(|(host, port)| Server::bind(host, *port, "--live=[HOST:]PORT")).transpose()
-    }
-}
-
 /// A run that is shown while it trains.
 pub struct Live<'a> {
     shared: Arc<Shared>,
@@ -94,7 +87,7 @@ impl<'a> Live<'a> {
     ) -> Result<Self> {
         let rows = trainer.rows();
         let scene = ShownScene::new(&rows, SCENE_BYTES)?;
-        let viewpoints: Vec<Viewpoint> = test.iter().map(Viewpoint::of).collect();
+        let viewpoints = Viewpoint::all(test);
         let viewer = Viewer {
             scene: &scene,
             source: SceneSource::Live(SCENE.trim_start_matches('/')),

@@ -59,7 +59,6 @@ pub struct WorstView {
     pub step: usize,
 }
 
-/// State that both threads share.
 pub struct Shared {
     page: Vec<u8>,
     /// The last request for the status. It has a lock of its own, because the trainer asks after each step.
@@ -111,7 +110,6 @@ impl Shared {
         self.stops.load(Ordering::Relaxed)
     }
 
-    /// Replaces the numbers.
     pub fn show(&self, status: &Status) {
         // No value of a status fails to be written.
         if let Ok(status) = serde_json::to_vec(status) {
@@ -119,13 +117,11 @@ impl Shared {
         }
     }
 
-    /// Replaces the scene by that of a step.
     pub fn show_scene(&self, step: usize, rows: GaussianRows) {
         let mut shown = self.lock();
         (shown.scene_step, shown.is_loaded, shown.rows) = (step, false, Some(rows));
     }
 
-    /// Replaces the picture of the worst view.
     pub fn show_worst(&self, picture: &RgbImage) {
         let mut file = Cursor::new(Vec::new());
         // Writing to memory does not fail.
@@ -134,7 +130,6 @@ impl Shared {
         }
     }
 
-    /// Step of the scene that is shown.
     pub fn scene_step(&self) -> usize {
         self.lock().scene_step
     }

@@ -6,7 +6,6 @@ use super::dials::Role;
 use super::measure::SettingMeasurements;
 use super::quartiles::Quartiles;
 
-/// Names of the columns.
 const HEADER: &str = "name,role,judged_by,turned,error_db,rms_error,max_error,psnr_db,ssim,gradient_error,\
     gradient_error_of,gradient_cosine,forward_ms_lower,forward_ms,forward_ms_upper,backward_ms_lower,backward_ms,\
     backward_ms_upper,step_ms_lower,step_ms,step_ms_upper,memory_mib,on_frontier\r\n";

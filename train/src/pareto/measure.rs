@@ -1,24 +1,33 @@
-//! Checks of every setting against the exact reference; the times are in `time.rs`.
+//! Checks of every setting against the exact reference, and times of all in turns.
 
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail, ensure};
 use burn::tensor::{Device, Tensor};
-use splat_model::accuracy::{DIALS, Dial, Judge};
+use splat_model::accuracy::{Dial, Judge};
 use splat_model::capture::Photo;
 use splat_model::gaussians::GaussianRows;
 use splat_op::RenderOptions;
 
 use super::dials::Candidate;
-use super::errors::{MeasuredError, PictureError, compare_gradients, same_bits, within_rounding};
-use super::quartiles::decibels;
+use super::errors::{MeasuredError, compare_gradients};
+use super::quartiles::{Quartiles, decibels};
 use super::reference::ReferenceRender;
 use super::subject::{DeviceScene, GradientSums, PARAMETERS, host, off_the_clamp};
-use super::time::FrameTimes;
 use crate::memory::peak_mib;
 use crate::progress;
 
-/// All measurements of one setting.
+/// Minimum number of rounds: fewer have no spread.
+pub const ROUNDS_MIN: usize = 3;
+
+/// Times of a frame, ms.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct FrameTimes {
+    pub forward: Quartiles,
+    pub backward: Quartiles,
+    pub step: Quartiles,
+}
+
 #[derive(Clone, Debug)]
 pub struct SettingMeasurements {
     pub candidate: Candidate,
@@ -41,7 +50,6 @@ pub struct Bench<'a> {
     base: RenderOptions,
 }
 
-/// Results of the measurements.
 pub struct BenchOutcome {
     pub rows: Vec<SettingMeasurements>,
     /// Largest difference between the reference renderer and the exact renderer in the pixels that both rendered.
@@ -115,7 +123,6 @@ impl<'a> Bench<'a> {
         score: &impl Fn(&RenderOptions) -> Result<(f64, f64)>,
     ) -> Result<SettingMeasurements> {
         let options = &candidate.options;
-        self.check_same_picture(options, &self.same_picture(options))?;
         let judged = candidate.judge() == Judge::Exact;
         let truth = self.truth(truths, if judged { options } else { &self.base })?;
         let (found, memory_mib) = self.compare(options, truth)?;
@@ -130,35 +137,9 @@ impl<'a> Bench<'a> {
         Ok(SettingMeasurements { candidate, accuracy, psnr_db, ssim, memory_mib, times })
     }
 
-    /// Returns `options` with each dial that promises the same picture at the value of the base.
-    fn same_picture(&self, options: &RenderOptions) -> RenderOptions {
-        DIALS
-            .iter()
-            .filter(|dial| dial.same_picture)
-            .fold(*options, |options, dial| dial.value_in(&self.base).map_or(options, |value| (value.set)(options)))
-    }
-
-    /// Checks pictures that are promised to be equal: bit for bit on a CPU; within rounding on a GPU, which sums longer
-    /// lists in other groups.
-    fn check_same_picture(&self, options: &RenderOptions, plain: &RenderOptions) -> Result<()> {
-        if plain == options {
-            return Ok(());
-        }
-        for view in 0..self.photos.len() {
-            let ours = host(self.place.render(view, options)?.colour);
-            let theirs = host(self.place.render(view, plain)?.colour);
-            let same = match splat_op::is_gpu(&self.place.device) {
-                true => within_rounding(&ours, &theirs),
-                false => same_bits(&ours, &theirs),
-            };
-            ensure!(same, "it must not change the picture, and changes view {view}");
-        }
-        Ok(())
-    }
-
     /// Renders and differentiates every view. Returns the deviations and the peak memory, MiB.
     fn compare(&self, options: &RenderOptions, truth: &ReferenceRender) -> Result<(MeasuredError, Option<f64>)> {
-        let mut pictures = PictureError::default();
+        let (mut squares, mut count, mut max) = (0.0, 0, 0.0_f64);
         let mut sums = GradientSums::default();
         let mut memory = None;
         for view in 0..self.photos.len() {
@@ -177,7 +158,12 @@ impl<'a> Bench<'a> {
             if let Some(at) = found.iter().position(|value| !value.is_finite()) {
                 bail!("value {at} of the picture of view {view} is {}", found[at]);
             }
-            pictures = pictures.and(PictureError::between(&found, &truth.pictures[view]));
+            count += found.len();
+            for (found, exact) in found.iter().zip(&truth.pictures[view]) {
+                let difference = (found - exact).abs();
+                squares += difference * difference;
+                max = max.max(difference);
+            }
         }
         if let Some(kind) = (0..sums.len()).find(|&kind| !sums[kind].iter().all(|value| value.is_finite())) {
             bail!("a gradient of {} is not finite", PARAMETERS[kind]);
@@ -185,8 +171,61 @@ impl<'a> Bench<'a> {
         let (gradient_error, worst, gradient_cosine) = compare_gradients(&sums, &truth.gradients);
         // The memory of the program says nothing about that of a GPU.
         let memory = memory.filter(|_| !splat_op::is_gpu(&self.place.device));
-        let (rms, max) = (pictures.rms(), pictures.max);
+        let rms = (squares / count as f64).sqrt();
         Ok((MeasuredError { rms, max, gradient_error, worst, gradient_cosine }, memory))
+    }
+
+    /// Times all settings on all views in turns, so that other load on the machine affects all alike. Every setting has
+    /// run before, in its check, so kernels are compiled. After `budget` no round begins, unless there were fewer than
+    /// [`ROUNDS_MIN`]. Returns the number of rounds.
+    fn time(&self, settings: &mut [SettingMeasurements], cotangents: &[Tensor<3>], budget: Duration) -> Result<usize> {
+        let begin = Instant::now();
+        let mut samples = vec![[const { Vec::new() }; 3]; settings.len()];
+        let mut rounds = 0;
+        while rounds < ROUNDS_MIN || begin.elapsed() < budget {
+            for (setting, samples) in settings.iter().zip(&mut samples) {
+                let options = &setting.candidate.options;
+                let forward = self.time_forward(options)?;
+                let backward = self.time_backward(options, cotangents)?;
+                for (samples, ms) in samples.iter_mut().zip([forward, backward, forward + backward]) {
+                    samples.push(ms);
+                }
+            }
+            rounds += 1;
+        }
+        let spread = |samples: &Vec<f64>| Quartiles::of(samples).context("a time is not finite");
+        for (setting, [forward, backward, step]) in settings.iter_mut().zip(&samples) {
+            setting.times = FrameTimes { forward: spread(forward)?, backward: spread(backward)?, step: spread(step)? };
+        }
+        Ok(rounds)
+    }
+
+    /// Time of a frame, ms.
+    fn time_forward(&self, options: &RenderOptions) -> Result<f64> {
+        let views = 0..self.photos.len();
+        self.place.device.sync()?;
+        let start = Instant::now();
+        // Kept until they are computed: a result that nobody waits for may never be computed.
+        let pictures: Vec<_> = views.clone().map(|view| self.place.render(view, options)).collect::<Result<_>>()?;
+        self.place.device.sync()?;
+        let elapsed = start.elapsed();
+        drop(pictures);
+        Ok(1e3 * elapsed.as_secs_f64() / views.len() as f64)
+    }
+
+    /// Time of a frame's backward pass, ms.
+    fn time_backward(&self, options: &RenderOptions, cotangents: &[Tensor<3>]) -> Result<f64> {
+        let mut elapsed = Duration::ZERO;
+        for (view, cotangent) in cotangents.iter().enumerate() {
+            let picture = self.place.tracked(view, options)?;
+            self.place.device.sync()?;
+            let start = Instant::now();
+            let gradients = self.place.backward(picture, cotangent.clone());
+            self.place.device.sync()?;
+            elapsed += start.elapsed();
+            drop(gradients);
+        }
+        Ok(1e3 * elapsed.as_secs_f64() / cotangents.len() as f64)
     }
 }
 

@@ -8,7 +8,6 @@ pub mod plot;
 mod quartiles;
 mod reference;
 mod subject;
-mod time;
 
 use std::io::Write;
 use std::path::PathBuf;

@@ -13,7 +13,6 @@ use super::quartiles::Quartiles;
 /// Width and height of a plot, px.
 const SIZE: (u32, u32) = (1000, 640);
 
-/// One setting.
 #[derive(Clone, Debug)]
 pub struct Dot {
     pub name: String,
@@ -27,7 +26,6 @@ pub struct Dot {
     pub member: bool,
 }
 
-/// A plot.
 #[derive(Clone, Debug)]
 pub struct Chart {
     pub title: String,

@@ -38,7 +38,7 @@ impl ReferenceRender {
             let picture = place.tracked(view, options)?;
             let exact = host(picture.colour.clone().inner());
             truth.difference = truth.difference.max(check(place, view, options, &exact)?);
-            let cotangent = cotangent(photo, &exact, background(place));
+            let cotangent = cotangent(photo, &exact, place.background);
             let gradients = place.backward(picture, place.picture(view, &cotangent));
             place.add_gradients(&gradients, &mut truth.gradients);
             truth.pictures.push(exact);
@@ -47,11 +47,6 @@ impl ReferenceRender {
         }
         Ok(truth)
     }
-}
-
-fn background(place: &DeviceScene) -> [f32; 3] {
-    let values = place.extras.background.clone().map(host).unwrap_or_default();
-    std::array::from_fn(|channel| values.get(channel).copied().unwrap_or_default() as f32)
 }
 
 /// Pixels of a picture that are checked, along each axis.
@@ -70,7 +65,7 @@ fn check(place: &DeviceScene, view: usize, options: &RenderOptions, picture: &[f
     let camera = &place.cameras[view];
     let gaussians = gaussians(place, camera)?;
     let exact = ExactView::new(&gaussians, &pose(camera), &camera.intrinsics, options);
-    let background = background(place).map(f64::from);
+    let background = place.background.map(f64::from);
     let mut largest = 0.0_f64;
     for [x, y] in checked_pixels(&camera.intrinsics, view) {
         let found = &picture[3 * (y * camera.intrinsics.width + x)..];

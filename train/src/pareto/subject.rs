@@ -19,7 +19,8 @@ pub struct DeviceScene {
     /// The splats with half-precision coefficients, made on first use.
     halved: OnceCell<Splats>,
     pub cameras: Vec<Camera>,
-    pub extras: Extras,
+    pub background: [f32; 3],
+    extras: Extras,
     pub device: Device,
     pub dtype: DType,
 }
@@ -44,13 +45,14 @@ impl DeviceScene {
     pub fn new(rows: &GaussianRows, photos: &[Photo], background: [f32; 3], device: &Device) -> Result<Self> {
         let gaussians = Gaussians::from_rows(rows, &device.clone().autodiff())?;
         let camera = |photo: &Photo| Camera::new(photo.intrinsics, &photo.cam_from_world, device);
-        let background = Some(Tensor::from_floats(background, device));
+        let colour = Some(Tensor::from_floats(background, device));
         Ok(Self {
             splats: gaussians.untracked().splats(),
             halved: OnceCell::new(),
             gaussians,
             cameras: photos.iter().map(camera).collect(),
-            extras: Extras { background, ..Extras::default() },
+            background,
+            extras: Extras { background: colour, ..Extras::default() },
             device: device.clone(),
             dtype: DType::F32,
         })

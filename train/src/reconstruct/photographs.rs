@@ -41,7 +41,6 @@ pub enum CameraModelName {
 }
 
 impl CameraModelName {
-    /// COLMAP's name.
     pub fn name(self) -> String {
         self.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned())
     }

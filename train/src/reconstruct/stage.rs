@@ -20,16 +20,13 @@ const TAIL: usize = 12;
 
 /// How a program ended.
 pub struct Ended {
-    /// Its exit status.
     pub status: ExitStatus,
-    /// Its last lines.
     pub tail: VecDeque<String>,
     /// The last line on standard error. The order of lines from both outputs is not known.
     pub error: Option<String>,
 }
 
 impl Ended {
-    /// The signal that ended it.
     pub fn signal(&self) -> Option<i32> {
         #[cfg(unix)]
         return std::os::unix::process::ExitStatusExt::signal(&self.status);

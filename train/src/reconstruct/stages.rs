@@ -74,7 +74,7 @@ impl Stages<'_> {
         let options = self.colmap.options("feature_extractor")?;
         let on_gpu = options.first(&["FeatureExtraction.use_gpu", "SiftExtraction.use_gpu"]);
         let mut features = BTreeMap::new();
-        let mut counted = Counted::new("features", Some(photographs.len())).with_left(FULL_SIZE);
+        let mut counted = Counted::new("features").with_left(FULL_SIZE);
         let extractions = extractions(photographs, self.model);
         for (i, extraction) in extractions.iter().enumerate() {
             let list = workspace.join(LISTS).join(format!("{i}.txt"));
@@ -88,7 +88,7 @@ impl Stages<'_> {
                 Some(("Features", count)) => {
                     let count = count.split_whitespace().next().and_then(|count| count.parse().ok());
                     features.extend(count.map(|count| (of.clone(), count)));
-                    counted.set(features.len());
+                    counted.set(features.len(), Some(photographs.len()));
                 }
                 _ => {}
             })?;
@@ -145,10 +145,10 @@ impl Stages<'_> {
         {
             command.arg(format!("--{name}")).arg(value);
         }
-        let mut counted = Counted::new("matching", None);
+        let mut counted = Counted::new("matching");
         self.succeed(workspace, command, "matching photographs", |line| {
             if let Some((done, all)) = matched(line) {
-                counted.set_of(done, all);
+                counted.set(done, Some(all));
             }
         })?;
         counted.finish();
@@ -179,11 +179,11 @@ impl Stages<'_> {
             for name in ERRORS.iter().filter_map(|name| options.first(&[name])) {
                 command.arg(format!("--{name}")).arg(&error);
             }
-            let mut counted = Counted::new("placing", Some(photographs));
+            let mut counted = Counted::new("placing");
             let during = "while COLMAP was placing photographs";
             let ended = stage::run(command, self.stop, during, &mut workspace.log()?, |line| {
                 if let Some(placed) = registered(line) {
-                    counted.set(placed);
+                    counted.set(placed, Some(photographs));
                 }
             })?;
             counted.finish();

@@ -71,7 +71,6 @@ fn sharpest(sharpness: &[f64], wanted: usize) -> Vec<usize> {
     (0..parts).filter_map(best).collect()
 }
 
-/// The sharpness of every frame.
 fn measure(ffmpeg: &Ffmpeg, video: &Path, stop: &Stop) -> Result<Vec<f64>> {
     let mut command = Ffmpeg::reading(video);
     let scale = format!(
@@ -79,7 +78,7 @@ fn measure(ffmpeg: &Ffmpeg, video: &Path, stop: &Stop) -> Result<Vec<f64>> {
     );
     command.args(["-vf", &scale, ffmpeg.every_frame, "passthrough", "-c:v", "pgm", "-f", "image2pipe", "-"]);
     let mut decoder = Decoder::start(command)?;
-    let mut counted = Counted::new("measuring sharpness", None);
+    let mut counted = Counted::new("measuring sharpness");
     let mut sharpness = Vec::new();
     while let Some((size, grey)) = next_picture(&mut decoder.frames).context("cannot read what ffmpeg decodes")? {
         if let Some(signal) = stop.asked() {
@@ -88,7 +87,7 @@ fn measure(ffmpeg: &Ffmpeg, video: &Path, stop: &Stop) -> Result<Vec<f64>> {
         }
         // A frame of one colour shows nothing.
         sharpness.push(sharpness_of_grey(&grey, size).unwrap_or(0.0));
-        counted.set(sharpness.len());
+        counted.set(sharpness.len(), None);
     }
     counted.finish();
     let said = decoder.end()?;

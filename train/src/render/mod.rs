@@ -80,16 +80,6 @@ pub enum PictureFormat {
     Npy,
 }
 
-impl PictureFormat {
-    fn extension(self) -> &'static str {
-        match self {
-            Self::Png => "png",
-            Self::Exr => "exr",
-            Self::Npy => "npy",
-        }
-    }
-}
-
 /// Renders the views, writes the pictures, and prints their paths. Returns the paths.
 ///
 /// # Errors
@@ -100,7 +90,9 @@ pub fn run(args: &RenderArgs) -> Result<Vec<PathBuf>> {
     let views = views(args, &capture)?;
     let (rows, trained) = input::rows("--scene", &args.scene, Some(&capture))?;
     let background = args.show.background(&args.scene, &trained)?;
-    let names = pictures::names(views.iter().map(|view| view.name.as_str()), args.format.extension());
+    let format = args.format.to_possible_value();
+    let extension = format.as_ref().map_or("", |format| format.get_name());
+    let names = pictures::names(views.iter().map(|view| view.name.as_str()), extension);
     let inputs = Inputs::default().and_scene(&args.scene).and_capture(&capture);
     let inputs = inputs.and(args.show.file());
     let mut video = match &args.video {

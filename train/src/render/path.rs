@@ -13,7 +13,6 @@ use tempfile::TempDir;
 
 use crate::reconstruct::Running;
 
-/// A camera path.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum CameraPath {
     /// Once around what the cameras of the capture look at, as far away and as high as they are on average
@@ -112,7 +111,6 @@ impl<'a> Video<'a> {
         }
     }
 
-    /// Completes the file.
     pub fn finish(mut self) -> Result<()> {
         self.end()?;
         let written = self.folder.path().join(self.path.file_name().unwrap_or_default());

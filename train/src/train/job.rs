@@ -10,7 +10,7 @@ use glam::DVec3;
 use splat_model::capture::{Capture, Photograph, PointCloud, PointsSeen};
 use splat_model::effects::EffectKind;
 use splat_model::init;
-use splat_model::trainer::ranks::Ranks;
+use splat_model::trainer::ranks::{Alone, Ranks};
 use splat_model::trainer::{TrainConfig, Trainer};
 
 use super::{TrainArgs, budget};
@@ -38,22 +38,16 @@ impl Job {
         test: &[usize],
         ranks: &dyn Ranks,
     ) -> Result<(Vec<Photograph>, Vec<Photograph>)> {
-        let mut room = budget::cache(self.args.cache_mb, budget::available()) / ranks.count();
+        let room = budget::cache(self.args.cache_mb, budget::available()) / ranks.count();
         let wanted = PhotoSelection {
             capture: &self.capture,
             max_side: self.args.photos.max_side,
             masked: self.effects.has(EffectKind::Masks),
             opaque: !self.effects.has(EffectKind::Alpha),
         };
-        let train = match ranks.count() {
-            1 => wanted.within(train, &mut room)?,
-            _ => {
-                let train = wanted.shared(train, room, ranks)?;
-                room = room.saturating_sub(train.iter().map(Photograph::bytes).sum());
-                train
-            }
-        };
-        Ok((train, wanted.within(test, &mut room)?))
+        let train = wanted.read(train, room, ranks)?;
+        let left = room.saturating_sub(train.iter().map(Photograph::bytes).sum());
+        Ok((train, wanted.read(test, left, &Alone)?))
     }
 
     /// Makes the trainer of these photographs. A run that `is_new` has the scene of `--start`, if there is one.

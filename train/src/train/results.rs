@@ -87,7 +87,7 @@ pub fn write(setup: &Setup, trainer: Trainer, test: &[Photograph], load_s: f64, 
         version: env!("CARGO_PKG_VERSION"),
     };
     report::finish(&metrics, out)?;
-    let viewpoints: Vec<Viewpoint> = test.iter().map(Viewpoint::of).collect();
+    let viewpoints = Viewpoint::all(test);
     let viewer = scene.as_ref().map(|scene| Viewer {
         scene,
         source: SceneSource::Page,

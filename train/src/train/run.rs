@@ -18,6 +18,7 @@ use crate::progress;
 use crate::ranks::{self, RunSetup};
 use crate::report::log::LogLine;
 use crate::report::metrics::{Metrics, seconds_since};
+use crate::view::server::Server;
 
 /// Trains, measures, writes all files, and prints their location.
 ///
@@ -48,19 +49,11 @@ pub fn run_together(args: &TrainArgs) -> Result<()> {
     to_the_end(args.clone(), None, ranks, |trainer| trainer).map(drop)
 }
 
-/// Resumes a run from its newest checkpoint, with its original options.
+/// Resumes a run from its newest checkpoint, with its original options, on all ranks that were started together. A run of which there is
+/// nothing but its options begins, and a finished one is left alone, so that the same line can be run again and again.
 ///
 /// # Errors
-/// If no checkpoint can be resumed from, and as for [`run`].
-pub fn resume(args: &ResumeArgs) -> Result<Metrics> {
-    resume_on(args, Rc::new(Alone))
-}
-
-/// Resumes as [`resume`] does, on all ranks that were started together. A run of which there is nothing but its options begins, and a
-/// finished one is left alone, so that the same line can be run again and again.
-///
-/// # Errors
-/// Those of [`resume`], and if the ranks differ in version or options.
+/// If no checkpoint can be resumed from or the ranks differ in version or options, and as for [`run`].
 pub fn resume_together(args: &ResumeArgs) -> Result<()> {
     let ranks = ranks::join()?;
     ranks::agree_on_start(&*ranks, args)?;
@@ -80,15 +73,13 @@ pub fn resume_together(args: &ResumeArgs) -> Result<()> {
             to_the_end(args, None, ranks, |trainer| trainer).map(drop)
         }
         // A run that is under way is refused by its lock.
-        _ => resume_on(args, ranks).map(drop),
+        _ => {
+            let kept = checkpoints::newest(&args.out)?;
+            let (out, voice, live) = (Some(args.out.clone()), args.voice, args.live.clone());
+            let args = TrainArgs { out, voice, live, ..kept.args.clone() };
+            to_the_end(args, Some(kept), ranks, |trainer| trainer).map(drop)
+        }
     }
-}
-
-fn resume_on(args: &ResumeArgs, ranks: Rc<dyn Ranks>) -> Result<Metrics> {
-    let kept = checkpoints::newest(&args.out)?;
-    let of_the_run =
-        TrainArgs { out: Some(args.out.clone()), voice: args.voice, live: args.live.clone(), ..kept.args.clone() };
-    to_the_end(of_the_run, Some(kept), ranks, |trainer| trainer)
 }
 
 fn to_the_end(
@@ -99,7 +90,8 @@ fn to_the_end(
 ) -> Result<Metrics> {
     let mut config = args.config()?;
     // An unavailable port is found before the capture is read.
-    let server = args.live.listen()?;
+    let bind = |(host, port): &(String, u16)| Server::bind(host, *port, "--live=[HOST:]PORT");
+    let server = args.live.live.as_ref().map(bind).transpose()?;
     if let Some(steps) = kept.as_ref().and_then(|kept| kept.so_far.steps) {
         config = args.schedule(config, steps);
     }

@@ -43,7 +43,6 @@ fn scores_by_itself(step: usize, steps: usize, views: usize, share: f64) -> bool
     is_turn && views > 0 && cost <= SCORING_SHARE * steps as f64 && share <= SCORING_SHARE
 }
 
-/// Inputs of the steps.
 pub struct Steps<'a> {
     pub setup: &'a Setup,
     pub test: &'a [Photograph],

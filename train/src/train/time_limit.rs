@@ -71,7 +71,6 @@ pub struct TimeLimit {
 }
 
 impl TimeLimit {
-    /// The choices of a run with this training time.
     pub fn new(time: TrainingTime) -> Self {
         Self { seconds: time.seconds(), next: FIRST }
     }
@@ -106,7 +105,6 @@ impl TimeLimit {
     }
 }
 
-/// Changes the number of steps of a run.
 pub fn set_steps(steps: usize, trainer: &mut Trainer, args: &TrainArgs, log: &mut RunLog) -> Result<(), TrainError> {
     trainer.reschedule(&args.schedule(trainer.config().clone(), steps))?;
     log.reschedule(trainer);

@@ -2,7 +2,6 @@ use burn::tensor::Device;
 
 use super::super::dials::candidates;
 use super::super::reference::tests::{photos, rows};
-use super::super::time::ROUNDS_MIN;
 use super::*;
 
 fn bench(photos: &[Photo]) -> Bench<'_> {
@@ -41,16 +40,4 @@ fn a_broken_setting_is_not_timed() {
     truths[0].0 = Dial::all_exact(broken.options);
     let error = bench.check(&broken, &mut truths, &no_score).unwrap_err().to_string();
     assert!(error.contains("it is broken"), "{error}");
-}
-
-#[test]
-fn a_promise_of_the_same_picture_is_kept() {
-    let photos = photos();
-    let bench = bench(&photos);
-    let ordered = bench.base.with_accumulation(splat_op::Accumulation::Ordered);
-    assert_eq!(bench.same_picture(&ordered), bench.base);
-    bench.check_same_picture(&ordered, &bench.base).unwrap();
-    let other = RenderOptions { alpha_min: 1.0 / 1024.0, ..bench.base };
-    let error = bench.check_same_picture(&other, &bench.base).unwrap_err().to_string();
-    assert!(error.contains("changes view 0"), "{error}");
 }

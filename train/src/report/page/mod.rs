@@ -19,7 +19,6 @@ use crate::view::page::{Viewer, document};
 /// Largest size of the scene in a page; its text encoding is a third longer. Browsers are slow with longer pages.
 pub const SCENE_BYTES: usize = 20_000_000;
 
-/// Content of the page.
 #[derive(Clone, Copy, Debug)]
 pub struct ReportPage<'a> {
     pub metrics: &'a Metrics,

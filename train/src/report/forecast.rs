@@ -26,7 +26,6 @@ const MEMORY: f64 = 0.7;
 pub struct RunProgress {
     /// Number of steps done.
     pub step: usize,
-    /// Number of Gaussians.
     pub splats: usize,
     /// Training time so far, s.
     pub seconds: f64,
@@ -63,7 +62,6 @@ impl Forecast {
         (self.config, self.refinements) = (config, refinements);
     }
 
-    /// Observes the run after one step or several.
     pub fn observe(&mut self, now: RunProgress) {
         let last = std::mem::replace(&mut self.last, now);
         let steps = now.step.saturating_sub(last.step) as f64;
