@@ -63,7 +63,7 @@ pub fn gpu() -> Option<Device> {
 fn find() -> Result<(String, Device), String> {
     let found = adapter()?;
     let facts = open(&found).map_err(|error| error.to_string())?;
-    Ok((facts.to_string(), found.device))
+    Ok((facts.summary, found.device))
 }
 
 fn adapter() -> Result<Adapter, String> {

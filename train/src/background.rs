@@ -8,6 +8,8 @@ use splat_model::effects::background::{Backdrop, Background};
 use splat_model::ply::TrainedAs;
 use splat_model::trainer::TrainConfig;
 
+use crate::accuracy::ModelArgs;
+use crate::device::{self, DeviceName};
 use crate::progress;
 use crate::report::BACKGROUND;
 
@@ -143,6 +145,36 @@ impl ShownBackground {
                 Ok(Background::Colour(trained.background))
             }
         }
+    }
+}
+
+/// How a scene is shown: the device, the model choices and the background.
+#[derive(Clone, Debug, clap::Args)]
+pub struct ShowArgs {
+    /// Device to compute on
+    #[arg(long, value_name = "NAME", default_value_t, help = device::help())]
+    pub device: DeviceName,
+    /// Model choices.
+    #[command(flatten)]
+    pub model: ModelArgs,
+    /// Background behind the scene: black, white, R,G,B from 0 to 1, or the background.json of a training run [default: that of the
+    /// scene's training]
+    #[arg(long, value_name = "WHAT")]
+    pub background: Option<ShownBackground>,
+}
+
+impl ShowArgs {
+    /// The file of the background, if it is in one.
+    pub fn file(&self) -> Option<&Path> {
+        self.background.as_ref().and_then(ShownBackground::file)
+    }
+
+    /// Returns the background of a scene; see [`ShownBackground::read`].
+    ///
+    /// # Errors
+    /// Those of [`ShownBackground::read`].
+    pub fn background(&self, scene: &Path, trained: &TrainedAs) -> Result<Background> {
+        ShownBackground::read(self.background.as_ref(), scene, trained)
     }
 }
 

@@ -10,15 +10,13 @@ use splat_model::capture::{Capture, Photo};
 use splat_model::cleanup::{CameraHull, Contribution, ISOLATED, isolated};
 use splat_model::effects::background::Background;
 use splat_model::evaluate::evaluate;
-use splat_model::formats::{self, Format, SceneFile};
+use splat_model::formats::{self, SceneFile};
 use splat_model::gaussians::{GaussianRows, Gaussians};
 use splat_model::ply::TrainedAs;
 use splat_op::RenderOptions;
 
-use crate::accuracy::ModelArgs;
-use crate::background::ShownBackground;
-use crate::convert::describe_file;
-use crate::device::{self, DeviceName};
+use crate::background::ShowArgs;
+use crate::convert::{describe_file, format_of};
 use crate::inputs::Inputs;
 use crate::options::PhotoArgs;
 use crate::output::prepare_file;
@@ -52,27 +50,18 @@ pub struct CleanArgs {
     /// Keep at most this many splats: those that contribute most to the pictures of all views
     #[arg(long, value_name = "N", requires = "capture", value_parser = clap::value_parser!(u32).range(1..))]
     pub max_splats: Option<u32>,
-    /// Device to compute on
-    #[arg(long, value_name = "NAME", default_value_t, help = device::help())]
-    pub device: DeviceName,
     /// Photographs.
     #[command(flatten)]
     pub photos: PhotoArgs,
-    /// Model choices.
+    /// How the scene is shown.
     #[command(flatten)]
-    pub model: ModelArgs,
-    /// Background behind the scene: black, white, R,G,B from 0 to 1, or the background.json of a training run [default: that of the
-    /// scene's training]
-    #[arg(long, value_name = "WHAT")]
-    pub background: Option<ShownBackground>,
+    pub show: ShowArgs,
 }
 
 /// Parses the margin of a hull.
-fn margin(text: &str) -> Result<f64, String> {
-    let margin: Option<f64> = text.parse().ok();
-    margin
-        .filter(|margin| *margin >= 0.0 && margin.is_finite())
-        .ok_or_else(|| "expected a number from 0 on, such as 0.5".into())
+fn margin(text: &str) -> Result<f64, &'static str> {
+    let margin = text.parse().ok().filter(|margin: &f64| *margin >= 0.0 && margin.is_finite());
+    margin.ok_or("expected a number from 0 on, such as 0.5")
 }
 
 /// A box along the axes of the scene file, between any two opposite corners.
@@ -114,16 +103,16 @@ struct CleanupJudge<'a> {
 
 impl<'a> CleanupJudge<'a> {
     fn new(args: &CleanArgs, capture: &'a Capture, scene: &SceneFile) -> Result<Self> {
-        let (device, _) = args.device.resolve()?;
+        let (device, _) = args.show.device.resolve()?;
         let trained = TrainedAs { antialias: scene.antialiased, ..scene.trained };
-        let background = ShownBackground::read(args.background.as_ref(), &args.scene, &trained)?;
+        let background = args.show.background(&args.scene, &trained)?;
         let mut rows = scene.rows.clone();
         input::move_means(&mut rows, (scene.origin - capture.origin).to_array());
         let (split, _) = args.photos.split(capture);
         let all: Vec<usize> = (0..capture.views.len()).collect();
         let judged = if split.test.is_empty() { &all } else { &split.test };
         let photos = input::photographs(capture, judged, args.photos.max_side, false)?;
-        let options = args.model.or(&trained).config().render_options(input::extent(capture));
+        let options = args.show.model.or(&trained).config().render_options(input::extent(capture));
         Ok(Self { capture, rows, photos, background, options, device, max_side: args.photos.max_side })
     }
 
@@ -182,10 +171,7 @@ impl Kept<'_> {
 /// If the scene or the capture cannot be read, there is nothing to remove by, no splat would be left, the file is one of those that are
 /// read, or cannot be written.
 pub fn run(args: &CleanArgs) -> Result<()> {
-    let shown = args.out.display();
-    let format = Format::of_name(&args.out).with_context(|| {
-        format!("the name {shown} does not give a format: end it in one of those of `splat convert`")
-    })?;
+    let format = format_of(&args.out)?;
     ensure!(
         args.crop.is_some() || args.capture.is_some(),
         "nothing says what to remove: give `--box`, or `--capture` to find splats that no view shows and floaters"
@@ -193,7 +179,7 @@ pub fn run(args: &CleanArgs) -> Result<()> {
     let (mut scene, found) = formats::read(&args.scene).context("cannot read the scene")?;
     scene.rows.check()?;
     let capture = args.capture.as_deref().map(input::capture).transpose()?;
-    let inputs = Inputs::default().and_scene(&args.scene).and(args.background.as_ref().and_then(ShownBackground::file));
+    let inputs = Inputs::default().and_scene(&args.scene).and(args.show.file());
     prepare_file(&args.out, &capture.iter().fold(inputs, Inputs::and_capture))?;
     let judge = capture.as_ref().map(|capture| CleanupJudge::new(args, capture, &scene)).transpose()?;
     progress::say(&describe_file(&args.scene, found, scene.rows.len(), scene.rows.sh_degree)?);

@@ -4,14 +4,15 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
-use clap::{ValueEnum, value_parser};
+use clap::builder::{PossibleValuesParser, TypedValueParser};
+use clap::value_parser;
 use splat_model::formats::{
     self, Deviation, Format, QuantisationError, SceneFile, SogOptions, SpzOptions, SpzVersion, Written,
 };
 use splat_model::ply::TrainedAs;
 
 use crate::inputs::Inputs;
-use crate::output::prepare_file;
+use crate::output::{prepare_file, short};
 use crate::{input, progress};
 
 /// Range of SPZ's standard deviations, in words: their logarithms are stored in 8 bits.
@@ -30,8 +31,8 @@ pub struct ConvertArgs {
     /// File to write, replacing an existing one; its name gives the format: .ply, .compressed.ply, .spz, .glb, .gltf or .sog
     pub out: PathBuf,
     /// Format to write, if the name does not give it
-    #[arg(long, value_enum)]
-    pub format: Option<FormatName>,
+    #[arg(long, value_parser = formats_by_name())]
+    pub format: Option<Format>,
     /// Drop spherical harmonics above this degree; many readers support at most 3
     #[arg(long, value_name = "DEGREE", value_parser = value_parser!(u8).range(0..=4))]
     pub sh_degree: Option<u8>,
@@ -51,34 +52,19 @@ pub struct ConvertArgs {
     pub antialias: bool,
 }
 
-/// [`Format`] on the command line.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum FormatName {
-    /// Layout of the original 3D Gaussian splatting code: all parameters, in 32-bit floats
-    Ply,
-    /// SuperSplat's format: 16 bytes a splat, and one for each higher coefficient
-    CompressedPly,
-    /// Niantic's format: 20 bytes a splat and one for each higher coefficient, then zstd
-    Spz,
-    /// glTF with KHR_gaussian_splatting: all parameters to degree 3, in 32-bit floats; written, not read
-    Glb,
-    /// The same as JSON, which holds the data as base64
-    Gltf,
-    /// PlayCanvas' format: pictures of 8 bits and a palette of harmonics, to degree 3
-    Sog,
-}
+/// The formats on the command line.
+const FORMATS: [(&str, Format); 6] = [
+    ("ply", Format::Ply),
+    ("compressed-ply", Format::CompressedPly),
+    ("spz", Format::Spz),
+    ("glb", Format::Glb),
+    ("gltf", Format::Gltf),
+    ("sog", Format::Sog),
+];
 
-impl From<FormatName> for Format {
-    fn from(name: FormatName) -> Self {
-        match name {
-            FormatName::Ply => Self::Ply,
-            FormatName::CompressedPly => Self::CompressedPly,
-            FormatName::Spz => Self::Spz,
-            FormatName::Glb => Self::Glb,
-            FormatName::Gltf => Self::Gltf,
-            FormatName::Sog => Self::Sog,
-        }
-    }
+fn formats_by_name() -> impl TypedValueParser<Value = Format> {
+    let found = |name: String| FORMATS.into_iter().find(|(known, _)| *known == name).ok_or("no format");
+    PossibleValuesParser::new(FORMATS.map(|(name, _)| name)).try_map(move |name| found(name).map(|(_, format)| format))
 }
 
 /// Writes the scene in the other format, reads it back, and prints the differences.
@@ -87,13 +73,10 @@ impl From<FormatName> for Format {
 /// If the scene cannot be read, the format is unknown, no splat is left, the file cannot be written, or it is the scene itself.
 pub fn run(args: &ConvertArgs) -> Result<()> {
     let shown = args.out.display();
-    let format = args.format.map(Format::from).or_else(|| Format::of_name(&args.out)).with_context(|| {
-        let known: Vec<&str> = Format::ALL.iter().map(|format| format.extension()).collect();
-        format!(
-            "the name {shown} does not give a format: end it in one of {}, or choose with `--format`",
-            known.join(", ")
-        )
-    })?;
+    let format = match args.format {
+        Some(format) => format,
+        None => format_of(&args.out).context("no format is chosen with `--format`")?,
+    };
     let (mut scene, found) = formats::read(&args.scene).context("cannot read the scene")?;
     scene.antialiased |= args.antialias;
     let (splats, of_degree) = (scene.rows.len(), scene.rows.sh_degree);
@@ -147,6 +130,16 @@ pub fn run(args: &ConvertArgs) -> Result<()> {
     }
     progress::say(&if lost.is_empty() { "nothing is lost".into() } else { format!("lost:\n  {}", lost.join("\n  ")) });
     Ok(())
+}
+
+/// Returns the format that the name of a file gives.
+///
+/// # Errors
+/// If it gives none.
+pub fn format_of(path: &Path) -> Result<Format> {
+    let known = || Format::ALL.map(Format::extension).join(", ");
+    Format::of_name(path)
+        .with_context(|| format!("the name {} does not give a format: end it in one of {}", path.display(), known()))
 }
 
 fn spz_options(args: &ConvertArgs) -> SpzOptions {
@@ -208,7 +201,7 @@ fn dropped(scene: &SceneFile, format: Format, written: &Written, of_degree: usiz
 /// The table of rounding errors.
 fn table(loss: &QuantisationError, sh_degree: usize) -> Vec<String> {
     let row = |name: &str, Deviation { largest, rms }: Deviation, factor: f64, unit: &str| {
-        format!("{name:10} {:>10} {:>10}  {unit}", short(factor * largest), short(factor * rms))
+        format!("{name:10} {:>10} {:>10}  {unit}", short(factor * largest, 2), short(factor * rms, 2))
     };
     let mut rows = vec![
         format!("{:10} {:>10} {:>10}", "rounding", "largest", "RMS"),
@@ -223,15 +216,3 @@ fn table(loss: &QuantisationError, sh_degree: usize) -> Vec<String> {
     }
     rows
 }
-
-/// Formats a number with two significant digits.
-fn short(value: f64) -> String {
-    match value {
-        0.0 => "0".into(),
-        value if !(1e-3..1e3).contains(&value) => format!("{value:.1e}"),
-        value => format!("{value:.*}", (1 - value.log10().floor() as i32).max(0) as usize),
-    }
-}
-
-#[cfg(test)]
-mod tests;

@@ -4,106 +4,53 @@ use std::num::NonZero;
 use std::thread;
 
 use anyhow::Result;
+use indicatif::BinaryBytes;
 
-use crate::device::{self, Adapter, DeviceName, Facts, Runtime, choose};
-use crate::progress;
-
-/// Head of the table. The first column is the value of `--device`.
-const COLUMNS: [&str; 6] = ["--device", "adapter", "kind", "runtime", "largest buffer", "f32 atomics"];
-
-type TableRow = [String; COLUMNS.len()];
+use crate::device::{self, DeviceName, Runtime, choose};
+use crate::progress::say;
 
 /// Prints the devices, the runtimes of this build, and the device that `auto` chooses.
 ///
 /// # Errors
 /// None today: an adapter that does not open is listed as such.
 pub fn run() -> Result<()> {
-    let found = device::list(&Runtime::built());
-    let opened: Vec<Result<Facts>> = found.iter().map(device::open).collect();
-    let mut rows = vec![cpu(DeviceName::Flex), cpu(DeviceName::Ndarray)];
-    rows.extend(found.iter().zip(&opened).map(|(found, opened)| row(found, opened)));
-    for line in table(&rows) {
-        progress::say(&line);
+    let threads = thread::available_parallelism().map_or(1, NonZero::get);
+    say(&line("--device", "what it is"));
+    for name in [DeviceName::Flex, DeviceName::Ndarray] {
+        say(&line(&name.to_string(), &format!("the CPU through Burn's {name} backend, threads: {threads}")));
     }
-    let open = found.iter().zip(&opened).filter(|(_, opened)| opened.is_ok());
-    let open: Vec<Adapter> = open.map(|(found, _)| found.clone()).collect();
-    progress::say("");
-    for line in remarks(&open, found.is_empty())? {
-        progress::say(&line);
+    let found = device::list(&Runtime::built());
+    let mut opened = Vec::new();
+    for adapter in &found {
+        let text = match device::open(adapter) {
+            Ok(facts) => {
+                opened.push(adapter.clone());
+                let with = if facts.float_atomics { "with" } else { "without" };
+                format!("{}; buffers up to {}, {with} f32 atomics", facts.summary, BinaryBytes(facts.buffer_limit))
+            }
+            Err(error) => format!("{}; {error}", adapter.kind),
+        };
+        say(&line(&adapter.name().to_string(), &text));
+    }
+    say("");
+    say(&match choose(DeviceName::Auto, &opened)? {
+        Some(adapter) => format!("`--device auto` takes {}.", adapter.name()),
+        None => format!("`--device auto` takes the CPU, flex: {}.", device::why_cpu(&opened)),
+    });
+    let (built, other): (Vec<_>, Vec<_>) =
+        Runtime::ALL.into_iter().partition(|runtime| Runtime::built().contains(runtime));
+    let features = |runtimes: &[Runtime]| match runtimes {
+        [] => "none".into(),
+        some => some.iter().map(|runtime| runtime.feature()).collect::<Vec<_>>().join(", "),
+    };
+    say(&format!("GPU runtimes in this program: {}.", features(&built)));
+    say(&format!("Others can be built in, as cargo features: {}.", features(&other)));
+    if let (true, Err(advice)) = (found.is_empty() && !built.is_empty(), choose(DeviceName::Gpu, &found)) {
+        say(&advice.to_string());
     }
     Ok(())
 }
 
-/// Row of a CPU backend. Columns that do not apply hold a dash.
-fn cpu(name: DeviceName) -> TableRow {
-    let threads = thread::available_parallelism().map_or(1, NonZero::get);
-    let adapter = format!("the CPU, {threads} {}", if threads == 1 { "thread" } else { "threads" });
-    let runtime = format!("Burn's {name} backend");
-    [name.to_string(), adapter, "processor".into(), runtime, "-".into(), "-".into()]
+fn line(name: &str, text: &str) -> String {
+    format!("{name:12}{text}")
 }
-
-fn row(adapter: &Adapter, opened: &Result<Facts>) -> TableRow {
-    let (name, kind) = (adapter.name().to_string(), adapter.kind.to_string());
-    match opened {
-        Ok(facts) => {
-            let atomics = if facts.float_atomics { "yes" } else { "no" }.to_owned();
-            [name, facts.name.clone(), kind, facts.runtime.clone(), bytes(facts.buffer_limit), atomics]
-        }
-        Err(error) => {
-            let dash = || "-".to_owned();
-            [name, error.to_string(), kind, adapter.runtime.feature().into(), dash(), dash()]
-        }
-    }
-}
-
-/// Formats a size in the largest unit that leaves at least one, rounded down to a tenth so that it never overstates.
-fn bytes(count: u64) -> String {
-    const UNITS: [&str; 5] = ["B", "KiB", "MiB", "GiB", "TiB"];
-    let power = (count.max(1).ilog2() / 10).min(UNITS.len() as u32 - 1);
-    let tenths = (u128::from(count) * 10) >> (10 * power);
-    let unit = UNITS[power as usize];
-    match tenths % 10 {
-        0 => format!("{} {unit}", tenths / 10),
-        tenth => format!("{}.{tenth} {unit}", tenths / 10),
-    }
-}
-
-/// Formats a table with columns as wide as their widest cell and two spaces between them.
-fn table(rows: &[TableRow]) -> Vec<String> {
-    let head: TableRow = COLUMNS.map(String::from);
-    let rows: Vec<&TableRow> = [&head].into_iter().chain(rows).collect();
-    let width = |column: usize| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or_default();
-    let widths: [usize; COLUMNS.len()] = std::array::from_fn(width);
-    let line = |row: &&TableRow| {
-        let cells = row.iter().zip(widths).map(|(cell, width)| format!("{cell:width$}"));
-        cells.collect::<Vec<_>>().join("  ").trim_end().to_owned()
-    };
-    rows.iter().map(line).collect()
-}
-
-/// Remarks below the table: the device of `auto` among adapters that open, and the runtimes that are built in.
-fn remarks(adapters: &[Adapter], none_found: bool) -> Result<Vec<String>> {
-    let built = Runtime::built();
-    let other: Vec<Runtime> = Runtime::ALL.into_iter().filter(|runtime| !built.contains(runtime)).collect();
-    let mut lines = vec![match choose(DeviceName::Auto, adapters)? {
-        Some(adapter) => format!("`--device auto` takes {}.", adapter.name()),
-        None => format!("`--device auto` takes the CPU, flex: {}.", device::why_cpu(adapters)),
-    }];
-    let features =
-        |runtimes: &[Runtime]| runtimes.iter().map(|runtime| runtime.feature()).collect::<Vec<_>>().join(", ");
-    lines.push(match built.is_empty() {
-        true => "GPU runtimes in this program: none.".into(),
-        false => format!("GPU runtimes in this program: {}.", features(&built)),
-    });
-    if !other.is_empty() {
-        lines.push(format!("Others can be built in, as cargo features: {}.", features(&other)));
-    }
-    if none_found && !built.is_empty() {
-        let advice = choose(DeviceName::Gpu, adapters).expect_err("there are no adapters").to_string();
-        lines.push(advice);
-    }
-    Ok(lines)
-}
-
-#[cfg(test)]
-mod tests;

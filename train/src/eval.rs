@@ -13,9 +13,8 @@ use splat_model::formats;
 use splat_model::gaussians::Gaussians;
 use splat_op::Intrinsics;
 
-use crate::accuracy::{AccuracyArgs, ModelArgs};
-use crate::background::ShownBackground;
-use crate::device::{self, DeviceName};
+use crate::accuracy::AccuracyArgs;
+use crate::background::ShowArgs;
 use crate::input;
 use crate::inputs::Inputs;
 use crate::lpips::LpipsArgs;
@@ -35,22 +34,15 @@ pub struct EvalArgs {
     /// Folder for metrics.json, views/ and a copy of the scene
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// Device to compute on
-    #[arg(long, value_name = "NAME", default_value_t, help = device::help())]
-    pub device: DeviceName,
     /// Photographs.
     #[command(flatten)]
     pub photos: PhotoArgs,
-    /// Model choices.
+    /// How the scene is shown.
     #[command(flatten)]
-    pub model: ModelArgs,
+    pub show: ShowArgs,
     /// Accuracy of the renders.
     #[command(flatten)]
     pub accuracy: AccuracyArgs,
-    /// Background behind the scene: black, white, R,G,B from 0 to 1, or the background.json of a training run [default: that of the
-    /// scene's training]
-    #[arg(long, value_name = "WHAT")]
-    pub background: Option<ShownBackground>,
     /// Compare as from further away: average each N × N pixels of the photographs to one
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(1..=64))]
     pub shrink: usize,
@@ -88,15 +80,15 @@ struct EvalOptionsRecord<'a> {
 /// If the capture or the scene cannot be read, no photograph is held out, or a result is one of the files that are read or cannot be
 /// written.
 pub fn run(args: &EvalArgs) -> Result<Metrics> {
-    let (device, device_name) = args.device.resolve()?;
+    let (device, device_name) = args.show.device.resolve()?;
     let lpips = args.lpips.read(&device)?;
     let start = Instant::now();
     let capture = input::capture(&args.capture)?;
     let (split, photo_args) = args.photos.split(&capture);
     let test = split.require_test()?;
-    let (rows, trained) = input::rows("--scene", &args.scene, &capture)?;
-    let background = ShownBackground::read(args.background.as_ref(), &args.scene, &trained)?;
-    let config = args.model.or(&trained).config();
+    let (rows, trained) = input::rows("--scene", &args.scene, Some(&capture))?;
+    let background = args.show.background(&args.scene, &trained)?;
+    let config = args.show.model.or(&trained).config();
     let mut photos = input::photographs(&capture, test, args.photos.max_side, args.masks)?;
     if args.ignore_alpha {
         photos.iter_mut().for_each(|photo| photo.alpha = None);
@@ -114,7 +106,7 @@ pub fn run(args: &EvalArgs) -> Result<Metrics> {
     // A scene can be scored where it lies.
     let copied = Inputs::of([&args.scene]).find(&args.out.join(&scene_name)).is_none();
     let inputs = Inputs::default().and_scene(&args.scene).and_capture(&capture);
-    let inputs = inputs.and(args.background.as_ref().and_then(ShownBackground::file)).and(&args.lpips.lpips);
+    let inputs = inputs.and(args.show.file()).and(&args.lpips.lpips);
     let views = report::view_files(photos.iter().map(|photo| photo.name.as_str()));
     let files = copied.then(|| PathBuf::from(&scene_name)).into_iter().chain([METRICS.into()]).chain(views);
     let out = OutputFolder::prepare(&args.out, inputs, files, &[VIEWS])?;
@@ -144,7 +136,7 @@ pub fn run(args: &EvalArgs) -> Result<Metrics> {
         masks: args.masks,
         ignore_alpha: args.ignore_alpha,
         shrink: args.shrink,
-        background: args.background.as_ref().map(ToString::to_string),
+        background: args.show.background.as_ref().map(ToString::to_string),
         lpips: &args.lpips,
     };
     let metrics = Metrics {

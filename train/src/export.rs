@@ -10,7 +10,6 @@ use splat_model::capture::{Capture, View};
 use splat_model::effects::background::Background;
 use splat_model::formats::{self, Format, SceneFile};
 use splat_model::gaussians::GaussianRows;
-use splat_model::ply::TrainedAs;
 
 use crate::background::ShownBackground;
 use crate::inputs::Inputs;
@@ -57,7 +56,7 @@ pub struct ExportArgs {
 pub fn run(args: &ExportArgs) -> Result<()> {
     let capture = args.views.as_deref().map(input::capture).transpose()?;
     let viewpoints = capture.as_ref().map(|capture| viewpoints(capture, &args.view)).transpose()?.unwrap_or_default();
-    let (rows, trained) = rows(args, capture.as_ref())?;
+    let (rows, trained) = input::rows("SCENE", &args.scene, capture.as_ref())?;
     let Background::Colour(background) = ShownBackground::read(args.background.as_ref(), &args.scene, &trained)? else {
         return Err(anyhow!(
             "the page shows a background of one colour: give `--background` a colour such as black or 0.5,0.5,0.5"
@@ -92,17 +91,6 @@ pub fn run(args: &ExportArgs) -> Result<()> {
     Ok(())
 }
 
-/// The rows of the scene, with positions relative to the origin of the capture if there is one.
-fn rows(args: &ExportArgs, capture: Option<&Capture>) -> Result<(GaussianRows, TrainedAs)> {
-    if let Some(capture) = capture {
-        return input::rows("--scene", &args.scene, capture);
-    }
-    let (SceneFile { rows, antialiased, trained, .. }, _) =
-        formats::read(&args.scene).context("cannot read the scene")?;
-    progress::note_unusable(&args.scene, rows.unusable(), rows.len());
-    Ok((rows, TrainedAs { antialias: antialiased, ..trained }))
-}
-
 /// The scene as SOG, the smallest of the formats that the viewer reads.
 fn compressed(rows: GaussianRows) -> Result<Vec<u8>> {
     let folder = tempfile::tempdir().context("cannot make a temporary folder")?;
@@ -114,9 +102,10 @@ fn compressed(rows: GaussianRows) -> Result<Vec<u8>> {
 
 /// The viewpoints of the wanted photographs, with the names of their buttons.
 fn viewpoints(capture: &Capture, wanted: &[String]) -> Result<Vec<Viewpoint>> {
+    let of = |view: &View| Viewpoint::of(&view.name, &view.intrinsics, &view.cam_from_world);
     if wanted.is_empty() {
         let count = capture.views.len().min(VIEWS);
-        return Ok((0..count).map(|i| Viewpoint::of_view(&capture.views[i * capture.views.len() / count])).collect());
+        return Ok((0..count).map(|i| of(&capture.views[i * capture.views.len() / count])).collect());
     }
     let found = |name: &str| capture.views.iter().find(|view: &&View| view.name == name);
     let one = |wanted: &String| {
@@ -124,16 +113,13 @@ fn viewpoints(capture: &Capture, wanted: &[String]) -> Result<Vec<Viewpoint>> {
         let named = found(wanted).map(|view| (view, wanted.as_str()));
         let named = named.or_else(|| wanted.split_once('=').and_then(|(name, text)| Some((found(name)?, text))));
         let (view, text) = named.ok_or_else(|| {
-            let names: Vec<&str> = capture.views.iter().take(4).map(|view| view.name.as_str()).collect();
-            let more = if capture.views.len() > names.len() { ", …" } else { "" };
+            let (folder, names) = (capture.folder.display(), input::some_names(capture));
             anyhow!(
-                "{} has no view {wanted:?}: give `--view` one of its names ({}{more}), and after `=` the text of the button",
-                capture.folder.display(),
-                names.join(", ")
+                "{folder} has no view {wanted:?}: give `--view` one of its names ({names}), and after `=` the text of the button"
             )
         })?;
         ensure!(!text.is_empty(), "`--view {wanted}` has no text after `=`: add one, or leave the sign out");
-        Ok(Viewpoint { name: text.to_owned(), ..Viewpoint::of_view(view) })
+        Ok(Viewpoint { name: text.to_owned(), ..of(view) })
     };
     wanted.iter().map(one).collect()
 }

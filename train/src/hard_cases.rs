@@ -9,7 +9,7 @@ use splat_hard_cases::judge::{CaseVerdict, judge};
 use splat_hard_cases::table::{Section, summary, tsv};
 use splat_hard_cases::{CaseGroup, GROUPS, Processor, TestDevice};
 
-use crate::device::{self, AdapterKind, DeviceName};
+use crate::device::{AdapterKind, DeviceName};
 use crate::inputs::Inputs;
 use crate::output::OutputFolder;
 use crate::progress;
@@ -78,7 +78,7 @@ fn places(names: &[DeviceName]) -> Result<Vec<TestDevice>> {
 
 fn place(name: DeviceName) -> Result<TestDevice> {
     let (processor, software) = match name.find()? {
-        Some(found) => (Processor::Gpu, device::open(&found)?.kind == AdapterKind::Software),
+        Some(found) => (Processor::Gpu, found.kind == AdapterKind::Software),
         None => (Processor::Cpu, false),
     };
     let (device, name) = name.resolve()?;

@@ -47,6 +47,14 @@ pub fn extent(capture: &Capture) -> f64 {
     scene_extent(&centres)
 }
 
+/// Names of a capture's first views, for a message.
+pub fn some_names(capture: &Capture) -> String {
+    const LISTED: usize = 5;
+    let names: Vec<&str> = capture.views.iter().take(LISTED).map(|view| view.name.as_str()).collect();
+    let more = if capture.views.len() > LISTED { ", ..." } else { "" };
+    format!("{}{more}", names.join(", "))
+}
+
 /// Decodes the photographs of some views of a capture, on all threads. With `masked`, they have their masks, and
 /// photographs whose masks exclude every pixel are dropped.
 ///
@@ -100,42 +108,17 @@ pub struct PhotoSelection<'a> {
 }
 
 impl PhotoSelection<'_> {
-    /// Reads the photographs of some views, not all of which stay in memory: photographs are kept while they fit into
-    /// `room`, bytes, and the others are decoded again on each use. All are decoded once, so that a broken picture does
-    /// not end a long run.
-    ///
-    /// # Errors
-    /// The errors of [`photographs`].
-    pub fn within(&self, views: &[usize], room: &mut usize) -> Result<Vec<Photograph>> {
-        self.capture.check_photographs(views)?;
-        let names = views.iter().map(|&view| (self.capture.views[view].name.as_str(), view));
-        let by_name: BTreeMap<&str, usize> = names.collect();
-        let mut found = Vec::with_capacity(views.len());
-        for some in views.chunks(AT_ONCE) {
-            for photo in decoded(self.capture, some, self.max_side, self.masked)? {
-                let view = by_name[photo.name.as_str()];
-                let photo = made_opaque(photo, self.opaque);
-                let forgotten = Photograph::read_again(&photo, self.again(view));
-                let fits = forgotten.bytes() <= *room;
-                *room -= if fits { forgotten.bytes() } else { 0 };
-                found.push(if fits { photo.into() } else { forgotten });
-            }
-        }
-        say_dropped(self.capture, views.len(), found.len())?;
-        Ok(found)
-    }
-
-    /// Checks the photographs of some views together with the other ranks of a run, each of which decodes its share of them.
-    /// Then each rank decodes the others where it first trains on them. All are kept while they fit into `room`, bytes.
+    /// Reads the photographs of some views together with the other ranks of a run, each of which decodes its share of them, so that a broken
+    /// picture does not end a long run. Photographs are kept while they fit into `room`, bytes. The others are decoded again on each use.
     ///
     /// # Errors
     /// The errors of [`photographs`] in its own share, and if another rank is gone.
-    pub fn shared(&self, views: &[usize], room: usize, ranks: &dyn Ranks) -> Result<Vec<Photograph>> {
+    pub fn read(&self, views: &[usize], room: usize, ranks: &dyn Ranks) -> Result<Vec<Photograph>> {
         self.capture.check_photographs(views)?;
         let names = views.iter().map(|&view| (self.capture.views[view].name.as_str(), view));
         let by_name: BTreeMap<&str, usize> = names.collect();
         let room = Arc::new(AtomicUsize::new(room));
-        let photograph = |(view, has_alpha, has_mask): (usize, bool, bool)| {
+        let photograph = |&(view, has_alpha, has_mask): &(usize, bool, bool)| {
             let of = &self.capture.views[view];
             let (name, intrinsics) = (of.name.clone(), of.intrinsics_within(self.max_side));
             let facts = PhotographFacts { name, intrinsics, cam_from_world: of.cam_from_world, has_alpha, has_mask };
@@ -145,17 +128,16 @@ impl PhotoSelection<'_> {
         for some in views[share_of(ranks.rank(), ranks.count(), views.len())].chunks(AT_ONCE) {
             for photo in decoded(self.capture, some, self.max_side, self.masked)? {
                 let photo = Arc::new(made_opaque(photo, self.opaque));
-                let view = by_name[photo.name.as_str()];
-                let facts = (view, photo.alpha.is_some(), photo.mask.is_some());
-                let of_own = photograph(facts);
+                let facts = (by_name[photo.name.as_str()], photo.alpha.is_some(), photo.mask.is_some());
+                let of_own = photograph(&facts);
                 of_own.keep(&photo);
-                own.insert(view, of_own);
+                own.insert(facts.0, of_own);
                 found.push(facts);
             }
         }
         let found = gather_all(ranks, &found)?.concat();
         say_dropped(self.capture, views.len(), found.len())?;
-        Ok(found.into_iter().map(|facts| own.remove(&facts.0).unwrap_or_else(|| photograph(facts))).collect())
+        Ok(found.iter().map(|facts| own.remove(&facts.0).unwrap_or_else(|| photograph(facts))).collect())
     }
 
     /// Returns a function that decodes a photograph again.
@@ -177,16 +159,18 @@ fn made_opaque(photo: Photo, opaque: bool) -> Photo {
     Photo { alpha, ..photo }
 }
 
-/// Reads the rows of a scene that `option` names, with positions relative to the origin of `capture`, and how it was trained. Prints a note
-/// if some of its Gaussians cannot be rendered.
+/// Reads the rows of a scene that `option` names, and how it was trained. Positions are relative to the origin of `capture`, or else to that of
+/// the scene. Prints a note if some of its Gaussians cannot be rendered.
 ///
 /// # Errors
 /// If the file is missing, is not a scene, or holds no Gaussian.
-pub fn rows(option: &str, path: &Path, capture: &Capture) -> Result<(GaussianRows, TrainedAs)> {
+pub fn rows(option: &str, path: &Path, capture: Option<&Capture>) -> Result<(GaussianRows, TrainedAs)> {
     let (scene, _) = formats::read(path).with_context(|| format!("cannot read the scene that `{option}` names"))?;
     let formats::SceneFile { mut rows, origin, antialiased, trained, .. } = scene;
     ensure!(!rows.is_empty(), "{} holds no Gaussian: name a scene that was trained with `{option}`", path.display());
-    move_means(&mut rows, (origin - capture.origin).to_array());
+    if let Some(capture) = capture {
+        move_means(&mut rows, (origin - capture.origin).to_array());
+    }
     progress::note_unusable(path, rows.unusable(), rows.len());
     Ok((rows, TrainedAs { antialias: antialiased, ..trained }))
 }

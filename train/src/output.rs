@@ -144,6 +144,15 @@ pub fn last_name(path: &Path) -> String {
     path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned()
 }
 
+/// Formats a number with so many significant digits.
+pub fn short(value: f64, digits: usize) -> String {
+    match value.abs() {
+        0.0 => "0".into(),
+        size if !(1e-3..10_f64.powi(digits as i32 + 2)).contains(&size) => format!("{value:.*e}", digits - 1),
+        size => format!("{value:.*}", (digits as i32 - 1 - size.log10().floor() as i32).max(0) as usize),
+    }
+}
+
 /// Writes a file: `fill` writes it under a temporary name, and the complete file is renamed to its own. Missing parent
 /// folders are created. No temporary file is left behind unless the process is killed.
 ///

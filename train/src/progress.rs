@@ -1,8 +1,6 @@
 //! Progress of a run: for people on standard error, as a bar on a terminal and as plain lines elsewhere; for programs
 //! on standard output.
 
-mod forecast;
-
 use std::io::{IsTerminal, Write};
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -10,16 +8,12 @@ use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
-use splat_model::trainer::Trainer;
-
-use self::forecast::{Forecast, RunProgress};
-use crate::report::history::History;
 
 /// Interval between plain lines, long enough that the log of an hour stays readable.
-const BETWEEN_LINES: Duration = Duration::from_secs(5);
+pub(crate) const BETWEEN_LINES: Duration = Duration::from_secs(5);
 
 /// Interval between updates of the bar.
-const BETWEEN_FRAMES: Duration = Duration::from_millis(200);
+pub(crate) const BETWEEN_FRAMES: Duration = Duration::from_millis(200);
 
 /// Number after which the mean time of one tells how long the others take.
 const EXPECTED_FROM: usize = 5;
@@ -48,7 +42,7 @@ impl VoiceArgs {
     }
 }
 
-fn is_quiet() -> bool {
+pub(crate) fn is_quiet() -> bool {
     QUIET.load(Ordering::Relaxed)
 }
 
@@ -95,17 +89,18 @@ pub fn line(value: &impl Serialize) {
 
 /// Returns a counter of things that take a moment each, such as pictures. Hidden without a terminal.
 pub fn counter(what: &'static str, total: usize) -> ProgressBar {
-    if is_quiet() || !std::io::stderr().is_terminal() {
-        return ProgressBar::hidden();
-    }
-    let bar = ProgressBar::new(total as u64).with_message(what);
-    bar.set_style(style("{msg} [{bar:32}] {pos}/{len}"));
-    bar
+    let bar = bar(Some(total), "{msg} [{bar:32}] {pos}/{len}");
+    bar.map_or_else(ProgressBar::hidden, |bar| bar.with_message(what))
 }
 
-/// Returns a style, or indicatif's default if it refuses the template, for which no template here gives a reason.
-fn style(template: &str) -> ProgressStyle {
-    ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar())
+/// Returns a bar, unless the process is quiet or has no terminal.
+pub(crate) fn bar(total: Option<usize>, template: &str) -> Option<ProgressBar> {
+    if is_quiet() || !std::io::stderr().is_terminal() {
+        return None;
+    }
+    let bar = total.map_or_else(ProgressBar::no_length, |total| ProgressBar::new(total as u64));
+    // indicatif refuses none of these templates.
+    Some(bar.with_style(ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar())))
 }
 
 /// Progress of a program that counts what it has done: a bar on a terminal, a line now and then elsewhere.
@@ -122,19 +117,14 @@ pub struct Counted {
 
 impl Counted {
     /// Begins with nothing done.
-    pub fn new(what: &'static str, total: Option<usize>) -> Self {
-        let shows = !is_quiet() && std::io::stderr().is_terminal();
-        let bar = shows.then(|| match total {
-            Some(total) => ProgressBar::new(total as u64),
-            None => ProgressBar::no_length(),
-        });
+    pub fn new(what: &'static str) -> Self {
+        let bar = bar(None, "{prefix} [{bar:32}] {pos}/{len}  {elapsed}{msg}");
         if let Some(bar) = &bar {
-            bar.set_style(style("{prefix} [{bar:32}] {pos}/{len}  {elapsed}{msg}"));
             bar.set_prefix(what);
             bar.enable_steady_tick(BETWEEN_FRAMES);
         }
         let now = Instant::now();
-        Self { what, bar, started: now, shown: now, done: (0, total), left: None }
+        Self { what, bar, started: now, shown: now, done: (0, None), left: None }
     }
 
     /// Also says how much time is left, with a remark, once `EXPECTED_FROM` are done.
@@ -150,9 +140,12 @@ impl Counted {
         }
     }
 
-    /// Shows the number done, of as many as before.
-    pub fn set(&mut self, done: usize) {
-        self.done.0 = done;
+    /// Shows the number done, of how many if that is known.
+    pub fn set(&mut self, done: usize, total: Option<usize>) {
+        self.done = (done, total);
+        if let (Some(bar), Some(total)) = (&self.bar, total) {
+            bar.set_length(total as u64);
+        }
         match &self.bar {
             Some(bar) => {
                 bar.set_position(done as u64);
@@ -167,15 +160,6 @@ impl Counted {
         }
     }
 
-    /// Shows the number done, of how many.
-    pub fn set_of(&mut self, done: usize, total: usize) {
-        self.done.1 = Some(total);
-        if let Some(bar) = &self.bar {
-            bar.set_length(total as u64);
-        }
-        self.set(done);
-    }
-
     /// Removes the bar, and says how long it took.
     pub fn finish(self) {
         if let Some(bar) = self.bar {
@@ -183,96 +167,6 @@ impl Counted {
         }
         note(&format!("{}: {} done in {}", self.what, self.done.0, clock(self.started.elapsed().as_secs_f64())));
     }
-}
-
-/// Progress of the steps of a training run.
-pub struct StepProgress {
-    steps: usize,
-    bar: Option<ProgressBar>,
-    shown: Instant,
-    forecast: Forecast,
-    /// Sum and number of the losses since they were last shown.
-    losses: (f64, usize),
-}
-
-impl StepProgress {
-    /// Begins the progress of a run. `history` holds its steps so far.
-    pub fn new(trainer: &Trainer, history: &History) -> Self {
-        let steps = trainer.config().steps;
-        let shows = !is_quiet() && std::io::stderr().is_terminal();
-        let bar = shows.then(|| ProgressBar::new(steps as u64));
-        if let Some(bar) = &bar {
-            bar.set_style(style("[{bar:32}] {msg}"));
-        }
-        let refinements = refinements(trainer);
-        let splats = history.points.first().map_or(trainer.gaussians().len(), |point| point.splats);
-        let mut forecast = Forecast::new(trainer.config().clone(), refinements, (splats, trainer.mean_pixels()));
-        for point in &history.points {
-            forecast.observe(RunProgress { step: point.step, splats: point.splats, seconds: point.seconds });
-        }
-        Self { steps, bar, shown: Instant::now(), forecast, losses: (0.0, 0) }
-    }
-
-    /// Counts a step; steps are numbered from 1. `seconds` is the training time so far. Returns whether it is time to
-    /// [show](Self::show) progress.
-    pub fn tick(&mut self, step: usize, splats: usize, seconds: f64) -> bool {
-        self.forecast.observe(RunProgress { step, splats, seconds });
-        let pause = if self.bar.is_some() { BETWEEN_FRAMES } else { BETWEEN_LINES };
-        !is_quiet() && (self.shown.elapsed() >= pause || step >= self.steps)
-    }
-
-    /// Adds the sum and the number of the losses since the last call.
-    pub fn add(&mut self, (sum, count): (f64, usize)) {
-        self.losses.0 += sum;
-        self.losses.1 += count;
-    }
-
-    /// Shows the state of the run after a step.
-    pub fn show(&mut self, step: usize, trainer: &Trainer) {
-        self.shown = Instant::now();
-        let (sum, count) = std::mem::take(&mut self.losses);
-        let (left, rate) = (self.left_s(), 1.0 / self.forecast.mean_s());
-        let line = progress_line((step, self.steps), sum / count as f64, trainer.gaussians().len(), (rate, left));
-        match &self.bar {
-            None => note(&line),
-            Some(bar) => {
-                bar.set_position(step as u64);
-                bar.set_message(line);
-            }
-        }
-    }
-
-    /// Predicts the time that the run has left, s.
-    pub fn left_s(&self) -> f64 {
-        self.forecast.left_s()
-    }
-
-    /// Adapts the progress to a number of steps that has changed.
-    pub fn reschedule(&mut self, trainer: &Trainer) {
-        self.steps = trainer.config().steps;
-        if let Some(bar) = &self.bar {
-            bar.set_length(self.steps as u64);
-        }
-        self.forecast.reschedule(trainer.config().clone(), refinements(trainer));
-    }
-
-    /// Removes the bar after the last step.
-    pub fn finish(self) {
-        if let Some(bar) = self.bar {
-            bar.abandon();
-        }
-    }
-}
-
-/// The steps at which the number of Gaussians may change.
-fn refinements(trainer: &Trainer) -> Vec<usize> {
-    (1..=trainer.config().steps).filter(|&step| trainer.refines_at(step)).collect()
-}
-
-fn progress_line((step, steps): (usize, usize), loss: f64, splats: usize, (rate, left): (f64, f64)) -> String {
-    let rate = if rate.is_finite() { format!("{rate:.1}") } else { "-".into() };
-    let left = clock(left);
-    format!("step {step}/{steps}  loss {loss:.4}  {splats} splats  {rate} steps/s  {left} left")
 }
 
 /// The time that is left after `done` of `total` in `seconds`, with a remark; nothing before [`EXPECTED_FROM`] and after the last.
@@ -284,7 +178,7 @@ fn left(done: usize, total: usize, seconds: f64, remark: &str) -> String {
 }
 
 /// Formats seconds as `m:ss` or `h:mm:ss`.
-fn clock(seconds: f64) -> String {
+pub(crate) fn clock(seconds: f64) -> String {
     // Saturates: no run is that long, and NaN becomes zero.
     let whole = seconds.round() as u64;
     let (hours, minutes, seconds) = (whole / 3600, whole / 60 % 60, whole % 60);

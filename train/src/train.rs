@@ -1,12 +1,12 @@
 //! `splat train`: trains a scene on photographs, and writes the scene, its scores and its pictures.
 
-pub(crate) mod budget;
+mod budget;
 pub(crate) mod checkpoints;
 pub mod config;
-mod folders;
+pub(crate) mod job;
 mod results;
 mod run;
-mod start;
+mod setup;
 mod steps;
 mod stop;
 mod time_limit;
@@ -22,9 +22,7 @@ use splat_model::optim::{LearningRates, MomentBits, sh_every_for};
 use splat_model::trainer::{Resolution, TrainConfig, TrainError, Trainer};
 
 pub use self::checkpoints::{RunState, state_of};
-pub(crate) use self::run::{photographs, views_of};
-pub use self::run::{resume, resume_together, run, run_together, run_with};
-pub(crate) use self::start::{start_points, started};
+pub use self::run::{resume_together, run, run_together, run_with};
 pub use self::stop::Interrupted;
 pub(crate) use self::stop::Stop;
 use self::time_limit::{GUESS, TrainingTime};
@@ -91,7 +89,7 @@ pub struct TrainArgs {
     /// steps is chosen and corrected so that training ends in time; reading the capture and scoring come on top. Two such
     /// runs differ, because machines are never equally fast twice
     #[arg(long = "for", value_name = "TIME", conflicts_with = "steps")]
-    #[serde(default, rename = "for")]
+    #[serde(with = "crate::as_text::optional", default, rename = "for")]
     pub time: Option<TrainingTime>,
     /// Cameras.
     #[command(flatten, next_help_heading = "Capture")]
@@ -269,7 +267,7 @@ fn positive(text: &str) -> Result<f64, &'static str> {
     value.ok_or("expected a positive number, such as 0.001")
 }
 
-fn share(text: &str) -> Result<f64, &'static str> {
+pub(crate) fn share(text: &str) -> Result<f64, &'static str> {
     text.parse().ok().filter(|value| (0.0..=1.0).contains(value)).ok_or("expected a number from 0 to 1")
 }
 

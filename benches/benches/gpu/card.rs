@@ -124,7 +124,6 @@ pub struct Files {
     pub times: Option<String>,
     /// `metrics.json` of training on the GPU and on the CPU.
     pub metrics: [Option<String>; 2],
-    pub frontier: Option<String>,
 }
 
 fn read_files(folders: &Folders) -> Files {
@@ -132,7 +131,6 @@ fn read_files(folders: &Folders) -> Files {
     Files {
         times: fs::read_to_string(&folders.times).ok(),
         metrics: [&folders.gpu, &folders.cpu].map(|folder| read(folder, "metrics.json")),
-        frontier: read(&folders.frontier, "pareto.md"),
     }
 }
 

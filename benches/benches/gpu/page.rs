@@ -33,7 +33,7 @@ pub fn write(options: &Options, parts: &[PartResult], files: &Files) -> Result<(
     let json = |text: &Option<String>| text.as_deref().map(serde_json::from_str).transpose();
     let [gpu, cpu] = [json(&files.metrics[0])?, json(&files.metrics[1])?];
     let record = Record { commit: &options.commit, parts, times: &times, gpu, cpu };
-    let page = markdown(&record, files.frontier.as_deref());
+    let page = markdown(&record);
     fs::write(options.out.join("card.json"), serde_json::to_string_pretty(&record)?)?;
     fs::write(options.out.join("card.md"), page)?;
     Ok(())
@@ -49,7 +49,7 @@ pub fn outcome(outcome: &Outcome) -> String {
     }
 }
 
-fn markdown(record: &Record, frontier: Option<&str>) -> String {
+fn markdown(record: &Record) -> String {
     let mut page = format!("# A graphics card\n\nWritten by `benches/card.sh` from commit {}.\n\n", record.commit);
     if record.times.iter().any(|pass| pass.device.contains("software")) {
         page += "**The device is a driver in software.** It shows that the kernels run, not how fast a card is.\n\n";
@@ -60,9 +60,6 @@ fn markdown(record: &Record, frontier: Option<&str>) -> String {
     }
     page += &passes(record.times);
     page += &training(record);
-    if let Some(frontier) = frontier {
-        let _ = write!(page, "\n## The frontier of time and error\n\n{}\n", demoted(frontier));
-    }
     page += "\n## Output of the parts\n";
     for part in record.parts {
         let lines: Vec<&str> = part.output.lines().collect();
@@ -146,11 +143,4 @@ fn unique<'a>(values: impl Iterator<Item = &'a String>) -> Vec<&'a String> {
         }
     }
     found
-}
-
-/// Makes the headings of a page those of its section, and leaves out its picture, a file of its own.
-fn demoted(page: &str) -> String {
-    let lines = page.lines().filter(|line| !line.starts_with("!["));
-    let lines = lines.map(|line| if line.starts_with('#') { format!("##{line}") } else { line.to_owned() });
-    lines.collect::<Vec<_>>().join("\n")
 }

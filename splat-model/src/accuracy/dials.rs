@@ -33,9 +33,6 @@ pub struct Dial {
     pub what: &'static str,
     /// The reference that its values are judged against.
     pub judge: Judge,
-    /// Whether every value must give the same picture to the last bit. Only the time may then change, and gradients in their
-    /// last digits.
-    pub same_picture: bool,
     /// Whether the dial has no effect on a CPU.
     pub gpu_only: bool,
     /// The values that are measured, the most accurate first.
@@ -57,7 +54,7 @@ const fn choice(name: &'static str, set: fn(RenderOptions) -> RenderOptions) -> 
 /// A numerical dial of all devices and cameras. Its first value approximates nothing.
 const fn numerical(name: &'static str, what: &'static str, values: &'static [DialValue]) -> Dial {
     let (judge, exact) = (Judge::Exact, values[0].set);
-    Dial { name, what, judge, same_picture: false, gpu_only: false, values, exact }
+    Dial { name, what, judge, gpu_only: false, values, exact }
 }
 
 /// A model choice of all devices and cameras.
@@ -114,7 +111,6 @@ pub const DIALS: &[Dial] = &[
         ],
     ),
     Dial {
-        same_picture: true,
         gpu_only: true,
         ..numerical(
             "accumulation",

@@ -72,10 +72,6 @@ pub fn line(words: &[&str]) -> Result<String> {
     Ok(words.iter().map(quoted).collect::<Result<Vec<_>>>()?.join(" "))
 }
 
-/// A path as text.
-///
-/// # Errors
-/// If it is not UTF-8.
 pub fn utf8(path: &Path) -> Result<&str> {
     path.to_str().with_context(|| format!("the path {} is not UTF-8: rename it", path.display()))
 }

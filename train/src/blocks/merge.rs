@@ -3,9 +3,8 @@
 use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail, ensure};
-use glam::Vec3;
 use splat_model::capture::Capture;
-use splat_model::capture::blocks::{BlockFile, Bounds, keep};
+use splat_model::capture::blocks::{BlockFile, keep};
 use splat_model::formats::{self, Format, SceneFile};
 use splat_model::gaussians::GaussianRows;
 use splat_model::ply::TrainedAs;
@@ -88,7 +87,7 @@ pub fn merge(args: &MergeArgs) -> Result<()> {
 fn merged(folder: &PlanFolder, files: &[BlockFile], capture: &Capture) -> Result<(GaussianRows, TrainedAs)> {
     let (mut merged, mut trained_as) = (None::<GaussianRows>, TrainedAs::default());
     for (name, file) in folder.plan.blocks.iter().zip(files) {
-        let (rows, trained) = input::rows("--scene", &folder.run(name).join(SCENE), capture)?;
+        let (rows, trained) = input::rows("--scene", &folder.run(name).join(SCENE), Some(capture))?;
         trained_as = trained;
         let all = merged.get_or_insert_with(|| GaussianRows::like(&rows));
         ensure!(
@@ -105,9 +104,4 @@ fn merged(folder: &PlanFolder, files: &[BlockFile], capture: &Capture) -> Result
         progress::note(&format!("{name}: {} of {} splats lie in its cell", all.len() - before, rows.len()));
     }
     Ok((merged.unwrap_or_default(), trained_as))
-}
-
-/// Whether a row's centre lies in a cell.
-pub fn holds(cell: &Bounds, rows: &GaussianRows, row: usize) -> bool {
-    cell.contains(Vec3::from(rows.means[row]).as_dvec3())
 }

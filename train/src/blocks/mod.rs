@@ -1,6 +1,5 @@
 //! `splat blocks`: a capture in parts that are trained on their own, by any engine that runs lines of a shell.
 
-mod coarse;
 mod job;
 mod merge;
 mod plan;

@@ -7,20 +7,29 @@ use std::path::{Component, Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
 use clap::builder::RangedU64ValueParser;
+use splat_model::capture::Capture;
 use splat_model::capture::blocks::{self, Block, BlockFile, BlockOptions};
+use splat_model::density::Focus;
 use splat_model::effects::EffectKind;
 
-use super::coarse;
 use super::job;
 use super::planned::{BlockPlan, JOBS, PLAN, PlanFolder};
+use crate::lpips::LpipsArgs;
 use crate::progress::{self, VoiceArgs};
-use crate::train::TrainArgs;
+use crate::report::SCENE;
 use crate::train::config::{self, CONFIG};
+use crate::train::{self, TrainArgs};
 use crate::{input, output};
 
 /// The splats that a block may have, relative to its share of the scene's: some of them lie in its margin or beyond, and are not
 /// kept.
 const ALLOWANCE: f64 = 1.3;
+
+/// Output folder of the coarse scene, beside the blocks.
+const COARSE: &str = "coarse";
+
+/// Photographs of the coarse scene are not made smaller than this, px: the window of SSIM has eleven.
+const SMALLEST_SIDE: u32 = 32;
 
 /// Options of `splat blocks plan`.
 #[derive(Clone, Debug, clap::Args)]
@@ -39,11 +48,11 @@ pub struct PlanArgs {
     #[arg(long, value_name = "N", value_parser = RangedU64ValueParser::<usize>::new().range(1..))]
     pub splats_per_block: Option<usize>,
     /// Width of the margin around a block in which it trains with all detail, as a share of the block's size
-    #[arg(long, value_name = "SHARE", default_value_t = BlockOptions::default().margin, value_parser = share)]
+    #[arg(long, value_name = "SHARE", default_value_t = BlockOptions::default().margin, value_parser = train::share)]
     pub margin: f64,
     /// Give a block the photographs that see at least this share of its points, or at least this share of whose points
     /// lie in it
-    #[arg(long, value_name = "SHARE", default_value_t = BlockOptions::default().min_share, value_parser = share)]
+    #[arg(long, value_name = "SHARE", default_value_t = BlockOptions::default().min_share, value_parser = train::share)]
     pub min_share: f64,
     /// Steps of the coarse scene of the whole capture, which the plan trains and all blocks start from; 0: blocks start from their points
     /// alone [default: half of the blocks' steps]
@@ -53,11 +62,6 @@ pub struct PlanArgs {
     /// the whole capture
     #[arg(last = true, value_name = "OPTION")]
     pub options: Vec<String>,
-}
-
-fn share(text: &str) -> Result<f64, String> {
-    let value: f64 = text.parse().map_err(|_| "expected a number from 0 to 1".to_owned())?;
-    if (0.0..=1.0).contains(&value) { Ok(value) } else { Err("expected a number from 0 to 1".into()) }
 }
 
 /// Trains the coarse scene, writes the plan and prints its blocks.
@@ -86,10 +90,13 @@ pub fn plan(args: &PlanArgs) -> Result<()> {
     let width = (count - 1).max(1).ilog10() as usize + 1;
     let names: Vec<String> = (0..count).map(|block| format!("block-{block:0width$}")).collect();
     let folder = prepare(&args.out, &names)?;
-    let coarse_steps = if count == 1 { 0 } else { args.coarse_steps.unwrap_or(coarse::steps_for(steps)) };
+    let coarse_steps = if count == 1 { 0 } else { args.coarse_steps.unwrap_or(steps / 2) };
     let start = match coarse_steps {
         0 => None,
-        _ => Some(coarse::train(&coarse::run_of(&folder, &capture, (&training, &common), (coarse_steps, splats))?)?),
+        steps => {
+            let run = TrainArgs { steps: Some(steps), ..job::training(&capture.folder, &common)? };
+            Some(coarse(run, &folder, &capture, &training, splats)?)
+        }
     };
     let program = env::current_exe().context("cannot tell the path of this program")?;
     let mut lines = Vec::with_capacity(count);
@@ -118,6 +125,31 @@ pub fn plan(args: &PlanArgs) -> Result<()> {
     Ok(())
 }
 
+/// Trains the coarse scene of the whole capture, from which all blocks start, and returns its path. Photographs have half their size, and
+/// there are as many splats as a block with `splats` may have beyond its region, so that it can start with all of them. On the CPU the scene is
+/// the same in each run.
+fn coarse(
+    mut run: TrainArgs,
+    folder: &Path,
+    capture: &Capture,
+    training: &TrainArgs,
+    splats: usize,
+) -> Result<PathBuf> {
+    let longest = capture.views.iter().map(|view| view.intrinsics.width.max(view.intrinsics.height)).max();
+    let longest = longest.and_then(|side| u32::try_from(side).ok()).unwrap_or(u32::MAX);
+    let side = training.photos.max_side.unwrap_or(u32::MAX).min(longest);
+    let out = folder.join(COARSE);
+    (run.out, run.time) = (Some(out.clone()), None);
+    run.max_splats = ((Focus::BEYOND_SHARE * splats as f64) as usize).max(1);
+    run.photos.test_every = training.photos.test_every;
+    run.photos.max_side = Some((side / 2).max(SMALLEST_SIDE));
+    (run.eval_during, run.export_every, run.lpips) = (Some(0), None, LpipsArgs::default());
+    progress::note(&format!("the coarse scene that all blocks start from: {}", out.display()));
+    train::run(&run)?;
+    let scene = out.join(SCENE);
+    scene.canonicalize().with_context(|| format!("cannot find {}", scene.display()))
+}
+
 /// Number of blocks, and of splats that each may have.
 fn counts(args: &PlanArgs, total: usize) -> (usize, usize) {
     let allowed = ALLOWANCE * total as f64;
@@ -129,12 +161,7 @@ fn counts(args: &PlanArgs, total: usize) -> (usize, usize) {
 }
 
 /// The options that all lines share. What depends on the capture is decided now, on the whole of it, so that all blocks agree.
-fn common_options(
-    args: &PlanArgs,
-    training: &TrainArgs,
-    capture: &splat_model::capture::Capture,
-    splats: usize,
-) -> Result<Vec<String>> {
+fn common_options(args: &PlanArgs, training: &TrainArgs, capture: &Capture, splats: usize) -> Result<Vec<String>> {
     let (split, _) = training.photos.split(capture);
     let chosen = training.effects.choose(
         capture,

@@ -5,14 +5,12 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use serde::{Deserialize, Serialize};
+use splat_model::capture::Capture;
 use splat_model::capture::blocks::{BLOCK, BlockFile};
 
-use crate::input;
-use crate::output;
 use crate::report::{METRICS, SCENE};
-use splat_model::capture::Capture;
+use crate::{input, output};
 
-/// The plan's file.
 pub const PLAN: &str = "plan.json";
 
 /// The file of lines that train the blocks.
@@ -33,19 +31,12 @@ pub struct BlockPlan {
     pub options: Vec<String>,
 }
 
-/// A plan and its folder.
 pub struct PlanFolder {
-    /// The folder.
     pub path: PathBuf,
-    /// The plan.
     pub plan: BlockPlan,
 }
 
 impl PlanFolder {
-    /// Reads a plan.
-    ///
-    /// # Errors
-    /// If the folder holds none.
     pub fn open(path: &Path) -> Result<Self> {
         let file = path.join(PLAN);
         let shown = file.display();
@@ -55,10 +46,6 @@ impl PlanFolder {
         Ok(Self { path: path.to_owned(), plan })
     }
 
-    /// Writes the plan and its lines.
-    ///
-    /// # Errors
-    /// If a file cannot be written.
     pub fn write(&self, lines: &[String]) -> Result<()> {
         use std::io::Write;
         output::write(&self.path.join(JOBS), |file| {
@@ -67,43 +54,33 @@ impl PlanFolder {
         output::write(&self.path.join(PLAN), |file| Ok(serde_json::to_writer_pretty(file, &self.plan)?))
     }
 
-    /// Folder of a block.
-    pub fn block(&self, name: &str) -> PathBuf {
-        self.path.join(name)
-    }
-
     /// Output folder of a block's run.
     pub fn run(&self, name: &str) -> PathBuf {
-        self.block(name).join(RUN)
+        self.path.join(name).join(RUN)
     }
 
     /// The files of the plan and of the blocks' runs, from which they are merged.
     pub fn files_of_runs(&self) -> impl Iterator<Item = PathBuf> {
-        let of_run =
-            |name: &String| [self.block(name).join(BLOCK), self.run(name).join(SCENE), self.run(name).join(METRICS)];
+        let of_run = |name: &String| {
+            [self.path.join(name).join(BLOCK), self.run(name).join(SCENE), self.run(name).join(METRICS)]
+        };
         let own = [PLAN, JOBS].map(|name| self.path.join(name));
         own.into_iter().chain(self.plan.blocks.iter().flat_map(of_run))
     }
 
     /// The blocks' files, in order.
-    ///
-    /// # Errors
-    /// If one cannot be read.
     pub fn files(&self) -> Result<Vec<BlockFile>> {
         let file = |name: &String| {
-            let folder = self.block(name);
+            let folder = self.path.join(name);
             BlockFile::read(&folder).with_context(|| format!("the plan lists {}", folder.join(BLOCK).display()))
         };
         self.plan.blocks.iter().map(file).collect()
     }
 
     /// The capture that was cut.
-    ///
-    /// # Errors
-    /// If it cannot be read.
     pub fn capture(&self, files: &[BlockFile]) -> Result<Capture> {
         let (name, file) =
             self.plan.blocks.iter().zip(files).next().with_context(|| format!("{PLAN} lists no block"))?;
-        input::capture(&file.capture_folder(&self.block(name)))
+        input::capture(&file.capture_folder(&self.path.join(name)))
     }
 }

@@ -4,6 +4,7 @@ use std::collections::HashMap;
 
 use anyhow::Result;
 use burn::tensor::{Device, Tensor};
+use glam::Vec3;
 use splat_model::capture::blocks::BlockFile;
 use splat_model::capture::{Capture, Photo};
 use splat_model::gaussians::{GaussianRows, Gaussians, values_of};
@@ -12,7 +13,6 @@ use splat_model::trainer::TrainConfig;
 use splat_op::{Camera, Extras, RenderOptions, Splats, render_view};
 
 use super::job;
-use super::merge::holds;
 use super::planned::PlanFolder;
 use crate::report::SCENE;
 use crate::{input, progress};
@@ -84,19 +84,19 @@ impl<'a> Seams<'a> {
             let test: Vec<usize> =
                 file.test.iter().step_by(step).filter_map(|name| by_name.get(name.as_str()).copied()).collect();
             let photos = input::photographs(self.capture, &test, self.max_side, self.masked)?;
-            let (rows, _) = input::rows("--scene", &folder.run(name).join(SCENE), self.capture)?;
+            let (rows, _) = input::rows("--scene", &folder.run(name).join(SCENE), Some(self.capture))?;
             let own = Gaussians::from_rows(&rows, self.device)?.splats();
             let cell = Gaussians::from_rows(&painted(&rows, file), self.device)?.splats();
             let mut sums = Sums::default();
             for photo in &photos {
-                self.compare(photo, (&own, &cell), &mut sums)?;
+                self.compare(photo, &own, &cell, &mut sums)?;
             }
             say(name, &sums);
         }
         Ok(())
     }
 
-    fn compare(&self, photo: &Photo, (own, cell): (&Splats, &Splats), sums: &mut Sums) -> Result<()> {
+    fn compare(&self, photo: &Photo, own: &Splats, cell: &Splats, sums: &mut Sums) -> Result<()> {
         let truth = values_of(photo.rgb_over(self.background, self.device));
         let (own, merged) =
             (self.render(own, photo, self.background)?, self.render(&self.merged, photo, self.background)?);
@@ -132,8 +132,9 @@ impl<'a> Seams<'a> {
 
 /// The rows of a block, white in its cell and black elsewhere.
 fn painted(rows: &GaussianRows, file: &BlockFile) -> GaussianRows {
-    let colour = |row| [if holds(&file.cell, rows, row) { 0.5 / SH_0 } else { -0.5 / SH_0 }; 3];
-    let sh_dc = (0..rows.len()).map(colour).collect();
+    let is_in_cell = |mean: &[f32; 3]| file.cell.contains(Vec3::from(*mean).as_dvec3());
+    let colour = |mean: &[f32; 3]| [if is_in_cell(mean) { 0.5 / SH_0 } else { -0.5 / SH_0 }; 3];
+    let sh_dc = rows.means.iter().map(colour).collect();
     GaussianRows { sh_dc, sh_rest: Vec::new(), sh_degree: 0, ..rows.clone() }
 }
 

@@ -1,14 +1,13 @@
 //! `splat blocks status`: how far the blocks are.
 
-use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use anyhow::Result;
 use serde_json::Value;
 
 use super::planned::PlanFolder;
 use crate::progress;
-use crate::report::METRICS;
+use crate::report::{METRICS, metrics};
 use crate::train::{RunState, state_of};
 
 /// Options of `splat blocks status`.
@@ -35,11 +34,11 @@ pub fn status(args: &StatusArgs) -> Result<()> {
         let state = state_of(&run);
         let (word, step) = match state {
             RunState::New => ("waiting", None),
-            RunState::Running { step } => ("training", Some(step)),
-            RunState::Stopped { step } => ("stopped", Some(step)),
+            RunState::Running(step) => ("training", Some(step)),
+            RunState::Stopped(step) => ("stopped", Some(step)),
             RunState::Finished => ("finished", None),
         };
-        let metrics = if state == RunState::Finished { metrics(&run) } else { Value::Null };
+        let metrics = if state == RunState::Finished { metrics::read(&run.join(METRICS)) } else { Value::Null };
         finished += usize::from(state == RunState::Finished);
         let step = step.map(|step| step.to_string()).or_else(|| shown(&metrics["steps"], 0));
         let columns = [(step, 8), (shown(&metrics["splats"], 0), 10), (shown(&metrics["test"]["psnr"], 2), 10)];
@@ -51,11 +50,6 @@ pub fn status(args: &StatusArgs) -> Result<()> {
     }
     progress::say(&format!("finished: {finished} of {}", folder.plan.blocks.len()));
     Ok(())
-}
-
-fn metrics(run: &Path) -> Value {
-    let text = fs::read(run.join(METRICS)).unwrap_or_default();
-    serde_json::from_slice(&text).unwrap_or_default()
 }
 
 fn shown(value: &Value, digits: usize) -> Option<String> {

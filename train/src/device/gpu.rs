@@ -83,10 +83,10 @@ pub fn open(adapter: &Adapter) -> Result<Facts> {
     let interface = open_through_wgpu(device).map_err(|error| refused(&error))?;
     let client = device.client();
     let abilities = Abilities::of(&adapter.device).ok_or_else(|| refused("there are no kernels for it"))?;
+    let interface = interface.map(|interface| format!("{interface}, ")).unwrap_or_default();
+    let hardware = &client.properties().identity.name;
     Ok(Facts {
-        name: client.properties().identity.name.clone(),
-        kind: adapter.kind,
-        runtime: [interface.as_deref(), Some(client.name())].into_iter().flatten().collect::<Vec<_>>().join(", "),
+        summary: format!("{hardware}, {}, {interface}{}", adapter.kind, client.name()),
         buffer_limit: client.properties().memory.max_page_size,
         float_atomics: abilities.float_atomics,
     })

@@ -18,7 +18,7 @@ mod gpu {
 use std::fmt::{self, Display};
 use std::str::FromStr;
 
-use anyhow::{Result, anyhow};
+use anyhow::{Result, bail};
 use burn::tensor::Device;
 
 pub use self::gpu::{list, open};
@@ -60,31 +60,27 @@ impl Runtime {
     /// All runtimes, whether this build has them or not.
     pub const ALL: [Self; 5] = [Self::Wgpu, Self::Vulkan, Self::Metal, Self::Cuda, Self::Rocm];
 
-    /// The cargo feature that builds it in, whether the program was built with it, and the driver that it needs.
-    fn facts(self) -> (&'static str, bool, &'static str) {
-        let driver = match cfg!(target_os = "linux") {
-            true => {
-                "the GPU's Vulkan driver and loader (Debian and Ubuntu: `libvulkan1` with `mesa-vulkan-drivers`, or NVIDIA's driver)"
-            }
-            false => "the GPU's driver",
-        };
-        match self {
-            Self::Wgpu => ("wgpu", cfg!(feature = "wgpu"), driver),
-            Self::Vulkan => ("vulkan", cfg!(feature = "vulkan"), driver),
-            Self::Metal => ("metal", cfg!(feature = "metal"), "macOS, the only system with Metal"),
-            Self::Cuda => ("cuda", cfg!(feature = "cuda"), "NVIDIA's driver"),
-            Self::Rocm => ("rocm", cfg!(feature = "rocm"), "AMD's ROCm"),
-        }
-    }
-
     /// The cargo feature that builds it in.
     pub fn feature(self) -> &'static str {
-        self.facts().0
+        match self {
+            Self::Wgpu => "wgpu",
+            Self::Vulkan => "vulkan",
+            Self::Metal => "metal",
+            Self::Cuda => "cuda",
+            Self::Rocm => "rocm",
+        }
     }
 
     /// The runtimes that the program was built with.
     pub fn built() -> Vec<Self> {
-        Self::ALL.into_iter().filter(|runtime| runtime.facts().1).collect()
+        let is_built = |runtime: &Self| match runtime {
+            Self::Wgpu => cfg!(feature = "wgpu"),
+            Self::Vulkan => cfg!(feature = "vulkan"),
+            Self::Metal => cfg!(feature = "metal"),
+            Self::Cuda => cfg!(feature = "cuda"),
+            Self::Rocm => cfg!(feature = "rocm"),
+        };
+        Self::ALL.into_iter().filter(is_built).collect()
     }
 
     /// Prefix of its adapters on the command line, before the index.
@@ -111,23 +107,22 @@ impl FromStr for DeviceName {
 
     fn from_str(text: &str) -> Result<Self, String> {
         let (name, index) = text.split_once(':').map_or((text, None), |(name, index)| (name, Some(index)));
-        let whole = match name {
-            "auto" => Some(Self::Auto),
-            "cpu" | "flex" => Some(Self::Flex),
-            "ndarray" => Some(Self::Ndarray),
-            "gpu" if index.is_none() && !Runtime::built().is_empty() => Some(Self::Gpu),
-            _ => None,
-        };
-        if let Some(device) = whole {
-            return index.map_or(Ok(device), |_| Err(format!("only adapters have numbers: pass `{name}`")));
+        match (name, index) {
+            ("auto", None) => return Ok(Self::Auto),
+            ("cpu" | "flex", None) => return Ok(Self::Flex),
+            ("ndarray", None) => return Ok(Self::Ndarray),
+            ("gpu", None) if !Runtime::built().is_empty() => return Ok(Self::Gpu),
+            ("auto" | "cpu" | "flex" | "ndarray", Some(_)) => {
+                return Err(format!("only adapters have numbers: pass `{name}`"));
+            }
+            _ => {}
         }
         let runtime = Runtime::ALL.into_iter().find(|runtime| runtime.prefix() == name);
-        let runtime = runtime.ok_or_else(|| format!("there is no such device: pass {}", names()))?;
-        let (feature, is_built, _) = runtime.facts();
-        if !is_built {
-            let other = names();
+        let runtime = runtime.ok_or_else(|| format!("there is no such device: pass one of {}", names()))?;
+        if !Runtime::built().contains(&runtime) {
+            let (feature, other) = (runtime.feature(), names());
             return Err(format!(
-                "this program was built without `{feature}`: build it with `--features {feature}`, or pass {other}"
+                "this program was built without `{feature}`: build it with `--features {feature}`, or pass one of {other}"
             ));
         }
         let number = |index: &str| index.parse().map_err(|_| format!("{index:?} is not a number, as in `{name}:0`"));
@@ -137,20 +132,13 @@ impl FromStr for DeviceName {
 
 /// Returns the help text of `--device`.
 pub fn help() -> String {
-    format!("Device to compute on: {}; `splat devices` lists them", names())
+    format!("Device to compute on, one of {}; `splat devices` lists them", names())
 }
 
-/// The values that this build accepts, as a list in a sentence.
+/// The values that this build accepts.
 fn names() -> String {
-    let mut names = ["auto", "cpu", "flex", "ndarray"].map(String::from).to_vec();
-    let built = Runtime::built();
-    names.extend((!built.is_empty()).then(|| "gpu".into()));
-    names.extend(built.iter().map(|runtime| match runtime {
-        Runtime::Wgpu => "gpu:N".into(),
-        runtime => format!("{}[:N]", runtime.prefix()),
-    }));
-    let last = names.pop().unwrap_or_default();
-    format!("{} or {last}", names.join(", "))
+    let adapters = Runtime::built().into_iter().map(|runtime| format!("{}[:N]", runtime.prefix()));
+    ["auto", "cpu", "flex", "ndarray"].map(String::from).into_iter().chain(adapters).collect::<Vec<_>>().join(", ")
 }
 
 /// Kind of an adapter, best first. `Unknown`: its driver does not report one. `Software`: its driver renders on the CPU.
@@ -190,25 +178,15 @@ impl Adapter {
     }
 }
 
-/// Properties of an open adapter. `Display` prints the name, kind and runtime on one line.
+/// Properties of an open adapter.
 #[derive(Clone, Debug)]
 pub struct Facts {
-    /// Name of the hardware.
-    pub name: String,
-    /// Kind of the adapter.
-    pub kind: AdapterKind,
-    /// Graphics interface and language of the kernels, or the maker's runtime.
-    pub runtime: String,
+    /// Name and kind of the hardware; graphics interface and language of the kernels, or the maker's runtime.
+    pub summary: String,
     /// Largest buffer, bytes.
     pub buffer_limit: u64,
     /// Whether atomic additions of f32 are supported.
     pub float_atomics: bool,
-}
-
-impl Display for Facts {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}, {}, {}", self.name, self.kind, self.runtime)
-    }
 }
 
 /// Returns the adapter that a name selects; `None` for the CPU.
@@ -230,21 +208,25 @@ pub fn choose(name: DeviceName, adapters: &[Adapter]) -> Result<Option<&Adapter>
         ),
     };
     let count = adapters.iter().filter(|adapter| runtimes.contains(&adapter.runtime)).count();
-    match (found, runtimes.first()) {
-        (Some(_), _) => Ok(found),
-        (None, None) => Err(anyhow!(
-            "this program is built for the CPU only: build it with its default features, or pass `--device cpu`"
-        )),
-        (None, Some(_)) if count > 0 => Err(anyhow!(
+    let needed = match runtimes.first() {
+        _ if found.is_some() => return Ok(found),
+        None => {
+            bail!("this program is built for the CPU only: build it with its default features, or pass `--device cpu`")
+        }
+        Some(_) if count > 0 => bail!(
             "there is no adapter `{name}`: the last has the number {}; `splat devices` lists all devices",
             count - 1
-        )),
-        (None, Some(first)) => Err(anyhow!(
-            "`--device {name}` finds no adapter: looked for those of {}. Install {}; or pass `--device cpu`",
-            runtimes.iter().map(|runtime| runtime.feature()).collect::<Vec<_>>().join(", "),
-            first.facts().2
-        )),
-    }
+        ),
+        Some(Runtime::Cuda) => "NVIDIA's driver",
+        Some(Runtime::Rocm) => "AMD's ROCm",
+        Some(Runtime::Metal) => "macOS, the only system with Metal",
+        Some(_) => "the GPU's driver (Debian and Ubuntu: `libvulkan1` with `mesa-vulkan-drivers`, or NVIDIA's driver)",
+    };
+    let looked: Vec<&str> = runtimes.iter().map(|runtime| runtime.feature()).collect();
+    bail!(
+        "`--device {name}` finds no adapter: looked for those of {}. Install {needed}; or pass `--device cpu`",
+        looked.join(", ")
+    )
 }
 
 /// Opens the adapter that a name selects; `None` for the CPU. Where `auto` selects one that does not open, the next best is tried, then the
@@ -276,21 +258,19 @@ impl DeviceName {
     /// If the adapter asked for does not exist, or its driver refuses.
     pub fn resolve(self) -> Result<(Device, String)> {
         let adapters = list(&self.runtimes());
-        let (why, mut refused) = (why_cpu(&adapters), false);
-        let open = |adapter: &Adapter| Ok((adapter.device.clone(), open(adapter)?.to_string()));
+        let mut why = if self == Self::Auto { format!(": {}", why_cpu(&adapters)) } else { String::new() };
+        let open = |adapter: &Adapter| Ok((adapter.device.clone(), open(adapter)?.summary));
         let opened = choose_and_open(self, adapters, open, |line| {
-            refused = true;
+            why.clear();
             progress::note(line);
         })?;
-        let Some((device, name)) = opened else {
-            let (device, backend) =
-                if self == Self::Ndarray { (ndarray(), "ndarray") } else { (Device::flex(), "flex") };
-            let why = if self == Self::Auto && !refused { format!(": {why}") } else { String::new() };
-            progress::note(&format!("computing on the CPU, {backend}{why}"));
-            return Ok((device, backend.into()));
-        };
-        progress::note(&format!("computing on {name}"));
-        Ok((device, name))
+        if let Some((device, name)) = opened {
+            progress::note(&format!("computing on {name}"));
+            return Ok((device, name));
+        }
+        let (device, backend) = if self == Self::Ndarray { (ndarray(), "ndarray") } else { (Device::flex(), "flex") };
+        progress::note(&format!("computing on the CPU, {backend}{why}"));
+        Ok((device, backend.into()))
     }
 
     /// Returns the adapter that a name selects on this machine, `None` for the CPU.

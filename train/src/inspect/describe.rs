@@ -13,6 +13,7 @@ use splat_model::ply::TrainedAs;
 use splat_op::RenderOptions;
 
 use crate::input;
+use crate::output::short;
 
 /// Smallest and largest of some positions, in the coordinates of the file, scene units.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -20,10 +21,6 @@ struct Bounds {
     low: [f64; 3],
     high: [f64; 3],
 }
-
-/// The values below which 5%, 50% and 95% of the Gaussians lie.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-struct Quantiles([f64; 3]);
 
 /// A scene in numbers.
 #[derive(Debug, Serialize)]
@@ -41,11 +38,11 @@ pub struct SceneInfo {
     /// Bounds of all centres, and of 90% of them along each axis; null without splats that can be rendered.
     bounds: Option<Bounds>,
     bulk: Option<Bounds>,
-    /// The longest standard deviation of each Gaussian, scene units.
-    sigma: Quantiles,
-    /// The longest standard deviation divided by the shortest.
-    needle: Quantiles,
-    opacity: Quantiles,
+    /// The longest standard deviation of each Gaussian, scene units: the values below which 5%, 50% and 95% of the Gaussians lie.
+    sigma: [f64; 3],
+    /// The same of the longest standard deviation divided by the shortest.
+    needle: [f64; 3],
+    opacity: [f64; 3],
     /// Memory of the parameters in f32, and with the gradients and moments of training, MiB.
     parameters_mib: f64,
     training_mib: f64,
@@ -87,10 +84,6 @@ struct CameraInfo {
     views: usize,
 }
 
-/// Describes a scene file.
-///
-/// # Errors
-/// If the file is no scene.
 pub fn of_scene(path: &Path) -> Result<SceneInfo> {
     let (scene, format) = formats::read(path).context("cannot read the scene")?;
     let rows = &scene.rows;
@@ -145,8 +138,8 @@ pub fn of_scene(path: &Path) -> Result<SceneInfo> {
     })
 }
 
-/// Describes a capture.
-pub fn of_capture(capture: &Capture) -> CaptureInfo {
+/// Describes a capture, `seen` being its points.
+pub fn of_capture(capture: &Capture, seen: &PointsSeen) -> CaptureInfo {
     let mut cameras: Vec<CameraInfo> = Vec::new();
     for view in &capture.views {
         let lens = &view.intrinsics;
@@ -168,8 +161,6 @@ pub fn of_capture(capture: &Capture) -> CaptureInfo {
     if capture.points.positions.is_empty() {
         warnings.push("there are no sparse points: training starts from random splats".into());
     } else {
-        let cameras: Vec<_> = capture.views.iter().map(|view| (view.intrinsics, view.cam_from_world)).collect();
-        let seen = PointsSeen::of(&cameras, &capture.points.positions);
         // A few points beyond all photographs are usual.
         warnings.extend((2 * seen.unseen > seen.points).then(|| seen.unseen_said()));
     }
@@ -202,13 +193,12 @@ fn bounds(positions: impl Iterator<Item = [f64; 3]>) -> Option<Bounds> {
     })
 }
 
-fn quantiles(mut values: Vec<f64>) -> Quantiles {
-    let Some(last) = values.len().checked_sub(1) else { return Quantiles::default() };
+fn quantiles(mut values: Vec<f64>) -> [f64; 3] {
+    let Some(last) = values.len().checked_sub(1) else { return [0.0; 3] };
     values.sort_unstable_by(f64::total_cmp);
-    Quantiles([0.05, 0.5, 0.95].map(|share| values[(share * last as f64).round() as usize]))
+    [0.05, 0.5, 0.95].map(|share| values[(share * last as f64).round() as usize])
 }
 
-/// Formats a scene for people.
 pub fn scene_text(info: &SceneInfo) -> String {
     let SceneInfo { format, splats, sh_degree, bytes, .. } = info;
     let mut lines = vec![format!("{format}, {splats} splats of degree {sh_degree}, {bytes} bytes")];
@@ -223,15 +213,15 @@ pub fn scene_text(info: &SceneInfo) -> String {
         lines.extend(serde_json::to_string(&info.trained).ok().map(|trained| line("trained as", &trained)));
     }
     lines.push(line("", "5%, 50% and 95% of the splats are below"));
-    lines.push(line("sigma", &format!("{} scene units, the longest", info.sigma)));
-    lines.push(line("longest / shortest", &info.needle.to_string()));
-    lines.push(line("opacity", &info.opacity.to_string()));
+    let three = |values: [f64; 3]| values.map(|value| short(value, 4)).join(", ");
+    lines.push(line("sigma", &format!("{} scene units, the longest", three(info.sigma))));
+    lines.push(line("longest / shortest", &three(info.needle)));
+    lines.push(line("opacity", &three(info.opacity)));
     let (alone, trained) = (info.parameters_mib, info.training_mib);
     lines.push(line("memory", &format!("{alone:.1} MiB of parameters, {trained:.1} MiB with gradients and moments")));
     with_warnings(lines, &info.warnings)
 }
 
-/// Formats a capture for people.
 pub fn capture_text(info: &CaptureInfo) -> String {
     let CaptureInfo { format, views, held_out, points, .. } = info;
     let own = if info.own_split { ", as its files say" } else { "" };
@@ -261,27 +251,12 @@ fn line(name: &str, value: &str) -> String {
 }
 
 fn position(values: &[f64; 3]) -> String {
-    values.map(short).join(" ")
-}
-
-/// Formats a number with four significant digits.
-fn short(value: f64) -> String {
-    match value.abs() {
-        0.0 => "0".into(),
-        size if !(1e-3..1e6).contains(&size) => format!("{value:.3e}"),
-        size => format!("{value:.*}", (3 - size.log10().floor() as i32).max(0) as usize),
-    }
+    values.map(|value| short(value, 4)).join(" ")
 }
 
 impl std::fmt::Display for Bounds {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "{} to {}", position(&self.low), position(&self.high))
-    }
-}
-
-impl std::fmt::Display for Quantiles {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(&self.0.map(short).join(", "))
     }
 }
 

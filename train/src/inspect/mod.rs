@@ -63,7 +63,9 @@ pub fn run(args: &InspectArgs) -> Result<()> {
         return Ok(());
     }
     let capture = input::capture(&args.path)?;
-    let info = describe::of_capture(&capture);
+    let cameras: Vec<_> = capture.views.iter().map(|view| (view.intrinsics, view.cam_from_world)).collect();
+    let points_seen = PointsSeen::of(&cameras, &capture.points.positions);
+    let info = describe::of_capture(&capture, &points_seen);
     let all: Vec<usize> = (0..capture.views.len()).collect();
     // The description names what is missing.
     let is_whole = capture.check_photographs(&all).is_ok();
@@ -72,8 +74,6 @@ pub fn run(args: &InspectArgs) -> Result<()> {
         Some(survey) => Some(Plan::of(survey, capture.mean_pixels(&all, args.max_side), slowness()?)),
         None => None,
     };
-    let cameras: Vec<_> = capture.views.iter().map(|view| (view.intrinsics, view.cam_from_world)).collect();
-    let points_seen = PointsSeen::of(&cameras, &capture.points.positions);
     if args.json {
         progress::say(&serde_json::to_string_pretty(&CaptureReport {
             info: &info,

@@ -3,7 +3,6 @@
 //! The trainer's thread gives what there is to show when somebody looks, and never waits for the server. The server's thread
 //! encodes the scene. The time that both take is measured, and the next update waits until it is a small share of the run.
 
-mod page;
 mod shared;
 
 use std::path::Path;
@@ -18,14 +17,16 @@ use splat_model::evaluate::{ViewScore, evaluate_each};
 use splat_model::gaussians::{GaussianRows, Gaussians};
 use splat_model::trainer::Trainer;
 
-use self::page::LivePage;
-use self::shared::{Shared, Status, WorstView};
+use self::shared::{SCENE, Shared, Status, WorstView};
+use crate::output::last_name;
 use crate::progress;
 use crate::report::history::History;
+use crate::report::html::escape;
 use crate::report::log::RunLog;
 use crate::report::metrics::Metrics;
-use crate::report::page::SCENE_BYTES;
+use crate::report::page::{CURVES, CURVES_SCRIPT, PAGE_STYLE, SCENE_BYTES};
 use crate::report::pictures;
+use crate::view::page::{SceneSource, Viewer, document};
 use crate::view::scene::{ShownScene, Viewpoint};
 use crate::view::server::{LOCALHOST, Server};
 
@@ -60,16 +61,6 @@ fn address(text: &str) -> Result<(String, u16), String> {
     }
 }
 
-impl LiveArgs {
-    /// Begins to listen, if it was asked for.
-    ///
-    /// # Errors
-    /// If the port is not available.
-    pub fn listen(&self) -> Result<Option<Server>> {
-        self.live.as_ref().map(|(host, port)| Server::bind(host, *port, "--live=[HOST:]PORT")).transpose()
-    }
-}
-
 /// A run that is shown while it trains.
 pub struct Live<'a> {
     shared: Arc<Shared>,
@@ -87,9 +78,6 @@ pub struct Live<'a> {
 
 impl<'a> Live<'a> {
     /// Begins to serve a run before its next step, and prints the address.
-    ///
-    /// # Errors
-    /// If there is no Gaussian to show.
     pub fn start(
         server: Server,
         trainer: &Trainer,
@@ -99,16 +87,16 @@ impl<'a> Live<'a> {
     ) -> Result<Self> {
         let rows = trainer.rows();
         let scene = ShownScene::new(&rows, SCENE_BYTES)?;
-        let viewpoints: Vec<Viewpoint> = test.iter().map(Viewpoint::of).collect();
-        let config = trainer.config();
-        let page = LivePage {
-            out,
+        let viewpoints = Viewpoint::all(test);
+        let viewer = Viewer {
             scene: &scene,
+            source: SceneSource::Live(SCENE.trim_start_matches('/')),
             viewpoints: &viewpoints,
             background: trainer.background().colour(),
-            antialias: config.antialias,
+            antialias: trainer.config().antialias,
         };
-        let shared = Arc::new(Shared::new(page.html()?, (trainer.steps_done(), scene.ply)));
+        let page = page(&last_name(out), &viewer)?;
+        let shared = Arc::new(Shared::new(page, trainer.steps_done(), scene.ply));
         let server = Arc::new(server);
         let serving = std::thread::spawn({
             let (shared, server) = (Arc::clone(&shared), Arc::clone(&server));
@@ -136,9 +124,6 @@ impl<'a> Live<'a> {
     }
 
     /// Shows the state after a step, if somebody looks and an update is due.
-    ///
-    /// # Errors
-    /// If a test view cannot be rendered.
     pub fn step(&mut self, trainer: &Trainer, log: &mut RunLog) -> Result<()> {
         if !self.shared.is_watched() {
             return Ok(());
@@ -230,6 +215,30 @@ impl Drop for Live<'_> {
             let _ = serving.join();
         }
     }
+}
+
+/// The page of a run, which asks for everything that changes.
+fn page(name: &str, viewer: &Viewer) -> Result<String> {
+    const TILES: &str = "<ul class=\"tiles\">\n\
+        <li><strong id=\"live-step\">–</strong> steps</li>\n\
+        <li><strong id=\"live-left\">–</strong> left</li>\n\
+        <li><strong id=\"live-seconds\">–</strong> training</li>\n\
+        <li><strong id=\"live-splats\">–</strong> splats</li>\n\
+        <li><strong id=\"live-loss\">–</strong> loss</li>\n\
+        <li><strong id=\"live-psnr\">–</strong> PSNR of the test views</li>\n\
+        </ul>\n<p><button id=\"live-stop\">Stop and keep</button> <span id=\"live-note\"></span></p>\n";
+    const WORST: &str = "<section id=\"live-worst\" hidden>\n\
+        <h2>Worst test view so far: photograph, render, error</h2>\n<p id=\"live-worst-name\"></p>\n\
+        <img id=\"live-worst-picture\" alt=\"photograph, render and error of the worst test view\">\n</section>\n";
+    let body = format!(
+        "<main>\n<h1>{}</h1>\n{TILES}<section>\n<h2>Scene</h2>\n{}</section>\n{CURVES}{WORST}</main>\n{}\
+         <script>{CURVES_SCRIPT}</script>\n<script>{}</script>\n",
+        escape(name),
+        viewer.element(),
+        viewer.scripts()?,
+        include_str!("live.js"),
+    );
+    Ok(document(&format!("{name} – splat"), PAGE_STYLE, &body))
 }
 
 /// The time of the next update.

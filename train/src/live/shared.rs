@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 use std::io::Cursor;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -23,9 +23,9 @@ const STATUS: &str = "/status.json";
 const WORST: &str = "/worst.jpg";
 const STOP: &str = "/stop";
 
-/// Time after the last request for the status for which somebody looks, ms. Browsers slow pages in the background down to a
+/// Time after the last request for the status for which somebody looks. Browsers slow pages in the background down to a
 /// request a minute.
-const LOOKS_MS: u64 = 10_000;
+const LOOKS: Duration = Duration::from_secs(10);
 
 /// JPEG quality of the worst view.
 const QUALITY: u8 = 90;
@@ -59,15 +59,11 @@ pub struct WorstView {
     pub step: usize,
 }
 
-/// State that both threads share.
 pub struct Shared {
     page: Vec<u8>,
-    started: Instant,
-    /// Time of the last request for the status since the start, ms plus one; 0 before the first.
-    looked_ms: AtomicU64,
+    /// The last request for the status. It has a lock of its own, because the trainer asks after each step.
+    looked: Mutex<Option<Instant>>,
     stops: AtomicBool,
-    /// Time spent on encoding scenes since it was last taken, µs.
-    encoding_us: AtomicU64,
     shown: Mutex<Shown>,
 }
 
@@ -80,35 +76,40 @@ struct Shown {
     /// Rows of the scene until it is asked for, and its file from then on.
     rows: Option<GaussianRows>,
     ply: Vec<u8>,
+    /// Time spent on encoding scenes since it was last taken.
+    encoding: Duration,
     worst: Vec<u8>,
 }
 
 impl Shared {
     /// The state before a run's next step, with the step and the file of its present scene.
-    pub fn new(page: String, (scene_step, ply): (usize, Vec<u8>)) -> Self {
-        let shown =
-            Shown { status: b"null".to_vec(), scene_step, is_loaded: false, rows: None, ply, worst: Vec::new() };
+    pub fn new(page: String, scene_step: usize, ply: Vec<u8>) -> Self {
+        let shown = Shown {
+            status: b"null".to_vec(),
+            scene_step,
+            is_loaded: false,
+            rows: None,
+            ply,
+            encoding: Duration::ZERO,
+            worst: Vec::new(),
+        };
         Self {
             page: page.into_bytes(),
-            started: Instant::now(),
-            looked_ms: AtomicU64::new(0),
+            looked: Mutex::new(None),
             stops: AtomicBool::new(false),
-            encoding_us: AtomicU64::new(0),
             shown: Mutex::new(shown),
         }
     }
 
-    /// Whether a browser has asked lately. Costs nothing.
+    /// Whether a browser has asked lately.
     pub fn is_watched(&self) -> bool {
-        let looked = self.looked_ms.load(Ordering::Relaxed);
-        looked > 0 && self.now_ms() <= looked + LOOKS_MS
+        locked(&self.looked).is_some_and(|at| at.elapsed() <= LOOKS)
     }
 
     pub fn stops(&self) -> bool {
         self.stops.load(Ordering::Relaxed)
     }
 
-    /// Replaces the numbers.
     pub fn show(&self, status: &Status) {
         // No value of a status fails to be written.
         if let Ok(status) = serde_json::to_vec(status) {
@@ -116,13 +117,11 @@ impl Shared {
         }
     }
 
-    /// Replaces the scene by that of a step.
     pub fn show_scene(&self, step: usize, rows: GaussianRows) {
         let mut shown = self.lock();
         (shown.scene_step, shown.is_loaded, shown.rows) = (step, false, Some(rows));
     }
 
-    /// Replaces the picture of the worst view.
     pub fn show_worst(&self, picture: &RgbImage) {
         let mut file = Cursor::new(Vec::new());
         // Writing to memory does not fail.
@@ -131,7 +130,6 @@ impl Shared {
         }
     }
 
-    /// Step of the scene that is shown.
     pub fn scene_step(&self) -> usize {
         self.lock().scene_step
     }
@@ -144,7 +142,7 @@ impl Shared {
 
     /// Returns the time spent on encoding scenes since the last call.
     pub fn take_encoding(&self) -> Duration {
-        Duration::from_micros(self.encoding_us.swap(0, Ordering::Relaxed))
+        std::mem::take(&mut self.lock().encoding)
     }
 
     /// Returns the file of the scene, which is encoded at the first request. The trainer does not wait meanwhile.
@@ -157,10 +155,10 @@ impl Shared {
             let begin = Instant::now();
             // A scene of which nothing can be drawn leaves the one before.
             let scene = ShownScene::new(&rows, SCENE_BYTES);
-            let spent = u64::try_from(begin.elapsed().as_micros()).unwrap_or(u64::MAX);
-            self.encoding_us.fetch_add(spent, Ordering::Relaxed);
+            let mut shown = self.lock();
+            shown.encoding += begin.elapsed();
             if let Ok(scene) = scene {
-                self.lock().ply = scene.ply;
+                shown.ply = scene.ply;
             }
         }
         let mut shown = self.lock();
@@ -168,15 +166,14 @@ impl Shared {
         shown.ply.clone()
     }
 
-    fn now_ms(&self) -> u64 {
-        // Plus one, so that 0 is no time.
-        u64::try_from(self.started.elapsed().as_millis()).unwrap_or(u64::MAX - LOOKS_MS - 1) + 1
-    }
-
-    /// The latest state. No code panics while it holds the lock.
     fn lock(&self) -> MutexGuard<'_, Shown> {
-        self.shown.lock().unwrap_or_else(PoisonError::into_inner)
+        locked(&self.shown)
     }
+}
+
+/// Locks a state. No code panics while it holds a lock.
+fn locked<T>(state: &Mutex<T>) -> MutexGuard<'_, T> {
+    state.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl Site for Shared {
@@ -184,7 +181,7 @@ impl Site for Shared {
         Some(match path {
             "/" => ("text/html; charset=utf-8", Cow::Borrowed(&self.page[..])),
             STATUS => {
-                self.looked_ms.store(self.now_ms(), Ordering::Relaxed);
+                *locked(&self.looked) = Some(Instant::now());
                 ("application/json", Cow::Owned(self.lock().status.clone()))
             }
             SCENE => ("application/octet-stream", Cow::Owned(self.scene())),

@@ -2,7 +2,7 @@ use super::*;
 use crate::view::server::Site;
 
 fn shared() -> Shared {
-    Shared::new("page".into(), (3, b"first".to_vec()))
+    Shared::new("page".into(), 3, b"first".to_vec())
 }
 
 fn asked(shared: &Shared, path: &str) -> Vec<u8> {

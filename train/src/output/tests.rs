@@ -114,3 +114,24 @@ fn what_cannot_be_written_is_found_beforehand() {
         assert!(error.contains(named.to_str().unwrap()) && error.contains("--out"), "{error}");
     }
 }
+
+#[test]
+fn numbers_are_short() {
+    let cases = [
+        (0.0, "0"),
+        (0.00012, "1.2e-4"),
+        (0.001, "0.0010"),
+        (0.0371, "0.037"),
+        (3.16, "3.2"),
+        (42.4, "42"),
+        (12345.0, "1.2e4"),
+    ];
+    for (value, text) in cases {
+        assert_eq!(short(value, 2), text);
+    }
+    let cases =
+        [(0.0, "0"), (1.0, "1.000"), (-12.3456, "-12.35"), (54321.0, "54321"), (1e-4, "1.000e-4"), (-2e7, "-2.000e7")];
+    for (value, text) in cases {
+        assert_eq!(short(value, 4), text);
+    }
+}

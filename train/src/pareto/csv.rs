@@ -6,7 +6,6 @@ use super::dials::Role;
 use super::measure::SettingMeasurements;
 use super::quartiles::Quartiles;
 
-/// Names of the columns.
 const HEADER: &str = "name,role,judged_by,turned,error_db,rms_error,max_error,psnr_db,ssim,gradient_error,\
     gradient_error_of,gradient_cosine,forward_ms_lower,forward_ms,forward_ms_upper,backward_ms_lower,backward_ms,\
     backward_ms_upper,step_ms_lower,step_ms,step_ms_upper,memory_mib,on_frontier\r\n";
@@ -33,7 +32,7 @@ fn line(row: &SettingMeasurements, on_frontier: bool) -> String {
     let accuracy = row.accuracy.as_ref();
     let mut fields = vec![candidate.name.clone(), role, judge.into(), candidate.setting.to_string()];
     fields.extend([row.error_db(), accuracy.map(|a| a.rms), accuracy.map(|a| a.max)].map(number));
-    fields.extend([row.scores.map(|s| s.0), row.scores.map(|s| s.1)].map(number));
+    fields.extend([row.psnr_db, row.ssim].map(|score| number(Some(score))));
     fields.push(number(accuracy.map(|a| a.gradient_error)));
     fields.push(accuracy.map(|a| a.worst.to_owned()).unwrap_or_default());
     fields.push(number(accuracy.map(|a| a.gradient_cosine)));

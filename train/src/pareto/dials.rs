@@ -7,7 +7,6 @@ use splat_op::RenderOptions;
 /// Reason to measure a setting.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Role {
-    /// One of the presets.
     Preset,
     /// One dial turned, the others at the standard.
     Dial(&'static str),
@@ -15,7 +14,6 @@ pub enum Role {
     Combination,
 }
 
-/// One setting to be measured.
 #[derive(Clone, Debug)]
 pub struct Candidate {
     /// Name in reports.
@@ -23,7 +21,6 @@ pub struct Candidate {
     pub role: Role,
     /// The dials that are turned.
     pub setting: Setting,
-    /// Options to render with.
     pub options: RenderOptions,
 }
 

@@ -20,43 +20,6 @@ pub struct MeasuredError {
     pub gradient_cosine: f64,
 }
 
-/// Deviation of pictures from the exact ones.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct PictureError {
-    squares: f64,
-    count: usize,
-    /// Largest error of a value.
-    pub max: f64,
-}
-
-impl PictureError {
-    /// Compares the values of a picture with the exact ones.
-    pub fn between(found: &[f64], exact: &[f64]) -> Self {
-        found.iter().zip(exact).fold(Self::default(), |all, (found, exact)| {
-            let difference = (found - exact).abs();
-            all.and(Self { squares: difference * difference, count: 1, max: difference })
-        })
-    }
-
-    /// The deviation over the pictures of both.
-    pub fn and(self, other: Self) -> Self {
-        Self { squares: self.squares + other.squares, count: self.count + other.count, max: self.max.max(other.max) }
-    }
-
-    /// Root mean square error over all values; NaN where a value is, or without any.
-    pub fn rms(&self) -> f64 {
-        (self.squares / self.count as f64).sqrt()
-    }
-}
-
-pub fn within_rounding(a: &[f64], b: &[f64]) -> bool {
-    a.len() == b.len() && a.iter().zip(b).all(|(a, b)| (a - b).abs() <= 1e-5)
-}
-
-pub fn same_bits(a: &[f64], b: &[f64]) -> bool {
-    a.len() == b.len() && a.iter().zip(b).all(|(a, b)| a.to_bits() == b.to_bits())
-}
-
 /// Returns the largest relative L2 error of a parameter's gradients, the parameter's name, and the smallest cosine.
 pub fn compare_gradients(found: &GradientSums, exact: &GradientSums) -> (f64, &'static str, f64) {
     let norm = |values: &[f64]| values.iter().map(|value| value * value).sum::<f64>().sqrt();

@@ -1,97 +1,99 @@
-//! Checks of every setting against the exact reference; the times are in `time.rs`.
+//! Checks of every setting against the exact reference, and times of all in turns.
 
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail, ensure};
-use burn::tensor::Tensor;
-use splat_model::accuracy::{DIALS, Dial, Judge};
+use burn::tensor::{Device, Tensor};
+use splat_model::accuracy::{Dial, Judge};
+use splat_model::capture::Photo;
+use splat_model::gaussians::GaussianRows;
 use splat_op::RenderOptions;
 
 use super::dials::Candidate;
-use super::errors::{MeasuredError, PictureError, compare_gradients, same_bits, within_rounding};
-use super::quartiles::decibels;
+use super::errors::{MeasuredError, compare_gradients};
+use super::quartiles::{Quartiles, decibels};
 use super::reference::ReferenceRender;
-use super::subject::{DeviceScene, GradientSums, MeasuredView, PARAMETERS, host};
-use super::time::FrameTimes;
+use super::subject::{DeviceScene, GradientSums, PARAMETERS, host, off_the_clamp};
 use crate::memory::peak_mib;
 use crate::progress;
 
-/// All measurements of one setting.
+/// Minimum number of rounds: fewer have no spread.
+pub const ROUNDS_MIN: usize = 3;
+
+/// Times of a frame, ms.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct FrameTimes {
+    pub forward: Quartiles,
+    pub backward: Quartiles,
+    pub step: Quartiles,
+}
+
 #[derive(Clone, Debug)]
 pub struct SettingMeasurements {
     pub candidate: Candidate,
     /// `None` for model choices, which define another function.
     pub accuracy: Option<MeasuredError>,
-    /// PSNR, dB, and SSIM against the photographs.
-    pub scores: Option<(f64, f64)>,
+    /// Scores against the photographs.
+    pub psnr_db: f64,
+    pub ssim: f64,
     /// Peak memory of a render with its backward pass, MiB; `None` where it is unknown.
     pub memory_mib: Option<f64>,
+    /// Zero until all settings are checked.
     pub times: FrameTimes,
 }
 
 /// The subject of the measurements.
 pub struct Bench<'a> {
     pub place: DeviceScene,
-    pub exact: DeviceScene,
-    pub shots: Vec<MeasuredView<'a>>,
-    pub base: RenderOptions,
+    exact: DeviceScene,
+    pub photos: &'a [Photo],
+    base: RenderOptions,
 }
 
-/// Error of a value of a numerical dial in isolation.
-#[derive(Clone, Debug)]
-pub struct Isolated {
-    pub dial: &'static str,
-    pub value: &'static str,
-    /// Measured with every other numerical dial at its most accurate, so that no other error hides it.
-    pub accuracy: MeasuredError,
-}
-
-/// Results of the measurements.
 pub struct BenchOutcome {
     pub rows: Vec<SettingMeasurements>,
-    /// Every measured value of every numerical dial.
-    pub alone: Vec<Isolated>,
     /// Largest difference between the reference renderer and the exact renderer in the pixels that both rendered.
     pub reference: f64,
-    /// Error of the order of centres against the order of each pixel, dB.
-    pub order_db: f64,
     pub rounds: usize,
 }
 
-impl Bench<'_> {
-    /// Checks and scores every candidate, and times all of them in turns until `budget` is spent.
-    ///
-    /// # Errors
-    /// If the reference or a candidate fails its check, or the operation refuses the scene.
+impl<'a> Bench<'a> {
+    /// Prepares a scene and views of it over a colour.
+    pub fn new(
+        rows: &GaussianRows,
+        photos: &'a [Photo],
+        background: [f32; 3],
+        base: RenderOptions,
+        device: &Device,
+    ) -> Result<Self> {
+        let rows = off_the_clamp(rows);
+        let place = DeviceScene::new(&rows, photos, background, device)?;
+        Ok(Self { place, exact: DeviceScene::in_f64(&rows, photos, background)?, photos, base })
+    }
+
+    /// Checks and scores every candidate, and times all of them in turns until `budget` is spent. `score` gives PSNR, dB, and SSIM.
     pub fn run(
         &self,
         candidates: Vec<Candidate>,
         budget: Duration,
-        score: impl Fn(&RenderOptions) -> Result<Option<(f64, f64)>>,
+        score: impl Fn(&RenderOptions) -> Result<(f64, f64)>,
     ) -> Result<BenchOutcome> {
         let mut truths: Vec<(RenderOptions, ReferenceRender)> = Vec::new();
         let counter = progress::counter("checking settings", candidates.len());
-        let mut checked = Vec::new();
+        let mut rows = Vec::new();
         for candidate in candidates {
             let row = self.check(&candidate, &mut truths, &score);
-            checked.push((
-                row.with_context(|| format!("the setting {:?} cannot be measured", candidate.name))?,
-                candidate,
-            ));
+            rows.push(row.with_context(|| format!("the setting {:?} cannot be measured", candidate.name))?);
             counter.inc(1);
         }
         counter.finish_and_clear();
-        let alone = self.alone(&mut truths)?;
-        let cotangents = self.cotangents(&mut truths)?;
+        let of_base = self.truth(&mut truths, &self.base)?;
+        let on_device = |(view, values): (usize, &Vec<f32>)| self.place.picture(view, values);
+        let cotangents: Vec<Tensor<3>> = of_base.cotangents.iter().enumerate().map(on_device).collect();
         let reference = truths.iter().map(|(_, truth)| truth.difference).fold(0.0, f64::max);
-        let order_db = -10.0 * self.truth(&mut truths, &self.base)?.order_error.log10();
         drop(truths);
-        let options: Vec<RenderOptions> = checked.iter().map(|(_, candidate)| candidate.options).collect();
-        let (times, rounds) = self.time(&options, &cotangents, budget)?;
-        let rows = checked.into_iter().zip(times).map(|(((accuracy, scores, memory_mib), candidate), times)| {
-            SettingMeasurements { candidate, accuracy, scores, memory_mib, times }
-        });
-        Ok(BenchOutcome { rows: rows.collect(), alone, reference, order_db, rounds })
+        let rounds = self.time(&mut rows, &cotangents, budget)?;
+        Ok(BenchOutcome { rows, reference, rounds })
     }
 
     /// Returns the exact reference under the model choices of `options`; it is computed once for each.
@@ -104,8 +106,8 @@ impl Bench<'_> {
         let place = match truths.iter().position(|(of, _)| *of == exact) {
             Some(place) => place,
             None => {
-                let counter = progress::counter("rendering exactly", self.shots.len());
-                let truth = ReferenceRender::new(&self.exact, &self.shots, &exact, || counter.inc(1))?;
+                let counter = progress::counter("rendering exactly", self.photos.len());
+                let truth = ReferenceRender::new(&self.exact, self.photos, &exact, || counter.inc(1))?;
                 counter.finish_and_clear();
                 truths.push((exact, truth));
                 truths.len() - 1
@@ -114,39 +116,13 @@ impl Bench<'_> {
         Ok(&truths[place].1)
     }
 
-    /// Measures the error of every value of every numerical dial, with the other dials at their most accurate.
-    fn alone(&self, truths: &mut Vec<(RenderOptions, ReferenceRender)>) -> Result<Vec<Isolated>> {
-        let gpu = splat_op::is_gpu(&self.place.device);
-        let numerical = || DIALS.iter().filter(|dial| dial.judge == Judge::Exact && (gpu || !dial.gpu_only));
-        let accurate = numerical().filter_map(|dial| dial.values.first());
-        let accurate = accurate.fold(self.base, |options, value| (value.set)(options));
-        let all: Vec<_> = numerical().flat_map(|dial| dial.values.iter().map(move |value| (dial, value))).collect();
-        let counter = progress::counter("checking dials alone", all.len());
-        let mut found = Vec::new();
-        for (dial, value) in all {
-            let (accuracy, _) = self.compare(&(value.set)(accurate), self.truth(truths, &self.base)?)?;
-            found.push(Isolated { dial: dial.name, value: value.name, accuracy });
-            counter.inc(1);
-        }
-        counter.finish_and_clear();
-        Ok(found)
-    }
-
-    /// Returns the cotangents of the base, on the device.
-    fn cotangents(&self, truths: &mut Vec<(RenderOptions, ReferenceRender)>) -> Result<Vec<Tensor<3>>> {
-        let truth = self.truth(truths, &self.base)?;
-        Ok(truth.cotangents.iter().enumerate().map(|(view, values)| self.place.picture(view, values)).collect())
-    }
-
-    #[expect(clippy::type_complexity, reason = "the parts of a row before it is timed")]
     fn check(
         &self,
         candidate: &Candidate,
         truths: &mut Vec<(RenderOptions, ReferenceRender)>,
-        score: &impl Fn(&RenderOptions) -> Result<Option<(f64, f64)>>,
-    ) -> Result<(Option<MeasuredError>, Option<(f64, f64)>, Option<f64>)> {
+        score: &impl Fn(&RenderOptions) -> Result<(f64, f64)>,
+    ) -> Result<SettingMeasurements> {
         let options = &candidate.options;
-        self.check_same_picture(options, &self.same_picture(options))?;
         let judged = candidate.judge() == Judge::Exact;
         let truth = self.truth(truths, if judged { options } else { &self.base })?;
         let (found, memory_mib) = self.compare(options, truth)?;
@@ -156,41 +132,17 @@ impl Bench<'_> {
             "its pictures differ from the exact ones by {:.2e} (root mean square), more than the {bound:.2e} allowed: it is broken",
             found.rms
         );
-        Ok((judged.then_some(found), score(options)?, memory_mib))
-    }
-
-    /// Returns `options` with each dial that promises the same picture at the value of the base.
-    fn same_picture(&self, options: &RenderOptions) -> RenderOptions {
-        DIALS
-            .iter()
-            .filter(|dial| dial.same_picture)
-            .fold(*options, |options, dial| dial.value_in(&self.base).map_or(options, |value| (value.set)(options)))
-    }
-
-    /// Checks pictures that are promised to be equal: bit for bit on a CPU; within rounding on a GPU, which sums longer
-    /// lists in other groups.
-    fn check_same_picture(&self, options: &RenderOptions, plain: &RenderOptions) -> Result<()> {
-        if plain == options {
-            return Ok(());
-        }
-        for view in 0..self.shots.len() {
-            let ours = host(self.place.render(view, options)?.colour);
-            let theirs = host(self.place.render(view, plain)?.colour);
-            let same = match splat_op::is_gpu(&self.place.device) {
-                true => within_rounding(&ours, &theirs),
-                false => same_bits(&ours, &theirs),
-            };
-            ensure!(same, "it must not change the picture, and changes view {view}");
-        }
-        Ok(())
+        let (accuracy, (psnr_db, ssim)) = (judged.then_some(found), score(options)?);
+        let (candidate, times) = (candidate.clone(), FrameTimes::default());
+        Ok(SettingMeasurements { candidate, accuracy, psnr_db, ssim, memory_mib, times })
     }
 
     /// Renders and differentiates every view. Returns the deviations and the peak memory, MiB.
     fn compare(&self, options: &RenderOptions, truth: &ReferenceRender) -> Result<(MeasuredError, Option<f64>)> {
-        let mut pictures = PictureError::default();
+        let (mut squares, mut count, mut max) = (0.0, 0, 0.0_f64);
         let mut sums = GradientSums::default();
         let mut memory = None;
-        for view in 0..self.shots.len() {
+        for view in 0..self.photos.len() {
             let cotangent = self.place.picture(view, &truth.cotangents[view]);
             let (done, peak) = peak_mib(|| -> Result<_> {
                 let picture = self.place.tracked(view, options)?;
@@ -206,7 +158,12 @@ impl Bench<'_> {
             if let Some(at) = found.iter().position(|value| !value.is_finite()) {
                 bail!("value {at} of the picture of view {view} is {}", found[at]);
             }
-            pictures = pictures.and(PictureError::between(&found, &truth.pictures[view]));
+            count += found.len();
+            for (found, exact) in found.iter().zip(&truth.pictures[view]) {
+                let difference = (found - exact).abs();
+                squares += difference * difference;
+                max = max.max(difference);
+            }
         }
         if let Some(kind) = (0..sums.len()).find(|&kind| !sums[kind].iter().all(|value| value.is_finite())) {
             bail!("a gradient of {} is not finite", PARAMETERS[kind]);
@@ -214,8 +171,61 @@ impl Bench<'_> {
         let (gradient_error, worst, gradient_cosine) = compare_gradients(&sums, &truth.gradients);
         // The memory of the program says nothing about that of a GPU.
         let memory = memory.filter(|_| !splat_op::is_gpu(&self.place.device));
-        let (rms, max) = (pictures.rms(), pictures.max);
+        let rms = (squares / count as f64).sqrt();
         Ok((MeasuredError { rms, max, gradient_error, worst, gradient_cosine }, memory))
+    }
+
+    /// Times all settings on all views in turns, so that other load on the machine affects all alike. Every setting has
+    /// run before, in its check, so kernels are compiled. After `budget` no round begins, unless there were fewer than
+    /// [`ROUNDS_MIN`]. Returns the number of rounds.
+    fn time(&self, settings: &mut [SettingMeasurements], cotangents: &[Tensor<3>], budget: Duration) -> Result<usize> {
+        let begin = Instant::now();
+        let mut samples = vec![[const { Vec::new() }; 3]; settings.len()];
+        let mut rounds = 0;
+        while rounds < ROUNDS_MIN || begin.elapsed() < budget {
+            for (setting, samples) in settings.iter().zip(&mut samples) {
+                let options = &setting.candidate.options;
+                let forward = self.time_forward(options)?;
+                let backward = self.time_backward(options, cotangents)?;
+                for (samples, ms) in samples.iter_mut().zip([forward, backward, forward + backward]) {
+                    samples.push(ms);
+                }
+            }
+            rounds += 1;
+        }
+        let spread = |samples: &Vec<f64>| Quartiles::of(samples).context("a time is not finite");
+        for (setting, [forward, backward, step]) in settings.iter_mut().zip(&samples) {
+            setting.times = FrameTimes { forward: spread(forward)?, backward: spread(backward)?, step: spread(step)? };
+        }
+        Ok(rounds)
+    }
+
+    /// Time of a frame, ms.
+    fn time_forward(&self, options: &RenderOptions) -> Result<f64> {
+        let views = 0..self.photos.len();
+        self.place.device.sync()?;
+        let start = Instant::now();
+        // Kept until they are computed: a result that nobody waits for may never be computed.
+        let pictures: Vec<_> = views.clone().map(|view| self.place.render(view, options)).collect::<Result<_>>()?;
+        self.place.device.sync()?;
+        let elapsed = start.elapsed();
+        drop(pictures);
+        Ok(1e3 * elapsed.as_secs_f64() / views.len() as f64)
+    }
+
+    /// Time of a frame's backward pass, ms.
+    fn time_backward(&self, options: &RenderOptions, cotangents: &[Tensor<3>]) -> Result<f64> {
+        let mut elapsed = Duration::ZERO;
+        for (view, cotangent) in cotangents.iter().enumerate() {
+            let picture = self.place.tracked(view, options)?;
+            self.place.device.sync()?;
+            let start = Instant::now();
+            let gradients = self.place.backward(picture, cotangent.clone());
+            self.place.device.sync()?;
+            elapsed += start.elapsed();
+            drop(gradients);
+        }
+        Ok(1e3 * elapsed.as_secs_f64() / cotangents.len() as f64)
     }
 }
 

@@ -1,47 +1,34 @@
-//! Plot of time against error: one point per setting, the frontier as a line, presets marked. The same drawing gives
-//! SVG and PNG.
+//! Plot of time against error: one point per setting, the frontier as a line, presets marked.
 
 use std::sync::LazyLock;
 
 use anyhow::{Context, Result, anyhow};
-use image::{ImageFormat, RgbImage};
 use plotters::coord::Shift;
 use plotters::prelude::*;
 use plotters::style::register_font;
 
+use super::dials::Role;
+use super::quartiles::Quartiles;
+
 /// Width and height of a plot, px.
 const SIZE: (u32, u32) = (1000, 640);
 
-/// Kind of a point, which decides on its mark.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum DotMark {
-    /// A preset: a large ring with its name.
-    Preset,
-    /// A single dial: a dot.
-    Dial,
-    /// A combination: a triangle.
-    Combination,
-}
-
-/// One setting.
 #[derive(Clone, Debug)]
 pub struct Dot {
     pub name: String,
-    pub mark: DotMark,
-    /// Time: lower quartile, median, upper quartile.
-    pub x: [f64; 3],
+    /// Presets have a ring, combinations a triangle.
+    pub role: Role,
+    /// Time of a frame, ms.
+    pub x: Quartiles,
     /// Quality, dB; higher is better.
     pub y: f64,
     /// Whether it is on the frontier; its name is drawn then.
     pub member: bool,
 }
 
-/// A plot.
 #[derive(Clone, Debug)]
 pub struct Chart {
     pub title: String,
-    pub x: &'static str,
-    pub y: &'static str,
     /// In any order; members of the frontier are joined in the order of their times.
     pub dots: Vec<Dot>,
 }
@@ -64,22 +51,9 @@ pub fn register() -> Result<()> {
 pub fn svg(chart: &Chart) -> Result<String> {
     register()?;
     let mut text = String::new();
-    draw(chart, &SVGBackend::with_string(&mut text, SIZE).into_drawing_area())?;
+    let drawn = draw(chart, &SVGBackend::with_string(&mut text, SIZE).into_drawing_area());
+    drawn.map_err(|error| anyhow!("the plot {:?} cannot be drawn: {error}", chart.title))?;
     Ok(text)
-}
-
-/// Draws a plot as an 8-bit PNG.
-///
-/// # Errors
-/// If it cannot be drawn.
-pub fn png(chart: &Chart) -> Result<Vec<u8>> {
-    register()?;
-    let mut pixels = vec![0; 3 * (SIZE.0 * SIZE.1) as usize];
-    draw(chart, &BitMapBackend::with_buffer(&mut pixels, SIZE).into_drawing_area())?;
-    let picture = RgbImage::from_raw(SIZE.0, SIZE.1, pixels).context("a picture has three values per pixel")?;
-    let mut file = std::io::Cursor::new(Vec::new());
-    picture.write_to(&mut file, ImageFormat::Png)?;
-    Ok(file.into_inner())
 }
 
 /// Left edge of the plotting area, px.
@@ -89,17 +63,10 @@ const GREY: RGBColor = RGBColor(150, 150, 150);
 const BLUE_DOT: RGBColor = RGBColor(40, 90, 160);
 const ORANGE: RGBColor = RGBColor(200, 80, 40);
 
-fn draw<B: DrawingBackend>(chart: &Chart, area: &DrawingArea<B, Shift>) -> Result<()>
-where
-    B::ErrorType: 'static,
-{
-    drawn(chart, area).map_err(|error| anyhow!("the plot {:?} cannot be drawn: {error}", chart.title))
-}
+type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
+type DrawError<'a> = DrawingAreaErrorKind<<SVGBackend<'a> as DrawingBackend>::ErrorType>;
 
-fn drawn<B: DrawingBackend>(
-    chart: &Chart,
-    area: &DrawingArea<B, Shift>,
-) -> Result<(), DrawingAreaErrorKind<B::ErrorType>> {
+fn draw<'a>(chart: &Chart, area: &Area<'a>) -> Result<(), DrawError<'a>> {
     let font = ("sans-serif", 15);
     area.fill(&WHITE)?;
     let (x, y) = (around_times(&chart.dots), around_errors(&chart.dots));
@@ -114,36 +81,36 @@ fn drawn<B: DrawingBackend>(
         .label_style(font)
         .light_line_style(TRANSPARENT)
         .x_labels(12)
-        .x_desc(chart.x)
-        .y_desc(chart.y)
+        .x_desc("time of a frame, ms (median and quartiles)")
+        .y_desc("PSNR against the exact render, dB")
         .x_label_formatter(&|ms| short(*ms))
         .y_label_formatter(&|db| format!("{db:.0}"))
         .draw()?;
     // Spreads come first, so that they hide no point.
     for Dot { x: spread, y, .. } in &chart.dots {
-        let [lower, _, upper] = spread.map(|ms| ms.clamp(x.start, x.end));
+        let [lower, upper] = [spread.lower, spread.upper].map(|ms| ms.clamp(x.start, x.end));
         axes.draw_series([PathElement::new([(lower, *y), (upper, *y)], GREY)])?;
     }
     let mut members: Vec<&Dot> = chart.dots.iter().filter(|dot| dot.member).collect();
-    members.sort_by(|a, b| a.x[1].total_cmp(&b.x[1]));
-    axes.draw_series(LineSeries::new(members.iter().map(|dot| (dot.x[1], dot.y)), ORANGE.stroke_width(2)))?;
+    members.sort_by(|a, b| a.x.median.total_cmp(&b.x.median));
+    axes.draw_series(LineSeries::new(members.iter().map(|dot| (dot.x.median, dot.y)), ORANGE.stroke_width(2)))?;
     // Members of the frontier come last, so that no other point hides them.
     let mut dots: Vec<&Dot> = chart.dots.iter().collect();
     dots.sort_by_key(|dot| dot.member);
     for dot in dots {
-        let at = (dot.x[1], dot.y);
+        let at = (dot.x.median, dot.y);
         let colour = if dot.member { ORANGE } else { BLUE_DOT };
-        match dot.mark {
-            DotMark::Preset => {
+        match dot.role {
+            Role::Preset => {
                 axes.draw_series([Circle::new(at, 4, colour.filled())])?;
                 axes.draw_series([Circle::new(at, 9, BLACK.stroke_width(2))])?;
             }
-            DotMark::Dial => _ = axes.draw_series([Circle::new(at, 4, colour.filled())])?,
-            DotMark::Combination => _ = axes.draw_series([TriangleMarker::new(at, 6, colour.filled())])?,
+            Role::Dial(_) => _ = axes.draw_series([Circle::new(at, 4, colour.filled())])?,
+            Role::Combination => _ = axes.draw_series([TriangleMarker::new(at, 6, colour.filled())])?,
         }
     }
-    let named: Vec<&Dot> = chart.dots.iter().filter(|dot| dot.member || dot.mark == DotMark::Preset).collect();
-    let places: Vec<(i32, i32)> = named.iter().map(|dot| axes.backend_coord(&(dot.x[1], dot.y))).collect();
+    let named: Vec<&Dot> = chart.dots.iter().filter(|dot| dot.member || dot.role == Role::Preset).collect();
+    let places: Vec<(i32, i32)> = named.iter().map(|dot| axes.backend_coord(&(dot.x.median, dot.y))).collect();
     for (dot, corner) in named.iter().zip(beside(&places, &named)) {
         area.draw(&Text::new(dot.name.clone(), corner, font.into_font().color(&BLACK)))?;
     }
@@ -180,7 +147,7 @@ fn short(value: f64) -> String {
 /// Range of the time axis: the medians with a margin. Spreads are cut off there, because one slow run should not press
 /// all points to the border.
 fn around_times(dots: &[Dot]) -> std::ops::Range<f64> {
-    let (low, high) = limits(dots.iter().map(|dot| dot.x[1]));
+    let (low, high) = limits(dots.iter().map(|dot| dot.x.median));
     let room = 0.08 * (high - low).max(0.1 * high).max(1e-3);
     (low - room).max(0.0)..high + 2.0 * room
 }

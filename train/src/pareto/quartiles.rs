@@ -1,7 +1,7 @@
 //! Times with their quartiles, errors in dB, and the Pareto frontier of both.
 
 /// The median of repeated measurements and the quartiles around it.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Quartiles {
     pub lower: f64,
     pub median: f64,
@@ -29,11 +29,6 @@ impl Quartiles {
     /// Whether all quartiles lie below the other's: measurably different, and smaller.
     pub fn is_below(&self, other: &Self) -> bool {
         self.upper < other.lower
-    }
-
-    /// Whether neither lies below the other: not measurably different, and not ranked.
-    pub fn overlaps(&self, other: &Self) -> bool {
-        !self.is_below(other) && !other.is_below(self)
     }
 }
 

@@ -3,27 +3,10 @@
 use anyhow::Result;
 use burn::module::{Module, ModuleMapper, Param};
 use burn::tensor::{DType, Device, Gradients, Tensor, TensorData};
-use glam::DAffine3;
-use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 use splat_model::capture::Photo;
 use splat_model::gaussians::{GaussianRows, Gaussians};
 use splat_model::loss::{DEFAULT_LAMBDA, Truth, photometric};
 use splat_op::{Camera, Extras, Intrinsics, RenderOptions, Rendered, Splats, render_view, with_gradient};
-
-/// A camera, with its photograph if there is one.
-#[derive(Clone, Copy)]
-pub struct MeasuredView<'a> {
-    pub intrinsics: Intrinsics,
-    pub cam_from_world: DAffine3,
-    pub photo: Option<&'a Photo>,
-}
-
-impl<'a> From<&'a Photo> for MeasuredView<'a> {
-    fn from(photo: &'a Photo) -> Self {
-        Self { intrinsics: photo.intrinsics, cam_from_world: photo.cam_from_world, photo: Some(photo) }
-    }
-}
 
 /// A scene and cameras on one device, in one float type.
 pub struct DeviceScene {
@@ -32,7 +15,8 @@ pub struct DeviceScene {
     /// The splats, not tracked.
     pub splats: Splats,
     pub cameras: Vec<Camera>,
-    pub extras: Extras,
+    pub background: [f32; 3],
+    extras: Extras,
     pub device: Device,
     pub dtype: DType,
 }
@@ -54,15 +38,16 @@ pub type GradientSums = [Vec<f64>; 5];
 
 impl DeviceScene {
     /// Prepares a scene as in training: f32 on any device.
-    pub fn new(rows: &GaussianRows, shots: &[MeasuredView], background: [f32; 3], device: &Device) -> Result<Self> {
+    pub fn new(rows: &GaussianRows, photos: &[Photo], background: [f32; 3], device: &Device) -> Result<Self> {
         let gaussians = Gaussians::from_rows(rows, &device.clone().autodiff())?;
-        let camera = |shot: &MeasuredView| Camera::new(shot.intrinsics, &shot.cam_from_world, device);
-        let background = Some(Tensor::from_floats(background, device));
+        let camera = |photo: &Photo| Camera::new(photo.intrinsics, &photo.cam_from_world, device);
+        let colour = Some(Tensor::from_floats(background, device));
         Ok(Self {
             splats: gaussians.untracked().splats(),
             gaussians,
-            cameras: shots.iter().map(camera).collect(),
-            extras: Extras { background, ..Extras::default() },
+            cameras: photos.iter().map(camera).collect(),
+            background,
+            extras: Extras { background: colour, ..Extras::default() },
             device: device.clone(),
             dtype: DType::F32,
         })
@@ -70,8 +55,8 @@ impl DeviceScene {
 
     /// Prepares the same values, poses included, in f64 on the CPU. Rounding in f32 arithmetic is an error; rounding of
     /// its input is not.
-    pub fn in_f64(rows: &GaussianRows, shots: &[MeasuredView], background: [f32; 3]) -> Result<Self> {
-        let f32 = Self::new(rows, shots, background, &Device::flex())?;
+    pub fn in_f64(rows: &GaussianRows, photos: &[Photo], background: [f32; 3]) -> Result<Self> {
+        let f32 = Self::new(rows, photos, background, &Device::flex())?;
         let gaussians = f32.gaussians.untracked().map(&mut Wide);
         let camera = |camera: Camera| Camera { cam_from_world: camera.cam_from_world.cast(DType::F64), ..camera };
         let background = f32.extras.background.map(|background| background.cast(DType::F64));
@@ -139,15 +124,10 @@ pub fn off_the_clamp(rows: &GaussianRows) -> GaussianRows {
     rows
 }
 
-/// Returns the cotangent of the picture `exact` of a shot, `[H, W, 3]`: the derivative of the training loss there,
-/// times the number of values; without a photograph, fixed random numbers from −1 to 1. In f32, so that every device
-/// gets the same values.
-pub fn cotangent(shot: &MeasuredView, exact: &[f64], background: [f32; 3]) -> Vec<f32> {
-    let Intrinsics { width, height, .. } = shot.intrinsics;
-    let Some(photo) = shot.photo else {
-        let mut random = ChaCha8Rng::seed_from_u64(7);
-        return exact.iter().map(|_| random.random_range(-1.0..1.0)).collect();
-    };
+/// Returns the cotangent of the picture `exact` of a photograph, `[H, W, 3]`: the derivative of the training loss there, times the number of
+/// values. In f32, so that every device gets the same values.
+pub fn cotangent(photo: &Photo, exact: &[f64], background: [f32; 3]) -> Vec<f32> {
+    let Intrinsics { width, height, .. } = photo.intrinsics;
     let device = Device::flex();
     let truth = Truth::new(photo.rgb_over(background, &device).cast(DType::F64));
     let image =

@@ -1,13 +1,5 @@
 use super::*;
 
-#[test]
-fn a_line_says_all() {
-    let expected = "step 240/2000  loss 0.0412  12345 splats  8.0 steps/s  3:40 left";
-    assert_eq!(progress_line((240, 2000), 0.04123, 12_345, (8.0, 220.0)), expected);
-    let first = "step 1/2  loss 0.0412  1 splats  - steps/s  0:00 left";
-    assert_eq!(progress_line((1, 2), 0.04123, 1, (f64::INFINITY, 0.0)), first);
-}
-
 /// With 20 s a photograph.
 #[test]
 fn the_time_that_is_left_is_said_after_the_first_five() {

@@ -11,12 +11,10 @@ use super::{Order, RunSetup, tell};
 use crate::effects::Chosen;
 use crate::input;
 use crate::progress::VoiceArgs;
-use crate::train::{Stop, budget, checkpoints, photographs, start_points, started, views_of};
+use crate::train::job::Job;
+use crate::train::{Stop, checkpoints};
 
 /// Takes part in the run of rank 0, to its end.
-///
-/// # Errors
-/// If the run cannot be prepared here as on rank 0, or a step fails.
 pub(crate) fn follow(ranks: &Rc<dyn Ranks>) -> Result<()> {
     VoiceArgs { quiet: true, json: false }.apply();
     match steps(ranks) {
@@ -56,19 +54,13 @@ fn prepare(ranks: &Rc<dyn Ranks>, setup: RunSetup) -> Result<Trainer> {
     let folder = args.capture.as_ref().ok_or_else(|| anyhow!("rank 0 named no capture"))?;
     let mut capture = input::capture(folder)?;
     args.cameras.scale(&mut capture)?;
-    let capture = Arc::new(capture);
-    let (split, photo_args) = args.photos.split(&capture);
+    let (split, _) = args.photos.split(&capture);
     let seen = split.require_train()?;
     super::agree_on_files(&**ranks, &capture, seen)?;
     let effects = Chosen::named(&effects)?;
-    let cache = budget::cache(args.cache_mb, budget::available()) / ranks.count();
-    let (train, _) = photographs(&capture, (seen, &[]), &photo_args, (&effects, cache), &**ranks)?;
-    let views = views_of(&capture, &train);
-    let points = start_points(&capture, &train, &args)?;
-    let trainer = args.supply(Trainer::of(train, &points, config, &device)?)?;
-    let trainer = if checkpoint.is_none() { started(trainer, &args, &capture)? } else { trainer };
-    let trainer = effects.supply(trainer, &capture, &views)?;
-    let mut trainer = trainer.with_ranks(Rc::clone(ranks));
+    let job = Job { args, config, capture: Arc::new(capture), effects, device };
+    let (train, _) = job.photographs(seen, &[], &**ranks)?;
+    let mut trainer = job.trainer(train, checkpoint.is_none(), ranks)?;
     if let Some(path) = checkpoint {
         let saved = checkpoints::read(&path).with_context(|| format!("cannot resume from {}", path.display()))?;
         trainer.resume(saved.trainer)?;

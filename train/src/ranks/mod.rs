@@ -10,8 +10,6 @@ mod mpi;
 use std::rc::Rc;
 
 use anyhow::Result;
-#[cfg(not(feature = "mpi"))]
-use anyhow::bail;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use splat_model::capture::Capture;
@@ -52,21 +50,14 @@ pub(crate) enum Order {
 pub(crate) fn join() -> Result<Rc<dyn Ranks>> {
     match started_together() {
         0 | 1 => Ok(Rc::new(Alone)),
-        count => join_all(count),
+        #[cfg(feature = "mpi")]
+        count => Ok(Rc::new(mpi::Mpi::join(count)?)),
+        #[cfg(not(feature = "mpi"))]
+        count => anyhow::bail!(
+            "{count} processes were started together, and this build of `splat` has no MPI, so that each of them would train the whole run: \
+             build it with `cargo install --path train --features mpi` (docs/LONG_RUNS.md), or start one process"
+        ),
     }
-}
-
-#[cfg(feature = "mpi")]
-fn join_all(count: usize) -> Result<Rc<dyn Ranks>> {
-    Ok(Rc::new(mpi::Mpi::join(count)?))
-}
-
-#[cfg(not(feature = "mpi"))]
-fn join_all(count: usize) -> Result<Rc<dyn Ranks>> {
-    bail!(
-        "{count} processes were started together, and this build of `splat` has no MPI, so that each of them would train the whole run: \
-         build it with `cargo install --path train --features mpi` (docs/LONG_RUNS.md), or start one process"
-    )
 }
 
 /// Returns the number of processes that were started with this one, by the variables of Open MPI, MPICH (and Intel MPI), and PMIx

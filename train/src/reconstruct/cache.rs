@@ -116,9 +116,6 @@ impl Workspace {
     }
 
     /// Refuses a folder that holds something else than a reconstruction.
-    ///
-    /// # Errors
-    /// If it does.
     pub fn check(folder: &Path) -> Result<()> {
         let is_empty = fs::read_dir(folder).map_or(true, |mut entries| entries.next().is_none());
         let shown = folder.display();
@@ -214,44 +211,36 @@ impl Workspace {
         fs::rename(self.join(partial), self.join(name)).with_context(|| format!("cannot rename {partial} to {name}"))
     }
 
-    /// Keeps in mind that this program wrote a file.
     pub fn keep_in_mind(&mut self, name: &str) -> Result<()> {
         self.stamp.files.add(&self.folder, name, name).with_context(|| format!("cannot read {name}"))?;
         self.save()
     }
 
-    /// The folder.
     pub fn folder(&self) -> &Path {
         &self.folder
     }
 
-    /// The path of something in it.
     pub fn join(&self, name: &str) -> PathBuf {
         self.folder.join(name)
     }
 
-    /// Whether a stage is finished.
     pub fn has(&self, stage: Stage) -> bool {
         self.stamp.finished.contains(&stage)
     }
 
-    /// Marks a stage as finished.
     pub fn finish(&mut self, stage: Stage) -> Result<()> {
         self.stamp.finished.push(stage);
         self.save()
     }
 
-    /// The number of features of each photograph.
     pub fn features(&self) -> &BTreeMap<String, u64> {
         &self.stamp.features
     }
 
-    /// Keeps the number of features of each photograph.
     pub fn set_features(&mut self, features: BTreeMap<String, u64>) {
         self.stamp.features = features;
     }
 
-    /// The log, to append to.
     pub fn log(&self) -> Result<File> {
         let path = self.join(LOG);
         let log = OpenOptions::new().create(true).append(true).open(&path);
@@ -266,9 +255,6 @@ impl Workspace {
 
 /// Keeps the size of a unit in the folder of a reconstruction. Elsewhere nothing is written, and a file that is there already stays unless
 /// this function wrote it.
-///
-/// # Errors
-/// If the file cannot be written.
 pub fn keep_scale(folder: &Path, scale: &Scale) -> Result<()> {
     let Some(stamp) = stamp_in(folder) else { return Ok(()) };
     let mut workspace = Workspace { folder: folder.to_owned(), stamp };

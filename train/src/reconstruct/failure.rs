@@ -19,16 +19,16 @@ const FEW_FEATURES: u64 = 100;
 const OVERLAP: &str = "each photograph should show two thirds of what the next one shows, from a step to the side, sharp, with the same zoom \
                        (docs/YOUR_PHOTOGRAPHS.md)";
 
-/// Refuses a folder with too few photographs.
-///
-/// # Errors
-/// If there are fewer than three.
-pub fn check_number(folder: &PhotographFolder) -> Result<()> {
+/// Pictures of kinds that are not read, by kind; `None` without any.
+pub fn others(folder: &PhotographFolder) -> Option<String> {
     let others: Vec<String> = folder.other.iter().map(|(kind, count)| format!("{count} .{kind}")).collect();
-    let others = match others.is_empty() {
-        true => String::new(),
-        false => format!(" and {} files, which have to be converted to JPEG first", others.join(", ")),
-    };
+    (!others.is_empty()).then(|| others.join(", "))
+}
+
+/// Refuses a folder with too few photographs.
+pub fn check_number(folder: &PhotographFolder) -> Result<()> {
+    let others = others(folder).map(|others| format!(" and {others} files, which have to be converted to JPEG first"));
+    let others = others.unwrap_or_default();
     let found = folder.names.len();
     ensure!(
         found >= MIN_PHOTOGRAPHS,
@@ -39,9 +39,6 @@ pub fn check_number(folder: &PhotographFolder) -> Result<()> {
 }
 
 /// Refuses photographs that are copies of each other.
-///
-/// # Errors
-/// If fewer than three of them differ.
 pub fn check_different(photographs: &[Unposed], folder: &Path) -> Result<()> {
     let found = different(photographs);
     ensure!(

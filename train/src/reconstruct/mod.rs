@@ -7,7 +7,6 @@ mod cache;
 mod failure;
 mod photographs;
 mod programs;
-mod scale;
 mod stage;
 mod stages;
 mod video;
@@ -18,22 +17,24 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
+use clap::ValueEnum;
 use clap::builder::RangedU64ValueParser;
 use serde::{Deserialize, Serialize};
+use splat_model::capture::scale::from_gps;
 use splat_model::capture::unposed::PhotographFolder;
-use splat_model::capture::{Capture, CaptureError};
+use splat_model::capture::{Capture, CaptureError, Scale};
 use splat_model::sniff::{FileClass, FileKind};
 
 use self::cache::{Ingredients, Stage, Workspace};
 use self::photographs::CameraModelName;
 use self::programs::{Colmap, Ffmpeg};
-use self::scale::ScaleFrom;
+use self::stages::Stages;
 use crate::inputs::Inputs;
 use crate::progress::VoiceArgs;
 use crate::train::{OUT, Stop};
 use crate::{input, progress};
 
-pub use self::scale::said as scale_said;
+pub use self::stage::Running;
 
 /// Folder of the reconstruction in the output folder of a run.
 pub const FOLDER: &str = "reconstruction";
@@ -69,6 +70,22 @@ pub struct CameraArgs {
     pub scale_from: Option<ScaleFrom>,
 }
 
+/// What the size of a scene unit is measured from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ScaleFrom {
+    /// GPS positions in EXIF
+    Gps,
+}
+
+/// Describes the size of a scene unit.
+pub fn scale_said(scale: &Scale) -> String {
+    let Scale { metres_per_unit, relative_deviation, source } = scale;
+    let deviation = relative_deviation.map(|deviation| format!(" ±{:.1}%", 100.0 * deviation)).unwrap_or_default();
+    let source = if source.is_empty() { String::new() } else { format!(", by {source}") };
+    format!("a scene unit is {metres_per_unit:.4} m{deviation}{source}")
+}
+
 impl CameraArgs {
     /// What is left of these options once the cameras are known, for a run that may be resumed from another working directory.
     pub fn from_anywhere(&self) -> Self {
@@ -96,8 +113,9 @@ impl CameraArgs {
     /// # Errors
     /// If it cannot be determined or written.
     pub fn scale(&self, capture: &mut Capture) -> Result<()> {
-        if let Some(from) = self.scale_from {
-            let scale = scale::measure(capture, from)?;
+        if let Some(ScaleFrom::Gps) = self.scale_from {
+            let scale = from_gps(capture)?.context("`--scale-from gps` finds no scale")?;
+            progress::note(&scale_said(&scale));
             cache::keep_scale(&capture.folder, &scale)?;
             capture.scale = Some(scale);
         }
@@ -203,21 +221,26 @@ pub fn reconstruct(source: &Path, folder: &Path, options: &CameraArgs) -> Result
         ));
         let photographs = match &listed {
             Some(listed) => {
-                note_others(listed);
+                if let Some(others) = failure::others(listed) {
+                    progress::note(&format!(
+                        "not used, because only JPEG and PNG are read: {others} (convert them first)"
+                    ));
+                }
                 let photographs = photographs::look(listed)?;
                 photographs::link(&mut workspace, source, listed)?;
                 photographs
             }
             None => {
                 if let Some(ffmpeg) = ffmpeg.filter(|_| !workspace.has(Stage::Frames)) {
-                    let frames = video::extract(&mut workspace, (&ffmpeg, source), options.frames, &stop)?;
+                    let frames = video::extract(&mut workspace, &ffmpeg, source, options.frames, &stop)?;
                     progress::note(&format!("{frames} frames of {}", source.display()));
                     workspace.finish(Stage::Frames)?;
                 }
                 photographs::look(&PhotographFolder::list(folder)?)?
             }
         };
-        stages::run(&mut workspace, (&colmap, &stop), &photographs, (is_video, options.camera_model))?;
+        let stages = Stages { colmap: &colmap, stop: &stop, is_video, model: options.camera_model };
+        stages.run(&mut workspace, &photographs)?;
         workspace.finish(Stage::Model)?;
     }
     if let Some(listed) = &listed {
@@ -239,19 +262,9 @@ fn ingredients(source: &Path, listed: Option<&PhotographFolder>, options: &Camer
         None => Ok([(name_of(source), bytes(source)?)].into()),
     };
     let frames = options.frames.map(|frames| ("frames".to_string(), frames.to_string()));
-    let model = options.camera_model.map(|model| ("camera_model".to_string(), model.name().to_string()));
+    let model = options.camera_model.map(|model| ("camera_model".to_string(), model.name()));
     let source = std::path::absolute(source).unwrap_or_else(|_| source.to_owned());
     Ok(Ingredients { source, files: files?, options: frames.into_iter().chain(model).collect() })
-}
-
-fn note_others(listed: &PhotographFolder) {
-    if !listed.other.is_empty() {
-        let others: Vec<String> = listed.other.iter().map(|(kind, count)| format!("{count} .{kind}")).collect();
-        progress::note(&format!(
-            "not used, because only JPEG and PNG are read: {} (convert them first)",
-            others.join(", ")
-        ));
-    }
 }
 
 /// Says how many photographs were placed, and how well.

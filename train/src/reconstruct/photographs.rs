@@ -1,7 +1,10 @@
 //! The photographs of a reconstruction: which are used, where COLMAP finds them, and which share a camera.
 
 use std::fs;
+#[cfg(not(unix))]
 use std::io;
+#[cfg(unix)]
+use std::os::unix::fs::symlink as make_link;
 use std::path::Path;
 
 use anyhow::{Context, Result};
@@ -38,16 +41,8 @@ pub enum CameraModelName {
 }
 
 impl CameraModelName {
-    /// COLMAP's name.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::SimplePinhole => "SIMPLE_PINHOLE",
-            Self::Pinhole => "PINHOLE",
-            Self::SimpleRadial => "SIMPLE_RADIAL",
-            Self::Radial => "RADIAL",
-            Self::Opencv => "OPENCV",
-            Self::OpencvFisheye => "OPENCV_FISHEYE",
-        }
+    pub fn name(self) -> String {
+        self.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned())
     }
 
     /// Parameters of a camera without distortion: focal lengths, the middle, zeros.
@@ -75,9 +70,6 @@ pub struct Extraction {
 }
 
 /// Looks at all photographs, and says how they are left to COLMAP.
-///
-/// # Errors
-/// If one cannot be decoded, or they are too few or all the same.
 pub fn look(folder: &PhotographFolder) -> Result<Vec<Unposed>> {
     failure::check_number(folder)?;
     let counter = progress::counter("looking at photographs", folder.names.len());
@@ -94,7 +86,7 @@ pub fn extractions(photographs: &[Unposed], model: Option<CameraModelName>) -> V
     let of = |camera: &SameCamera| {
         let few = if camera.members.len() < MANY { CameraModelName::SimpleRadial } else { CameraModelName::Opencv };
         let model = model.unwrap_or(few);
-        let mut arguments = vec!["--ImageReader.camera_model".into(), model.name().into()];
+        let mut arguments = vec!["--ImageReader.camera_model".into(), model.name()];
         arguments.extend(["--ImageReader.single_camera".into(), "1".into()]);
         let focal = camera.focal_px.map_or("unknown".into(), |focal_px| format!("{focal_px:.0} px by EXIF"));
         if let Some(focal_px) = camera.focal_px {
@@ -114,14 +106,11 @@ pub fn extractions(photographs: &[Unposed], model: Option<CameraModelName>) -> V
     let model = model.unwrap_or(CameraModelName::SimpleRadial).name();
     progress::note(&format!("photographs of {} cameras: each has its own {model}", cameras.len()));
     let names = photographs.iter().map(|photograph| photograph.name.clone()).collect();
-    vec![Extraction { names, arguments: vec!["--ImageReader.camera_model".into(), model.into()] }]
+    vec![Extraction { names, arguments: vec!["--ImageReader.camera_model".into(), model] }]
 }
 
 /// Makes `images/` in the workspace: links to the photographs, which are neither changed nor moved, or copies where the system has no
 /// links. Masks beside the photographs are linked too. Files that are there stay.
-///
-/// # Errors
-/// If a link or copy cannot be made.
 pub fn link(workspace: &mut Workspace, source: &Path, folder: &PhotographFolder) -> Result<()> {
     let images = workspace.join(IMAGES);
     let root = std::path::absolute(&folder.root)?;
@@ -137,7 +126,7 @@ pub fn link(workspace: &mut Workspace, source: &Path, folder: &PhotographFolder)
             Err(_) => fs::create_dir_all(parent),
         };
         ready
-            .and_then(|()| link_or_copy(&from, &to))
+            .and_then(|()| make_link(&from, &to).or_else(|_| fs::copy(&from, &to).map(drop)))
             .with_context(|| format!("cannot make a link or a copy of {} in {}", from.display(), parent.display()))?;
         if !to.is_symlink() {
             workspace.keep_in_mind(&format!("{IMAGES}/{name}"))?;
@@ -153,28 +142,15 @@ pub fn link(workspace: &mut Workspace, source: &Path, folder: &PhotographFolder)
     for name in ["masks", "mask"] {
         let masks = std::path::absolute(source)?.join(name);
         // Without links masks stay where they are, and training does without them.
-        if masks.is_dir() && link_folder(&masks, &to).is_ok() {
+        if masks.is_dir() && make_link(&masks, &to).is_ok() {
             break;
         }
     }
     Ok(())
 }
 
-fn link_or_copy(from: &Path, to: &Path) -> io::Result<()> {
-    #[cfg(unix)]
-    if std::os::unix::fs::symlink(from, to).is_ok() {
-        return Ok(());
-    }
-    fs::copy(from, to).map(drop)
-}
-
-#[cfg(unix)]
-fn link_folder(from: &Path, to: &Path) -> io::Result<()> {
-    std::os::unix::fs::symlink(from, to)
-}
-
 #[cfg(not(unix))]
-fn link_folder(_: &Path, _: &Path) -> io::Result<()> {
+fn make_link(_: &Path, _: &Path) -> io::Result<()> {
     Err(io::ErrorKind::Unsupported.into())
 }
 

@@ -7,16 +7,13 @@ use std::process::{Command, Stdio};
 
 use anyhow::{Context, Result, anyhow, bail};
 
-/// How to install COLMAP.
 const COLMAP_ADVICE: &str = "`apt install colmap` (Debian, Ubuntu), `brew install colmap` (macOS), or a program from \
                              https://github.com/colmap/colmap/releases (Windows) on the PATH; or name a folder that has been reconstructed \
                              already, with `images/` and `sparse/0/`, or `transforms.json`";
 
-/// How to install ffmpeg.
 const FFMPEG_ADVICE: &str = "`apt install ffmpeg` (Debian, Ubuntu), `brew install ffmpeg` (macOS), or a program from \
                              https://ffmpeg.org/download.html (Windows) on the PATH; or save the frames as photographs in a folder";
 
-/// The installed COLMAP.
 pub struct Colmap {
     /// Its version, such as `3.8`.
     pub version: String,
@@ -42,7 +39,6 @@ impl Colmap {
         }
     }
 
-    /// Whether it has a command.
     pub fn has(&self, command: &str) -> bool {
         self.commands.contains(command)
     }
@@ -57,10 +53,6 @@ impl Colmap {
         command
     }
 
-    /// The options of a command.
-    ///
-    /// # Errors
-    /// If the program does not list them.
     pub fn options(&self, name: &str) -> Result<Options> {
         let mut command = Self::command(name);
         command.arg("-h");
@@ -84,17 +76,12 @@ impl Options {
     }
 }
 
-/// The installed ffmpeg.
 pub struct Ffmpeg {
     /// Its option that keeps frames as they are in the file: neither doubled nor dropped.
     pub every_frame: &'static str,
 }
 
 impl Ffmpeg {
-    /// Finds `ffmpeg` on the PATH.
-    ///
-    /// # Errors
-    /// If it is not there, with how to install it.
     pub fn find() -> Result<Self> {
         let mut command = Command::new("ffmpeg");
         command.args(["-hide_banner", "-h", "long"]);

@@ -20,16 +20,13 @@ const TAIL: usize = 12;
 
 /// How a program ended.
 pub struct Ended {
-    /// Its exit status.
     pub status: ExitStatus,
-    /// Its last lines.
     pub tail: VecDeque<String>,
     /// The last line on standard error. The order of lines from both outputs is not known.
     pub error: Option<String>,
 }
 
 impl Ended {
-    /// The signal that ended it.
     pub fn signal(&self) -> Option<i32> {
         #[cfg(unix)]
         return std::os::unix::process::ExitStatusExt::signal(&self.status);
@@ -52,7 +49,8 @@ impl Ended {
 /// [`Interrupted`] if the user asked to stop, with `during` in the message; if the program cannot be started or the log written.
 pub fn run(
     mut command: Command,
-    (stop, during): (&Stop, &str),
+    stop: &Stop,
+    during: &str,
     log: &mut File,
     mut line: impl FnMut(&str),
 ) -> Result<Ended> {
@@ -101,8 +99,8 @@ pub fn run(
     Ok(Ended { status, tail, error })
 }
 
-/// A program that does not outlive its stage.
-struct Running(Child);
+/// A program that does not outlive this value.
+pub struct Running(pub Child);
 
 impl Drop for Running {
     fn drop(&mut self) {

@@ -33,41 +33,36 @@ const ENOUGH: f64 = 0.8;
 /// What the progress of features says beside the time that is left: COLMAP decodes the photographs at their full size.
 const FULL_SIZE: &str = "`--max-side` does not change it";
 
-/// Runs the stages that are not finished.
-///
-/// # Errors
-/// If COLMAP fails or finds no model, or the user asks to stop.
-pub fn run(
-    workspace: &mut Workspace,
-    (colmap, stop): (&Colmap, &Stop),
-    photographs: &[Unposed],
-    (is_video, model): (bool, Option<CameraModelName>),
-) -> Result<()> {
-    let runner = Runner { colmap, stop };
-    if !workspace.has(Stage::Features) {
-        // Half of the features would have other cameras than the rest.
-        workspace.clear(&DATABASE_FILES)?;
-        let features = runner.features(workspace, photographs, model)?;
-        workspace.set_features(features);
-        workspace.finish(Stage::Features)?;
-    }
-    if !workspace.has(Stage::Matches) {
-        runner.matches(workspace, photographs.len(), is_video)?;
-        workspace.finish(Stage::Matches)?;
-    }
-    runner.models(workspace, photographs)
+/// Runs the stages of a reconstruction.
+pub struct Stages<'a> {
+    pub colmap: &'a Colmap,
+    pub stop: &'a Stop,
+    /// Whether photographs are the frames of a video, of which neighbours by name are neighbours.
+    pub is_video: bool,
+    pub model: Option<CameraModelName>,
 }
 
-struct Runner<'a> {
-    colmap: &'a Colmap,
-    stop: &'a Stop,
-}
+impl Stages<'_> {
+    /// Runs the stages that are not finished.
+    pub fn run(&self, workspace: &mut Workspace, photographs: &[Unposed]) -> Result<()> {
+        if !workspace.has(Stage::Features) {
+            // Half of the features would have other cameras than the rest.
+            workspace.clear(&DATABASE_FILES)?;
+            let features = self.features(workspace, photographs)?;
+            workspace.set_features(features);
+            workspace.finish(Stage::Features)?;
+        }
+        if !workspace.has(Stage::Matches) {
+            self.matches(workspace, photographs.len())?;
+            workspace.finish(Stage::Matches)?;
+        }
+        self.models(workspace, photographs)
+    }
 
-impl Runner<'_> {
     /// Runs a command to its end. Returns an error unless it succeeds.
     fn succeed(&self, workspace: &Workspace, command: Command, doing: &str, line: impl FnMut(&str)) -> Result<()> {
         let during = format!("while COLMAP was {doing}");
-        let ended = stage::run(command, (self.stop, &during), &mut workspace.log()?, line)?;
+        let ended = stage::run(command, self.stop, &during, &mut workspace.log()?, line)?;
         match ended.status.success() {
             true => Ok(()),
             false => Err(failure::ended("COLMAP", doing, &ended, &workspace.join(LOG))),
@@ -75,17 +70,12 @@ impl Runner<'_> {
     }
 
     /// Extracts features, and returns their number by photograph.
-    fn features(
-        &self,
-        workspace: &Workspace,
-        photographs: &[Unposed],
-        model: Option<CameraModelName>,
-    ) -> Result<BTreeMap<String, u64>> {
+    fn features(&self, workspace: &Workspace, photographs: &[Unposed]) -> Result<BTreeMap<String, u64>> {
         let options = self.colmap.options("feature_extractor")?;
         let on_gpu = options.first(&["FeatureExtraction.use_gpu", "SiftExtraction.use_gpu"]);
         let mut features = BTreeMap::new();
-        let mut counted = Counted::new("features", Some(photographs.len())).with_left(FULL_SIZE);
-        let extractions = extractions(photographs, model);
+        let mut counted = Counted::new("features").with_left(FULL_SIZE);
+        let extractions = extractions(photographs, self.model);
         for (i, extraction) in extractions.iter().enumerate() {
             let list = workspace.join(LISTS).join(format!("{i}.txt"));
             write_list(&list, &extraction.names)?;
@@ -98,7 +88,7 @@ impl Runner<'_> {
                 Some(("Features", count)) => {
                     let count = count.split_whitespace().next().and_then(|count| count.parse().ok());
                     features.extend(count.map(|count| (of.clone(), count)));
-                    counted.set(features.len());
+                    counted.set(features.len(), Some(photographs.len()));
                 }
                 _ => {}
             })?;
@@ -120,28 +110,27 @@ impl Runner<'_> {
     }
 
     /// Matches photographs. COLMAP skips pairs that are in the database already.
-    fn matches(&self, workspace: &Workspace, photographs: usize, is_video: bool) -> Result<()> {
+    fn matches(&self, workspace: &Workspace, photographs: usize) -> Result<()> {
         let near = OVERLAP.to_string();
         let few = photographs <= EXHAUSTIVE;
-        let (name, arguments): (&str, Vec<[&str; 2]>) = match (is_video, few) {
-            (false, true) => ("exhaustive_matcher", vec![]),
-            _ => ("sequential_matcher", vec![["SequentialMatching.overlap", &near]]),
-        };
-        progress::note(&match (is_video, few) {
-            (false, true) => format!("matching all pairs of {photographs} photographs"),
-            (true, _) => {
+        if few && !self.is_video {
+            progress::note(&format!("matching all pairs of {photographs} photographs"));
+            return self.matcher(workspace, "exhaustive_matcher", photographs, &[]);
+        }
+        progress::note(&match self.is_video {
+            true => {
                 format!("matching each of {photographs} frames with the {near} that follow it, and some further on")
             }
-            (false, false) => format!(
+            false => format!(
                 "matching each of {photographs} photographs with the {near} that follow it by name and some further on, then those that match \
                  the same: all pairs are compared up to {EXHAUSTIVE}"
             ),
         });
-        self.matcher(workspace, name, photographs, &arguments)?;
-        if !is_video && !few && self.colmap.has("transitive_matcher") {
-            self.matcher(workspace, "transitive_matcher", photographs, &[])?;
+        self.matcher(workspace, "sequential_matcher", photographs, &[["SequentialMatching.overlap", &near]])?;
+        match !self.is_video && self.colmap.has("transitive_matcher") {
+            true => self.matcher(workspace, "transitive_matcher", photographs, &[]),
+            false => Ok(()),
         }
-        Ok(())
     }
 
     fn matcher(&self, workspace: &Workspace, name: &str, photographs: usize, arguments: &[[&str; 2]]) -> Result<()> {
@@ -156,10 +145,10 @@ impl Runner<'_> {
         {
             command.arg(format!("--{name}")).arg(value);
         }
-        let mut counted = Counted::new("matching", None);
+        let mut counted = Counted::new("matching");
         self.succeed(workspace, command, "matching photographs", |line| {
             if let Some((done, all)) = matched(line) {
-                counted.set_of(done, all);
+                counted.set(done, Some(all));
             }
         })?;
         counted.finish();
@@ -190,11 +179,11 @@ impl Runner<'_> {
             for name in ERRORS.iter().filter_map(|name| options.first(&[name])) {
                 command.arg(format!("--{name}")).arg(&error);
             }
-            let mut counted = Counted::new("placing", Some(photographs));
+            let mut counted = Counted::new("placing");
             let during = "while COLMAP was placing photographs";
-            let ended = stage::run(command, (self.stop, during), &mut workspace.log()?, |line| {
+            let ended = stage::run(command, self.stop, during, &mut workspace.log()?, |line| {
                 if let Some(placed) = registered(line) {
-                    counted.set(placed);
+                    counted.set(placed, Some(photographs));
                 }
             })?;
             counted.finish();

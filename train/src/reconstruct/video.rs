@@ -5,7 +5,7 @@
 use std::fs;
 use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::process::{Command, Stdio};
 use std::thread::{self, JoinHandle};
 
 use anyhow::{Context, Result, bail, ensure};
@@ -14,7 +14,7 @@ use splat_model::effects::survey::sharpness_of_grey;
 use super::cache::{IMAGES, IMAGES_PARTIAL, LOG, Workspace};
 use super::failure;
 use super::programs::Ffmpeg;
-use super::stage;
+use super::stage::{self, Running};
 use crate::progress::Counted;
 use crate::train::{Interrupted, Stop};
 
@@ -32,12 +32,10 @@ const MAX_SIDE: usize = 16_384;
 
 /// Writes the sharpest frame of each of `frames` equal intervals of a video to `images/` of the workspace, as JPEG, named by its number in
 /// the video. Returns the number of frames written.
-///
-/// # Errors
-/// If ffmpeg cannot decode the video, or the user asks to stop.
 pub fn extract(
     workspace: &mut Workspace,
-    (ffmpeg, video): (&Ffmpeg, &Path),
+    ffmpeg: &Ffmpeg,
+    video: &Path,
     frames: Option<usize>,
     stop: &Stop,
 ) -> Result<usize> {
@@ -51,7 +49,7 @@ pub fn extract(
     let mut command = Ffmpeg::reading(video);
     command.args(["-vf", &format!("select={}", select.join("+")), ffmpeg.every_frame, "passthrough"]);
     command.args(["-qmin", "1", "-q:v", "2"]).arg(partial.join("%06d.jpg"));
-    let ended = stage::run(command, (stop, "while the frames were decoded"), &mut workspace.log()?, |_| ())?;
+    let ended = stage::run(command, stop, "while the frames were decoded", &mut workspace.log()?, |_| ())?;
     if !ended.status.success() {
         return Err(failure::ended("ffmpeg", "decoding frames", &ended, &workspace.join(LOG)));
     }
@@ -73,7 +71,6 @@ fn sharpest(sharpness: &[f64], wanted: usize) -> Vec<usize> {
     (0..parts).filter_map(best).collect()
 }
 
-/// The sharpness of every frame.
 fn measure(ffmpeg: &Ffmpeg, video: &Path, stop: &Stop) -> Result<Vec<f64>> {
     let mut command = Ffmpeg::reading(video);
     let scale = format!(
@@ -81,7 +78,7 @@ fn measure(ffmpeg: &Ffmpeg, video: &Path, stop: &Stop) -> Result<Vec<f64>> {
     );
     command.args(["-vf", &scale, ffmpeg.every_frame, "passthrough", "-c:v", "pgm", "-f", "image2pipe", "-"]);
     let mut decoder = Decoder::start(command)?;
-    let mut counted = Counted::new("measuring sharpness", None);
+    let mut counted = Counted::new("measuring sharpness");
     let mut sharpness = Vec::new();
     while let Some((size, grey)) = next_picture(&mut decoder.frames).context("cannot read what ffmpeg decodes")? {
         if let Some(signal) = stop.asked() {
@@ -90,7 +87,7 @@ fn measure(ffmpeg: &Ffmpeg, video: &Path, stop: &Stop) -> Result<Vec<f64>> {
         }
         // A frame of one colour shows nothing.
         sharpness.push(sharpness_of_grey(&grey, size).unwrap_or(0.0));
-        counted.set(sharpness.len());
+        counted.set(sharpness.len(), None);
     }
     counted.finish();
     let said = decoder.end()?;
@@ -105,7 +102,7 @@ fn measure(ffmpeg: &Ffmpeg, video: &Path, stop: &Stop) -> Result<Vec<f64>> {
 
 /// ffmpeg, while it decodes to a pipe.
 struct Decoder {
-    child: Child,
+    child: Running,
     frames: BufReader<std::process::ChildStdout>,
     said: Option<JoinHandle<String>>,
 }
@@ -127,21 +124,13 @@ impl Decoder {
             let _ = errors.read_to_end(&mut text);
             String::from_utf8_lossy(&text).lines().last().unwrap_or_default().to_owned()
         });
-        Ok(Self { child, frames: BufReader::with_capacity(1 << 20, frames), said: Some(said) })
+        Ok(Self { child: Running(child), frames: BufReader::with_capacity(1 << 20, frames), said: Some(said) })
     }
 
     /// Waits for the end, and returns the last line of the errors: a damaged end of a video is no reason to refuse the rest.
     fn end(&mut self) -> Result<String> {
-        self.child.wait().context("cannot wait for `ffmpeg`")?;
+        self.child.0.wait().context("cannot wait for `ffmpeg`")?;
         Ok(self.said.take().and_then(|said| said.join().ok()).unwrap_or_default())
-    }
-}
-
-impl Drop for Decoder {
-    fn drop(&mut self) {
-        // Both fail for a program that has ended.
-        let _ = self.child.kill();
-        let _ = self.child.wait();
     }
 }
 

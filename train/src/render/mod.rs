@@ -3,7 +3,7 @@
 mod path;
 
 use std::fs::File;
-use std::io::{BufWriter, Write};
+use std::io::BufWriter;
 use std::path::PathBuf;
 
 use anyhow::{Context, Result, anyhow};
@@ -12,15 +12,15 @@ use clap::builder::RangedU64ValueParser;
 use clap::{ValueEnum, value_parser};
 use glam::DAffine3;
 use image::{ImageFormat, RgbImage, Rgba32FImage};
+use npyz::WriterBuilder;
 use splat_model::capture::{Capture, View};
 use splat_model::effects::background::Background;
 use splat_model::gaussians::{Gaussians, values_of};
 use splat_op::{Camera, Extras, RenderOptions, Splats};
 
 use self::path::{CameraPath, Video};
-use crate::accuracy::{AccuracyArgs, ModelArgs};
-use crate::background::ShownBackground;
-use crate::device::{self, DeviceName};
+use crate::accuracy::AccuracyArgs;
+use crate::background::ShowArgs;
 use crate::inputs::Inputs;
 use crate::output::{OutputFolder, prepare_file};
 use crate::report::pictures::{self, level};
@@ -28,9 +28,6 @@ use crate::{input, progress};
 
 /// Value of `--view` for all views.
 const ALL: &str = "all";
-
-/// Number of view names that an error lists.
-const NAMES_LISTED: usize = 5;
 
 /// Options of `splat render`.
 #[derive(Clone, Debug, clap::Args)]
@@ -62,19 +59,12 @@ pub struct RenderArgs {
     /// File format of the pictures
     #[arg(long, value_enum, default_value_t)]
     pub format: PictureFormat,
-    /// Device to compute on
-    #[arg(long, value_name = "NAME", default_value_t, help = device::help())]
-    pub device: DeviceName,
-    /// Model choices.
+    /// How the scene is shown.
     #[command(flatten)]
-    pub model: ModelArgs,
+    pub show: ShowArgs,
     /// Accuracy of the renders.
     #[command(flatten)]
     pub accuracy: AccuracyArgs,
-    /// Background behind the scene: black, white, R,G,B from 0 to 1, or the background.json of a training run [default: that of the
-    /// scene's training]
-    #[arg(long, value_name = "WHAT")]
-    pub background: Option<ShownBackground>,
 }
 
 /// File format of a picture. Values are display-referred in all formats, as in photographs, and composited over
@@ -90,29 +80,21 @@ pub enum PictureFormat {
     Npy,
 }
 
-impl PictureFormat {
-    fn extension(self) -> &'static str {
-        match self {
-            Self::Png => "png",
-            Self::Exr => "exr",
-            Self::Npy => "npy",
-        }
-    }
-}
-
 /// Renders the views, writes the pictures, and prints their paths. Returns the paths.
 ///
 /// # Errors
 /// If the capture or the scene cannot be read, the view does not exist, or a picture is one of the files that are read or cannot be written.
 pub fn run(args: &RenderArgs) -> Result<Vec<PathBuf>> {
-    let (device, _) = args.device.resolve()?;
+    let (device, _) = args.show.device.resolve()?;
     let capture = input::capture(&args.capture)?;
     let views = views(args, &capture)?;
-    let (rows, trained) = input::rows("--scene", &args.scene, &capture)?;
-    let background = ShownBackground::read(args.background.as_ref(), &args.scene, &trained)?;
-    let names = pictures::names(views.iter().map(|view| view.name.as_str()), args.format.extension());
+    let (rows, trained) = input::rows("--scene", &args.scene, Some(&capture))?;
+    let background = args.show.background(&args.scene, &trained)?;
+    let format = args.format.to_possible_value();
+    let extension = format.as_ref().map_or("", |format| format.get_name());
+    let names = pictures::names(views.iter().map(|view| view.name.as_str()), extension);
     let inputs = Inputs::default().and_scene(&args.scene).and_capture(&capture);
-    let inputs = inputs.and(args.background.as_ref().and_then(ShownBackground::file));
+    let inputs = inputs.and(args.show.file());
     let mut video = match &args.video {
         Some(path) => {
             prepare_file(path, &inputs)?;
@@ -121,7 +103,7 @@ pub fn run(args: &RenderArgs) -> Result<Vec<PathBuf>> {
         None => None,
     };
     let out = args.out.as_ref().map(|out| OutputFolder::prepare(out, inputs, &names, &[])).transpose()?;
-    let base = args.model.or(&trained).config().render_options(input::extent(&capture));
+    let base = args.show.model.or(&trained).config().render_options(input::extent(&capture));
     let options = args.accuracy.accuracy.setting().apply(base);
     let splats = Gaussians::from_own_rows(rows, &device)?.splats();
     let counter = progress::counter("rendering", views.len());
@@ -164,10 +146,8 @@ fn views(args: &RenderArgs, capture: &Capture) -> Result<Vec<View>> {
         Some(view) => Ok(vec![view.clone()]),
         None if name == ALL => Ok(capture.views.clone()),
         None => {
-            let some: Vec<&str> = capture.views.iter().take(NAMES_LISTED).map(|view| view.name.as_str()).collect();
-            let more = if capture.views.len() > NAMES_LISTED { ", ..." } else { "" };
-            let (folder, some) = (capture.folder.display(), some.join(", "));
-            Err(anyhow!("{folder} has no view {name:?}: give `--view` one of its names ({some}{more}) or `all`"))
+            let (folder, names) = (capture.folder.display(), input::some_names(capture));
+            Err(anyhow!("{folder} has no view {name:?}: give `--view` one of its names ({names}) or `all`"))
         }
     }
 }
@@ -217,31 +197,12 @@ impl Rgba {
                 picture.write_to(file, ImageFormat::OpenExr)?;
             }
             PictureFormat::Npy => {
-                file.write_all(&npy_header([self.height, self.width, 4]))?;
-                for value in self.values {
-                    file.write_all(&value.to_le_bytes())?;
-                }
+                let shape = [self.height as u64, self.width as u64, 4];
+                let mut array = npyz::WriteOptions::new().default_dtype().shape(&shape).writer(file).begin_nd()?;
+                array.extend(self.values)?;
+                array.finish()?;
             }
         }
         Ok(())
     }
-}
-
-/// Header of an NPY file, version 1.0, of little-endian `f32` values in C order. Its length is a multiple of 64 bytes, as the
-/// format's document asks (<https://numpy.org/doc/stable/reference/generated/numpy.lib.format.html>).
-fn npy_header(shape: [usize; 3]) -> Vec<u8> {
-    const START: &[u8] = b"\x93NUMPY\x01\x00";
-    const ALIGNMENT: usize = 64;
-    let [height, width, channels] = shape;
-    let entries = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': ({height}, {width}, {channels}), }}");
-    // Two bytes hold the length of what follows them: the entries, spaces and a line feed.
-    let before = START.len() + 2;
-    let whole = (before + entries.len() + 1).next_multiple_of(ALIGNMENT);
-    let mut header = START.to_vec();
-    // Three numbers of at most 20 digits leave it far below what a u16 holds.
-    header.extend(((whole - before) as u16).to_le_bytes());
-    header.extend(entries.bytes());
-    header.resize(whole - 1, b' ');
-    header.push(b'\n');
-    header
 }

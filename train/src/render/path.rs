@@ -4,14 +4,15 @@ use std::f64::consts::TAU;
 use std::fs;
 use std::io::{ErrorKind, Write};
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::process::{Command, Stdio};
 
 use anyhow::{Context, Result, anyhow, ensure};
 use glam::{DAffine3, DMat3, DVec3};
 use splat_op::Intrinsics;
 use tempfile::TempDir;
 
-/// A camera path.
+use crate::reconstruct::Running;
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum CameraPath {
     /// Once around what the cameras of the capture look at, as far away and as high as they are on average
@@ -63,7 +64,7 @@ fn focus(poses: &[DAffine3]) -> Option<DVec3> {
 
 /// A video that is being encoded by the installed ffmpeg. The file appears when it is complete.
 pub struct Video<'a> {
-    ffmpeg: Child,
+    ffmpeg: Running,
     path: &'a Path,
     /// Holds the unfinished file, and is removed with it.
     folder: TempDir,
@@ -95,7 +96,7 @@ impl<'a> Video<'a> {
             ),
             _ => anyhow::Error::from(error).context("cannot run `ffmpeg`: check that it may be executed"),
         })?;
-        Ok(Self { ffmpeg, path, folder })
+        Ok(Self { ffmpeg: Running(ffmpeg), path, folder })
     }
 
     /// Adds a picture: RGB, 8 bits each.
@@ -103,17 +104,13 @@ impl<'a> Video<'a> {
     /// # Errors
     /// If ffmpeg has ended, with what it says.
     pub fn add(&mut self, rgb: &[u8]) -> Result<()> {
-        let written = self.ffmpeg.stdin.as_mut().map(|pipe| pipe.write_all(rgb));
+        let written = self.ffmpeg.0.stdin.as_mut().map(|pipe| pipe.write_all(rgb));
         match written {
             Some(Ok(())) => Ok(()),
             _ => self.end().and_then(|()| Err(anyhow!("`ffmpeg` ended before the video did"))),
         }
     }
 
-    /// Completes the file.
-    ///
-    /// # Errors
-    /// If ffmpeg fails, with what it says, or the file cannot be renamed.
     pub fn finish(mut self) -> Result<()> {
         self.end()?;
         let written = self.folder.path().join(self.path.file_name().unwrap_or_default());
@@ -121,23 +118,15 @@ impl<'a> Video<'a> {
     }
 
     fn end(&mut self) -> Result<()> {
-        drop(self.ffmpeg.stdin.take());
+        drop(self.ffmpeg.0.stdin.take());
         let mut said = String::new();
-        if let Some(mut pipe) = self.ffmpeg.stderr.take() {
+        if let Some(mut pipe) = self.ffmpeg.0.stderr.take() {
             // What is no text is not shown.
             _ = std::io::Read::read_to_string(&mut pipe, &mut said);
         }
-        let status = self.ffmpeg.wait().context("cannot wait for `ffmpeg`")?;
+        let status = self.ffmpeg.0.wait().context("cannot wait for `ffmpeg`")?;
         ensure!(status.success(), "`ffmpeg` cannot encode {} ({status}): {}", self.path.display(), said.trim());
         Ok(())
-    }
-}
-
-impl Drop for Video<'_> {
-    /// After a failure nothing is left. After the end there is nothing to stop.
-    fn drop(&mut self) {
-        _ = self.ffmpeg.kill();
-        _ = self.ffmpeg.wait();
     }
 }
 

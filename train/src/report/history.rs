@@ -105,7 +105,7 @@ impl Recorder {
     }
 
     /// Adds the sum and the number of the losses since the last call.
-    pub fn add(&mut self, (sum, count): (f64, usize)) {
+    pub fn add(&mut self, sum: f64, count: usize) {
         self.losses.0 += sum;
         self.losses.1 += count;
     }

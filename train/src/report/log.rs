@@ -1,9 +1,11 @@
 //! Log of a run in progress: to its history, for people, and for programs.
 
+use std::fmt::{self, Display};
 use std::time::Instant;
 
 use anyhow::Result;
 use burn::tensor::{Device, Tensor};
+use indicatif::ProgressBar;
 use serde::Serialize;
 use splat_model::capture::Photograph;
 use splat_model::evaluate::evaluate_each;
@@ -11,9 +13,10 @@ use splat_model::gaussians::Gaussians;
 use splat_model::metrics::lpips::Lpips;
 use splat_model::trainer::{StepReport, Trainer};
 
+use super::forecast::{Forecast, RunProgress};
 use super::history::{History, HistoryPoint, HistoryScore, Recorder};
 use super::metrics::Metrics;
-use crate::progress::{self, StepProgress};
+use crate::progress::{self, BETWEEN_FRAMES, BETWEEN_LINES, clock};
 
 /// Largest number of views scored during a run, spread evenly over the held-out views.
 pub const FEW: usize = 4;
@@ -35,7 +38,11 @@ pub enum LogLine<'a> {
 /// The log of a run.
 pub struct RunLog {
     pub recorder: Recorder,
-    bar: StepProgress,
+    bar: Option<ProgressBar>,
+    forecast: Forecast,
+    /// When progress was last shown, and the sum and the number of the losses since.
+    shown: Instant,
+    shown_losses: (f64, usize),
     /// `[1]`: sum of the losses that were not read yet, and their number. Kept on the device, because each read would
     /// wait.
     losses: Option<(Tensor<1>, usize)>,
@@ -46,8 +53,21 @@ pub struct RunLog {
 impl RunLog {
     /// Begins the log before the next step of a run. `history` holds the earlier ones, which took `seconds`.
     pub fn new(trainer: &Trainer, history: History, seconds: f64) -> Self {
-        let bar = StepProgress::new(trainer, &history);
-        Self { recorder: Recorder::new(trainer.config().steps, history, seconds), bar, losses: None, scoring_s: 0.0 }
+        let config = trainer.config();
+        let splats = history.points.first().map_or(trainer.gaussians().len(), |point| point.splats);
+        let mut forecast = Forecast::new(config.clone(), refinements(trainer), splats, trainer.mean_pixels());
+        for point in &history.points {
+            forecast.observe(RunProgress { step: point.step, splats: point.splats, seconds: point.seconds });
+        }
+        Self {
+            bar: progress::bar(Some(config.steps), "[{bar:32}] {msg}"),
+            recorder: Recorder::new(config.steps, history, seconds),
+            forecast,
+            shown: Instant::now(),
+            shown_losses: (0.0, 0),
+            losses: None,
+            scoring_s: 0.0,
+        }
     }
 
     /// Logs a step that the trainer has just done.
@@ -56,20 +76,46 @@ impl RunLog {
             Some((sum, count)) => (sum + report.loss.clone(), count + 1),
             None => (report.loss.clone(), 1),
         });
-        let shows = self.bar.tick(report.step, report.splats, self.recorder.elapsed_s());
-        let keeps = self.recorder.is_due(report.step);
+        let &StepReport { step, splats, .. } = report;
+        self.forecast.observe(RunProgress { step, splats, seconds: self.recorder.elapsed_s() });
+        let pause = if self.bar.is_some() { BETWEEN_FRAMES } else { BETWEEN_LINES };
+        let is_time = self.shown.elapsed() >= pause || step >= trainer.config().steps;
+        let (shows, keeps) = (is_time && !progress::is_quiet(), self.recorder.is_due(step));
         if !(shows || keeps) {
             return;
         }
-        let losses = self.losses.take().map_or((0.0, 0), |(sum, count)| (sum.into_scalar::<f64>(), count));
-        self.bar.add(losses);
-        self.recorder.add(losses);
+        if let Some((sum, count)) = self.losses.take() {
+            let sum = sum.into_scalar::<f64>();
+            self.shown_losses = (self.shown_losses.0 + sum, self.shown_losses.1 + count);
+            self.recorder.add(sum, count);
+        }
         if shows {
-            self.bar.show(report.step, trainer);
+            self.show(step, trainer);
         }
         if keeps {
-            let point = self.recorder.keep(report.step, report.splats);
+            let point = self.recorder.keep(step, splats);
             progress::line(&LogLine::Progress(point));
+        }
+    }
+
+    /// Shows the state of the run after a step.
+    fn show(&mut self, step: usize, trainer: &Trainer) {
+        self.shown = Instant::now();
+        let (sum, count) = std::mem::take(&mut self.shown_losses);
+        let line = ProgressLine {
+            step,
+            steps: trainer.config().steps,
+            loss: sum / count as f64,
+            splats: trainer.gaussians().len(),
+            rate: 1.0 / self.forecast.mean_s(),
+            left_s: self.left_s(),
+        };
+        match &self.bar {
+            None => progress::note(&line.to_string()),
+            Some(bar) => {
+                bar.set_position(step as u64);
+                bar.set_message(line.to_string());
+            }
         }
     }
 
@@ -80,7 +126,8 @@ impl RunLog {
     pub fn evaluate(
         &mut self,
         trainer: &Trainer,
-        (test, device): (&[Photograph], &Device),
+        test: &[Photograph],
+        device: &Device,
         lpips: Option<&Lpips>,
     ) -> Result<()> {
         let start = Instant::now();
@@ -109,18 +156,52 @@ impl RunLog {
 
     /// Predicts the time that the run has left, s.
     pub fn left_s(&self) -> f64 {
-        self.bar.left_s()
+        self.forecast.left_s()
     }
 
     /// Adapts the log to a number of steps that has changed.
     pub fn reschedule(&mut self, trainer: &Trainer) {
-        self.recorder.set_steps(trainer.config().steps);
-        self.bar.reschedule(trainer);
+        let steps = trainer.config().steps;
+        self.recorder.set_steps(steps);
+        if let Some(bar) = &self.bar {
+            bar.set_length(steps as u64);
+        }
+        self.forecast.reschedule(trainer.config().clone(), refinements(trainer));
     }
 
     /// Ends the log after the last step.
     pub fn finish(self) -> History {
-        self.bar.finish();
+        if let Some(bar) = self.bar {
+            bar.abandon();
+        }
         self.recorder.history
     }
 }
+
+/// The steps at which the number of Gaussians may change.
+fn refinements(trainer: &Trainer) -> Vec<usize> {
+    (1..=trainer.config().steps).filter(|&step| trainer.refines_at(step)).collect()
+}
+
+/// The state of a run after a step, for people.
+struct ProgressLine {
+    step: usize,
+    steps: usize,
+    loss: f64,
+    splats: usize,
+    /// Steps a second.
+    rate: f64,
+    left_s: f64,
+}
+
+impl Display for ProgressLine {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { step, steps, loss, splats, rate, left_s } = self;
+        let rate = if rate.is_finite() { format!("{rate:.1}") } else { "-".into() };
+        let left = clock(*left_s);
+        write!(f, "step {step}/{steps}  loss {loss:.4}  {splats} splats  {rate} steps/s  {left} left")
+    }
+}
+
+#[cfg(test)]
+mod tests;

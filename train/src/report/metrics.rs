@@ -65,7 +65,8 @@ fn peak_of(status: &str) -> Option<f64> {
     Some((kib / 1024.0 * 10.0).round() / 10.0)
 }
 
-fn read(path: &Path) -> Value {
+/// Reads a `metrics.json`; null if the file is missing or no JSON.
+pub fn read(path: &Path) -> Value {
     let read = || serde_json::from_slice::<Value>(&std::fs::read(path).ok()?).ok();
     read().unwrap_or_default()
 }

@@ -1,6 +1,7 @@
 //! Output of a run besides the scene: `metrics.json`, pictures of the test views, `report.html`, and messages while it
 //! is in progress.
 
+mod forecast;
 pub mod history;
 pub mod html;
 pub mod log;
@@ -12,6 +13,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::Result;
+use image::ImageFormat;
 use splat_model::capture::Photograph;
 use splat_model::effects::background::Background;
 use splat_model::evaluate::{Scores, evaluate_each};
@@ -54,7 +56,9 @@ pub fn measure(
     let pixels = photos.iter().map(|photo| Ok::<_, anyhow::Error>(photo.pixels()?));
     let scores = evaluate_each(splats, pixels, background, options, lpips, |comparison, _| {
         if let (Ok(()), Some(name)) = (&written, names.next()) {
-            written = out.write(Path::new(VIEWS).join(name), |file| pictures::write_comparison(comparison, file));
+            written = out.write(Path::new(VIEWS).join(name), |file| {
+                Ok(pictures::comparison(comparison).write_to(file, ImageFormat::Png)?)
+            });
         }
         counter.inc(1);
     });

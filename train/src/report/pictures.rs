@@ -1,12 +1,9 @@
 //! Pictures: comparisons of a render with its photograph, and plain renders.
 
 use std::collections::HashSet;
-use std::fs::File;
-use std::io::BufWriter;
 use std::path::{Component, Path, PathBuf};
 
-use anyhow::Result;
-use image::{ImageFormat, RgbImage};
+use image::RgbImage;
 use splat_model::evaluate::Comparison;
 use splat_model::gaussians::values_of;
 
@@ -37,16 +34,8 @@ pub fn stays_inside(path: &Path) -> bool {
     path.components().all(|part| matches!(part, Component::Normal(_) | Component::CurDir))
 }
 
-/// Writes ground truth | render | error side by side as an 8-bit PNG. The error is the absolute difference of each
-/// channel, magnified by [`ERROR_GAIN`].
-///
-/// # Errors
-/// If it cannot be written.
-pub fn write_comparison(comparison: &Comparison, file: &mut BufWriter<File>) -> Result<()> {
-    Ok(self::comparison(comparison).write_to(file, ImageFormat::Png)?)
-}
-
-/// Returns the picture that [`write_comparison`] writes.
+/// Returns ground truth | render | error side by side. The error is the absolute difference of each channel, magnified by
+/// [`ERROR_GAIN`].
 pub fn comparison(comparison: &Comparison) -> RgbImage {
     let [height, width, _] = comparison.image.dims();
     let (truth, render) = (values_of(comparison.truth.clone()), values_of(comparison.image.clone()));
@@ -69,7 +58,7 @@ fn side_by_side(truth: &[f32], render: &[f32], width: usize, height: usize) -> R
     })
 }
 
-/// Whether a file is a picture of [`write_comparison`]: its third panel is the difference of the others, to the level that they are
+/// Whether a file is a picture of [`comparison`]: its third panel is the difference of the others, to the level that they are
 /// rounded to.
 pub fn is_comparison(path: &Path) -> bool {
     let Ok(picture) = image::open(path).map(|picture| picture.into_rgb8()) else { return false };

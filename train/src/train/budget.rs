@@ -57,7 +57,6 @@ impl MemoryEstimate {
         }
     }
 
-    /// Returns the sum, bytes.
     pub fn total(self) -> usize {
         self.photographs + self.prepared + self.scene + self.other
     }

@@ -30,15 +30,12 @@ const LOCK: &str = ".splat-lock";
 /// Number of checkpoints that are kept.
 const KEPT: usize = 2;
 
-/// Content of a checkpoint.
 pub struct SavedRun {
-    /// Options that the run was started with.
     pub args: TrainArgs,
     /// Input of [`Trainer::resume`].
     pub trainer: State,
     /// Progress besides the trainer.
     pub so_far: SoFar,
-    /// File that it was read from.
     pub path: PathBuf,
 }
 
@@ -51,7 +48,6 @@ pub struct SoFar {
     /// Number of steps, if a time limit chose it.
     #[serde(default)]
     pub steps: Option<usize>,
-    /// History of the run.
     pub history: History,
 }
 
@@ -60,16 +56,10 @@ pub struct SoFar {
 pub enum RunState {
     /// There is no run, or none that has a checkpoint.
     New,
-    /// A process trains; its last checkpoint is of this step.
-    Running {
-        /// Step, counted from 1; 0 before the first.
-        step: usize,
-    },
+    /// A process trains; its last checkpoint is of this step, counted from 1, or 0 before the first.
+    Running(usize),
     /// It can be resumed from this step.
-    Stopped {
-        /// Step, counted from 1; 0 before the first.
-        step: usize,
-    },
+    Stopped(usize),
     /// Its results are complete.
     Finished,
 }
@@ -82,8 +72,8 @@ pub fn state_of(out: &Path) -> RunState {
         Some(matches!(lock.try_lock(), Err(TryLockError::WouldBlock)))
     };
     match newest {
-        _ if locked() == Some(true) => RunState::Running { step: newest.unwrap_or(0) },
-        Some(step) => RunState::Stopped { step },
+        _ if locked() == Some(true) => RunState::Running(newest.unwrap_or(0)),
+        Some(step) => RunState::Stopped(step),
         None if out.join(METRICS).is_file() => RunState::Finished,
         None => RunState::New,
     }
@@ -100,9 +90,6 @@ pub struct Checkpoints {
 
 impl Checkpoints {
     /// Opens the checkpoints of a run that writes to `out`.
-    ///
-    /// # Errors
-    /// If the folder cannot be made, or another process trains there.
     pub fn open(out: &Path) -> Result<Self> {
         let folder = out.join(FOLDER);
         let cannot = || format!("cannot write to {}: fix its permissions, or choose another `--out`", folder.display());
@@ -137,9 +124,6 @@ impl Checkpoints {
     }
 
     /// Clears the folder of checkpoints for a new run: those of an unfinished one are moved aside, and all other files stay.
-    ///
-    /// # Errors
-    /// If a checkpoint cannot be moved, or another file has the name of one.
     pub fn begin(&self) -> Result<()> {
         let before = self.folder.with_file_name(BEFORE);
         for folder in [&self.folder, &before] {
@@ -259,10 +243,6 @@ pub fn newest(out: &Path) -> Result<SavedRun> {
     })
 }
 
-/// Reads a checkpoint.
-///
-/// # Errors
-/// If it cannot be read, is damaged, or was written by another version.
 pub fn read(path: &Path) -> Result<SavedRun> {
     let mut state = State::read(path)?;
     let (version, own): (String, _) = (state.told("version")?, env!("CARGO_PKG_VERSION"));

@@ -1,24 +1,118 @@
-//! Files that a run writes beside its scores: the scene, and everything learned with it.
+//! Results of a run: the scene, everything learned with it, its scores and its report.
 
 use std::collections::BTreeMap;
 use std::fs;
 use std::io::Write;
 use std::path::Path;
+use std::time::Instant;
 
 use anyhow::{Result, anyhow};
 use glam::DAffine3;
-use splat_model::capture::Capture;
+use serde::Serialize;
+use splat_model::capture::{Capture, Photograph};
 use splat_model::effects::background::{Backdrop, Background};
+use splat_model::gaussians::Gaussians;
 use splat_model::ply::{self, PlyError, TrainedAs, WorldFrame};
 use splat_model::trainer::{TrainConfig, TrainError, Trainer};
 use splat_op::Projection;
 
+use super::setup::Setup;
+use super::steps::Done;
+use crate::lpips::LpipsArgs;
+use crate::options::PhotoArgs;
 use crate::output::OutputFolder;
 use crate::progress;
-use crate::report::{BACKGROUND, METRICS, POSES, SCENE, metrics};
+use crate::report::log::LogLine;
+use crate::report::metrics::{self, Metrics, Seconds, peak_rss_mib, seconds_since};
+use crate::report::page::{ReportPage, SCENE_BYTES};
+use crate::report::{self, BACKGROUND, METRICS, POSES, SCENE};
+use crate::view::page::{SceneSource, Viewer};
+use crate::view::scene::{ShownScene, Viewpoint};
+
+/// The `options` of `metrics.json`.
+#[derive(Serialize)]
+struct TrainOptionsRecord<'a> {
+    capture: &'a Path,
+    #[serde(flatten)]
+    photos: &'a PhotoArgs,
+    #[serde(flatten)]
+    config: &'a TrainConfig,
+    start: Option<&'a Path>,
+    #[serde(flatten)]
+    lpips: &'a LpipsArgs,
+}
+
+/// Writes the scene, scores it, writes the report, and prints the location of all files. `load_s` is the time that reading took.
+pub fn write(setup: &Setup, trainer: Trainer, test: &[Photograph], load_s: f64, done: Done) -> Result<Metrics> {
+    let Setup { job, out, lpips, .. } = setup;
+    // Schedules may have changed since the start.
+    let config = trainer.config().clone();
+    let (background, render_options) = (trainer.background(), trainer.render_options());
+    // Before measuring, so that a failure there does not lose the scene.
+    let unusable = write_scene(&trainer, &job.capture, &out.join(SCENE))?;
+    write_learnt(&trainer, &config, &job.capture, out)?;
+    progress::note_unusable(&out.join(SCENE), unusable, trainer.gaussians().len());
+    let gaussians = match config.smoothing {
+        true => Gaussians::from_rows(&trainer.rows(), &job.device)?,
+        false => trainer.gaussians().untracked(),
+    };
+    // The page and the scores need the memory of photographs and moments, which are no longer used.
+    drop(trainer);
+    let rows = gaussians.to_rows();
+    let scene = ShownScene::new(&rows, SCENE_BYTES).ok();
+    let last = done.live.map(|live| (live, rows));
+
+    let start = Instant::now();
+    let measure = || report::measure(&gaussians.splats(), test, &background, &render_options, lpips.as_ref(), out);
+    let scores = if test.is_empty() { None } else { Some(measure()?) };
+    let seconds = Seconds { load: load_s, train: Some(done.seconds), eval: seconds_since(start) };
+    let options = TrainOptionsRecord {
+        capture: &job.capture.folder,
+        photos: &setup.photos,
+        config: &config,
+        start: job.args.start.as_deref(),
+        lpips: &job.args.lpips,
+    };
+    let metrics = Metrics {
+        test: scores,
+        splats: gaussians.len(),
+        culled_non_finite: unusable,
+        steps: Some(config.steps),
+        seconds,
+        peak_rss_mib: peak_rss_mib(),
+        device: setup.device_name.clone(),
+        effects: Some(job.effects.clone()),
+        seed: Some(config.seed),
+        options: serde_json::to_value(options)?,
+        version: env!("CARGO_PKG_VERSION"),
+    };
+    report::finish(&metrics, out)?;
+    let viewpoints = Viewpoint::all(test);
+    let viewer = scene.as_ref().map(|scene| Viewer {
+        scene,
+        source: SceneSource::Page,
+        viewpoints: &viewpoints,
+        background: background.colour(),
+        antialias: config.antialias,
+    });
+    ReportPage { metrics: &metrics, history: &done.history, viewer }.write(out)?;
+    match done.stopped_at {
+        None => done.checkpoints.finish(),
+        Some(step) => progress::note(&format!(
+            "stopped in the browser after step {step}; `splat resume {}` continues from there",
+            out.path().display()
+        )),
+    }
+    if let Some((live, rows)) = last {
+        live.finish(rows, &metrics, &done.history);
+    }
+    report::say(&metrics, SCENE, out);
+    progress::line(&LogLine::Done { out: out.path().display().to_string(), metrics: &metrics });
+    Ok(metrics)
+}
 
 /// Writes the trained scene. Returns the number of its Gaussians that cannot be rendered.
-pub fn write_scene(trainer: &Trainer, capture: &Capture, path: &Path) -> Result<usize, PlyError> {
+fn write_scene(trainer: &Trainer, capture: &Capture, path: &Path) -> Result<usize, PlyError> {
     let scene = (trainer.gaussians().len(), trainer.gaussians().sh_degree());
     let mut unusable = 0;
     let parts = trainer.parts_of_rows().inspect(|part| unusable += part.unusable());
@@ -44,7 +138,7 @@ pub fn export(trainer: &Trainer, capture: &Capture, out: &OutputFolder) {
 
 /// Writes what was learned beside the scene, and removes such files of an earlier run: those that hold what this function writes, where
 /// that run left its scores.
-pub fn write_learnt(trainer: &Trainer, config: &TrainConfig, capture: &Capture, out: &OutputFolder) -> Result<()> {
+fn write_learnt(trainer: &Trainer, config: &TrainConfig, capture: &Capture, out: &OutputFolder) -> Result<()> {
     let is_learnt = matches!(config.backdrop, Backdrop::Learned | Backdrop::Environment { .. });
     let background = is_learnt.then(|| trainer.background().to_json()).transpose()?;
     let poses = trainer.refined_poses().map(|poses| poses_json(&poses, capture)).transpose()?;

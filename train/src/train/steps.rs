@@ -4,19 +4,18 @@ use std::rc::Rc;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
-use burn::tensor::Device;
-use splat_model::capture::{Capture, Photograph};
-use splat_model::metrics::lpips::Lpips;
+use splat_model::capture::Photograph;
 use splat_model::trainer::ranks::Ranks;
 use splat_model::trainer::{TrainConfig, Trainer};
 
 use super::TrainArgs;
 use super::checkpoints::{Checkpoints, SoFar};
+use super::job::Job;
 use super::results::{export, keep_scene};
+use super::setup::Setup;
 use super::stop::{Interrupted, Stop};
 use super::time_limit::{TimeLimit, set_steps};
 use crate::live::Live;
-use crate::output::OutputFolder;
 use crate::ranks::{self, Order};
 use crate::report::history::History;
 use crate::report::log::{FEW, RunLog};
@@ -38,21 +37,15 @@ fn is_checkpoint_due(every: Option<usize>, step: usize, since: Duration) -> bool
 
 /// Whether a run that was not told when takes scores at a step: ten times, where a view that costs as much as a step keeps below the share,
 /// and as long as the measured share does.
-fn scores_by_itself((step, steps): (usize, usize), views: usize, share: f64) -> bool {
+fn scores_by_itself(step: usize, steps: usize, views: usize, share: f64) -> bool {
     let cost = (SCORES * views.min(FEW)) as f64;
     let is_turn = step * SCORES / steps > (step - 1) * SCORES / steps;
     is_turn && views > 0 && cost <= SCORING_SHARE * steps as f64 && share <= SCORING_SHARE
 }
 
-/// Inputs of the steps.
 pub struct Steps<'a> {
-    pub args: &'a TrainArgs,
-    pub capture: &'a Capture,
-    pub out: &'a OutputFolder,
+    pub setup: &'a Setup,
     pub test: &'a [Photograph],
-    pub device: &'a Device,
-    /// LPIPS for scores during the run, if asked for.
-    pub lpips: Option<&'a Lpips>,
     pub checkpoints: Checkpoints,
     /// View in the browser, if asked for.
     pub live: Option<Live<'a>>,
@@ -76,12 +69,13 @@ impl<'a> Steps<'a> {
     /// # Errors
     /// If a step fails; [`Interrupted`] if the run was asked to stop.
     pub fn run(mut self, trainer: &mut Trainer, so_far: SoFar) -> Result<Done<'a>> {
+        let Setup { job: Job { args, capture, device, .. }, out, lpips, .. } = self.setup;
         let stop = Stop::listen().context("cannot listen for Ctrl-C")?;
-        let mut time_limit = self.args.time.map(TimeLimit::new);
+        let mut time_limit = args.time.map(TimeLimit::new);
         // The first checkpoint comes before the first step: a run killed at once can be resumed too, and an unwritable
         // folder is found now.
-        if trainer.steps_done() == 0 && self.args.checkpoint_every != Some(0) {
-            self.checkpoints.write(trainer, self.args, &so_far)?;
+        if trainer.steps_done() == 0 && args.checkpoint_every != Some(0) {
+            self.checkpoints.write(trainer, args, &so_far)?;
         }
         let mut written = Instant::now();
         let mut log = RunLog::new(trainer, so_far.history, so_far.seconds);
@@ -89,26 +83,26 @@ impl<'a> Steps<'a> {
         let mut told = trainer.config().clone();
         while !trainer.is_done() {
             if let Some(signal) = stop.asked() {
-                let seconds = log.recorder.seconds();
-                let so_far = self.so_far(trainer, seconds, log.finish());
+                let so_far = so_far_of(trainer, args, &log);
+                log.finish();
                 return Err(self.interrupted(trainer, &so_far, signal));
             }
             self.order_step(trainer, &mut told)?;
             let mut evaluated = Ok(());
             let step = trainer.step_and_look(|trainer| {
                 let (step, steps) = (trainer.steps_done(), trainer.config().steps);
-                if match self.args.eval_during {
+                if match args.eval_during {
                     Some(every) => every > 0 && step.is_multiple_of(every),
-                    None => scores_by_itself((step, steps), self.test.len(), log.scoring_share()),
+                    None => scores_by_itself(step, steps, self.test.len(), log.scoring_share()),
                 } {
-                    evaluated = log.evaluate(trainer, (self.test, self.device), self.lpips);
+                    evaluated = log.evaluate(trainer, self.test, device, lpips.as_ref());
                 }
             });
             match step {
                 Ok(report) => log.step(&report, trainer),
                 Err(error) => {
                     log.finish();
-                    return Err(keep_scene(error, trainer, self.capture, self.out));
+                    return Err(keep_scene(error, trainer, capture, out));
                 }
             }
             evaluated?;
@@ -118,21 +112,21 @@ impl<'a> Steps<'a> {
             if stopped_at.is_none() && !trainer.is_done() && self.live.as_ref().is_some_and(Live::stops) {
                 stopped_at = Some(trainer.steps_done());
                 time_limit = None;
-                let (seconds, history) = (log.recorder.seconds(), log.recorder.history.clone());
-                self.checkpoints.write(trainer, self.args, &self.so_far(trainer, seconds, history))?;
+                let so_far = so_far_of(trainer, args, &log);
+                self.checkpoints.write(trainer, args, &so_far)?;
                 // One more step, which waits for the device and finds its faults.
-                set_steps(trainer.steps_done() + 1, trainer, self.args, &mut log)?;
+                set_steps(trainer.steps_done() + 1, trainer, args, &mut log)?;
             }
             if let Some(limit) = &mut time_limit {
-                limit.adjust(trainer, self.args, &mut log)?;
+                limit.adjust(trainer, args, &mut log)?;
             }
-            if self.args.export_every.is_some_and(|every| trainer.steps_done().is_multiple_of(every)) {
-                export(trainer, self.capture, self.out);
+            if args.export_every.is_some_and(|every| trainer.steps_done().is_multiple_of(every)) {
+                export(trainer, capture, out);
             }
-            if is_checkpoint_due(self.args.checkpoint_every, trainer.steps_done(), written.elapsed()) {
+            if is_checkpoint_due(args.checkpoint_every, trainer.steps_done(), written.elapsed()) {
                 written = Instant::now();
-                let (seconds, history) = (log.recorder.seconds(), log.recorder.history.clone());
-                self.checkpoints.try_write(trainer, self.args, &self.so_far(trainer, seconds, history));
+                let so_far = so_far_of(trainer, args, &log);
+                self.checkpoints.try_write(trainer, args, &so_far);
             }
         }
         self.order(Order::End)?;
@@ -159,20 +153,15 @@ impl<'a> Steps<'a> {
         Ok(())
     }
 
-    /// Returns the progress of the run besides its trainer.
-    fn so_far(&self, trainer: &Trainer, seconds: f64, history: History) -> SoFar {
-        SoFar { seconds, steps: self.args.time.map(|_| trainer.config().steps), history }
-    }
-
     /// Saves a run that was asked to stop.
     fn interrupted(&self, trainer: &mut Trainer, so_far: &SoFar, signal: u8) -> anyhow::Error {
         let step = trainer.steps_done();
-        match self.checkpoints.write(trainer, self.args, so_far) {
+        match self.checkpoints.write(trainer, &self.setup.job.args, so_far) {
             Ok(path) => {
                 if let Err(error) = self.order(Order::End) {
                     return error;
                 }
-                let out = self.out.path().display();
+                let out = self.setup.out.path().display();
                 let path = path.display();
                 let message = format!("stopped after step {step}; `splat resume {out}` continues from {path}");
                 Interrupted { signal, message }.into()
@@ -180,6 +169,12 @@ impl<'a> Steps<'a> {
             Err(error) => error.context(format!("stopped after step {step}, which could not be saved")),
         }
     }
+}
+
+/// Returns the progress of the run besides its trainer.
+fn so_far_of(trainer: &Trainer, args: &TrainArgs, log: &RunLog) -> SoFar {
+    let steps = args.time.map(|_| trainer.config().steps);
+    SoFar { seconds: log.recorder.seconds(), steps, history: log.recorder.history.clone() }
 }
 
 #[cfg(test)]

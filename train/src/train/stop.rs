@@ -1,6 +1,5 @@
 //! Ctrl-C and SIGTERM during a run: the first signal stops the run after its step, the second ends the process at once.
 
-use std::fmt::{self, Display};
 use std::io;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, OnceLock};
@@ -9,7 +8,8 @@ use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::flag;
 
 /// Error of a run that was asked to stop, and did.
-#[derive(Debug)]
+#[derive(Debug, thiserror::Error)]
+#[error("{message}")]
 pub struct Interrupted {
     /// Signal that asked to stop.
     pub signal: u8,
@@ -23,14 +23,6 @@ impl Interrupted {
         128 + self.signal
     }
 }
-
-impl Display for Interrupted {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.message)
-    }
-}
-
-impl std::error::Error for Interrupted {}
 
 /// Listens for signals while it exists. Before and afterwards such a signal ends the process at once.
 pub struct Stop(&'static Heard);

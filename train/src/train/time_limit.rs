@@ -8,7 +8,6 @@ use std::fmt;
 use std::str::FromStr;
 use std::time::Duration;
 
-use serde::{Deserialize, Serialize};
 use splat_model::trainer::{TrainError, Trainer};
 
 use super::TrainArgs;
@@ -37,8 +36,7 @@ const SETTLED: f64 = 0.005;
 const CHANGE: (f64, f64) = (0.1, 10.0);
 
 /// A time for training: `60s`, `10min`, `1h 30m`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(into = "String", try_from = "String")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TrainingTime(Duration);
 
 impl FromStr for TrainingTime {
@@ -51,23 +49,9 @@ impl FromStr for TrainingTime {
     }
 }
 
-impl TryFrom<String> for TrainingTime {
-    type Error = String;
-
-    fn try_from(text: String) -> Result<Self, String> {
-        text.parse()
-    }
-}
-
 impl fmt::Display for TrainingTime {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         humantime::format_duration(self.0).fmt(f)
-    }
-}
-
-impl From<TrainingTime> for String {
-    fn from(time: TrainingTime) -> Self {
-        time.to_string()
     }
 }
 
@@ -87,16 +71,12 @@ pub struct TimeLimit {
 }
 
 impl TimeLimit {
-    /// The choices of a run with this training time.
     pub fn new(time: TrainingTime) -> Self {
         Self { seconds: time.seconds(), next: FIRST }
     }
 
     /// Chooses the number of steps after a step, if it is time to. One more step at least remains, which waits for the device
     /// and finds its faults.
-    ///
-    /// # Errors
-    /// If the trainer refuses the number, for which there is no known reason.
     pub fn adjust(&mut self, trainer: &mut Trainer, args: &TrainArgs, log: &mut RunLog) -> Result<(), TrainError> {
         let remaining = self.seconds - log.recorder.elapsed_s();
         let share = 1.0 - remaining / self.seconds;
@@ -125,10 +105,6 @@ impl TimeLimit {
     }
 }
 
-/// Changes the number of steps of a run.
-///
-/// # Errors
-/// If the trainer refuses the number, for which there is no known reason.
 pub fn set_steps(steps: usize, trainer: &mut Trainer, args: &TrainArgs, log: &mut RunLog) -> Result<(), TrainError> {
     trainer.reschedule(&args.schedule(trainer.config().clone(), steps))?;
     log.reschedule(trainer);

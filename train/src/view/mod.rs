@@ -7,12 +7,12 @@ pub mod server;
 use std::path::PathBuf;
 
 use anyhow::{Context, Result};
-use splat_model::formats;
+use splat_model::ply::TrainedAs;
 
 use self::page::{SceneSource, Viewer};
 use self::scene::ShownScene;
 use self::server::{LOCALHOST, ServedFile, Server};
-use crate::{output, progress};
+use crate::{input, output, progress};
 
 /// Options of `splat view`.
 #[derive(Clone, Debug, clap::Args)]
@@ -40,10 +40,7 @@ pub fn run(args: &ViewArgs) -> Result<()> {
 /// Returns the pages to serve.
 fn pages(args: &ViewArgs) -> Result<[ServedFile; 2]> {
     const SCENE: &str = "/scene.ply";
-    let (scene, _) = formats::read(&args.scene).context("cannot read the scene")?;
-    let (antialias, background) = (scene.antialiased, scene.trained.background);
-    let rows = scene.rows;
-    progress::note_unusable(&args.scene, rows.unusable(), rows.len());
+    let (rows, TrainedAs { antialias, background, .. }) = input::rows("SCENE", &args.scene, None)?;
     let scene = ShownScene::new(&rows, usize::MAX)
         .with_context(|| format!("{} cannot be shown: name another scene", args.scene.display()))?;
     drop(rows);

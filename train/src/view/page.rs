@@ -18,7 +18,7 @@ const LIBRARY: &str = include_str!("../../assets/viewer/library.js");
 const LICENSES: &str = include_str!("../../assets/viewer/LICENSES.txt");
 const SCRIPT: &str = include_str!("viewer.js");
 /// Style sheet of the viewer.
-pub const STYLE: &str = include_str!("viewer.css");
+const STYLE: &str = include_str!("viewer.css");
 
 /// Content-Security-Policy of pages with a viewer: nothing is loaded from outside. The libraries run WebAssembly, in
 /// workers that they make from text.
@@ -150,17 +150,19 @@ impl Viewer<'_> {
     /// # Errors
     /// The errors of [`Self::scripts`].
     pub fn page(&self, title: &str) -> Result<String> {
-        Ok(format!(
-            "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
-             <meta http-equiv=\"Content-Security-Policy\" content=\"{POLICY}\">\n\
-             <meta name=\"viewport\" content=\"width=device-width\">\n<title>{}</title>\n<style>\n{}{STYLE}</style>\n</head>\n\
-             <body>\n{}{}</body>\n</html>\n",
-            escape(title),
-            include_str!("page.css"),
-            self.element(),
-            self.scripts()?,
-        ))
+        Ok(document(title, include_str!("page.css"), &(self.element() + &self.scripts()?)))
     }
+}
+
+/// Returns a page with a viewer: its style sheet comes after `style`.
+pub fn document(title: &str, style: &str, body: &str) -> String {
+    format!(
+        "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
+         <meta http-equiv=\"Content-Security-Policy\" content=\"{POLICY}\">\n\
+         <meta name=\"viewport\" content=\"width=device-width\">\n<title>{}</title>\n<style>\n{style}{STYLE}</style>\n\
+         </head>\n<body>\n{body}</body>\n</html>\n",
+        escape(title)
+    )
 }
 
 #[cfg(test)]

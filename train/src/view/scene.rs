@@ -3,7 +3,7 @@
 use anyhow::{Context, Result};
 use glam::{DAffine3, DVec3, Vec3};
 use serde::Serialize;
-use splat_model::capture::{Photograph, View};
+use splat_model::capture::Photograph;
 use splat_model::gaussians::GaussianRows;
 use splat_model::ply;
 use splat_op::Intrinsics;
@@ -137,17 +137,8 @@ pub struct Viewpoint {
 }
 
 impl Viewpoint {
-    /// Returns the viewpoint of a photograph.
-    pub fn of(photo: &Photograph) -> Self {
-        Self::of_camera(&photo.name, &photo.intrinsics, &photo.cam_from_world)
-    }
-
-    /// Returns the viewpoint of a capture's view.
-    pub fn of_view(view: &View) -> Self {
-        Self::of_camera(&view.name, &view.intrinsics, &view.cam_from_world)
-    }
-
-    fn of_camera(name: &str, intrinsics: &Intrinsics, cam_from_world: &DAffine3) -> Self {
+    /// Returns the viewpoint of a camera.
+    pub fn of(name: &str, intrinsics: &Intrinsics, cam_from_world: &DAffine3) -> Self {
         let world_from_cam = cam_from_world.inverse();
         Self {
             name: name.to_owned(),
@@ -156,6 +147,11 @@ impl Viewpoint {
             up: -world_from_cam.matrix3.y_axis,
             fov_y_degrees: 2.0 * (0.5 * intrinsics.height as f64 / intrinsics.fy).atan().to_degrees(),
         }
+    }
+
+    /// Returns the viewpoints of photographs.
+    pub fn all(photos: &[Photograph]) -> Vec<Self> {
+        photos.iter().map(|photo| Self::of(&photo.name, &photo.intrinsics, &photo.cam_from_world)).collect()
     }
 
     /// Returns a viewpoint outside the scene, with +y down as in most captures.

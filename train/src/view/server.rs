@@ -53,7 +53,15 @@ impl Server {
     /// # Errors
     /// If the port is taken, this user may not use it, or this machine does not have the address.
     pub fn bind(host: &str, port: u16, option: &str) -> Result<Self> {
-        let http = tiny_http::Server::http((host, port)).map_err(|error| refused((host, port), &*error, option))?;
+        let http = tiny_http::Server::http((host, port)).map_err(|error| {
+            let why = match error.downcast_ref::<std::io::Error>().map(std::io::Error::kind) {
+                Some(ErrorKind::AddrInUse) => "another program has it".to_owned(),
+                Some(ErrorKind::AddrNotAvailable) => "this machine does not have that address".to_owned(),
+                Some(ErrorKind::PermissionDenied) => "this user may not have it".to_owned(),
+                _ => error.to_string(),
+            };
+            anyhow!("cannot listen on port {port} of {host}: {why}: choose another with `{option}`, or 0 for any that is free")
+        })?;
         let port = http.server_addr().to_ip().map_or(port, |address| address.port());
         let token = if host == LOCALHOST { String::new() } else { format!("{:032x}", rand::random::<u128>()) };
         Ok(Self { http, host: host.to_owned(), port, token })
@@ -144,21 +152,6 @@ impl Server {
 /// Returns the values of a header.
 fn headers<'a>(request: &'a Request, name: &'static str) -> impl Iterator<Item = &'a str> {
     request.headers().iter().filter(move |header| header.field.equiv(name)).map(|header| header.value.as_str())
-}
-
-/// Describes why a port is not available.
-fn refused(
-    (host, port): (&str, u16),
-    error: &(dyn std::error::Error + Send + Sync + 'static),
-    option: &str,
-) -> anyhow::Error {
-    let why = match error.downcast_ref::<std::io::Error>().map(std::io::Error::kind) {
-        Some(ErrorKind::AddrInUse) => "another program has it".to_owned(),
-        Some(ErrorKind::AddrNotAvailable) => "this machine does not have that address".to_owned(),
-        Some(ErrorKind::PermissionDenied) => "this user may not have it".to_owned(),
-        _ => error.to_string(),
-    };
-    anyhow!("cannot listen on port {port} of {host}: {why}: choose another with `{option}`, or 0 for any that is free")
 }
 
 #[cfg(test)]

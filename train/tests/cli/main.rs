@@ -13,6 +13,8 @@ mod hard_cases;
 #[cfg(unix)]
 mod inputs;
 mod inspect;
+#[cfg(unix)]
+mod installed;
 mod live;
 mod lpips;
 mod memory;

@@ -14,11 +14,3 @@ fn gradients_are_compared_parameter_by_parameter() {
     found[2] = vec![0.0, 0.0];
     assert_eq!(compare_gradients(&found, &exact), (1.0, "log_scales", 0.0));
 }
-
-#[test]
-fn the_same_numbers_are_the_same_bits() {
-    assert!(same_bits(&[0.0, 1.5], &[0.0, 1.5]));
-    assert!(!same_bits(&[0.0], &[-0.0]) && !same_bits(&[1.0], &[1.0, 2.0]));
-    assert!(within_rounding(&[0.5], &[0.500_001]) && !within_rounding(&[0.5], &[0.501]));
-    assert!(!within_rounding(&[f64::NAN], &[f64::NAN]) && !within_rounding(&[1.0], &[1.0, 2.0]));
-}

@@ -1,34 +1,28 @@
 use super::*;
 
 fn chart() -> Chart {
-    let dot =
-        |name: &str, mark, ms: f64, y, member| Dot { name: name.into(), mark, x: [0.9 * ms, ms, 1.2 * ms], y, member };
+    let dot = |name: &str, role, ms: f64, y, member| {
+        let x = Quartiles { lower: 0.9 * ms, median: ms, upper: 1.2 * ms };
+        Dot { name: name.into(), role, x, y, member }
+    };
     let dots = vec![
-        dot("standard", DotMark::Preset, 10.0, 55.0, true),
-        dot("alpha_min 8/255", DotMark::Dial, 6.0, 35.0, true),
-        dot("hidden", DotMark::Dial, 11.0, 40.0, false),
-        dot("both", DotMark::Combination, 5.0, 30.0, true),
+        dot("standard", Role::Preset, 10.0, 55.0, true),
+        dot("alpha_min 8/255", Role::Dial("alpha_min"), 6.0, 35.0, true),
+        dot("hidden", Role::Dial("alpha_min"), 11.0, 40.0, false),
+        dot("both", Role::Combination, 5.0, 30.0, true),
     ];
-    Chart { title: "time and error".into(), x: "ms a frame", y: "dB", dots }
+    Chart { title: "time and error".into(), dots }
 }
 
 #[test]
-fn both_kinds_show_points_and_names() {
+fn points_and_names_are_shown() {
     let text = svg(&chart()).unwrap();
     assert!(text.starts_with("<svg") && text.trim_end().ends_with("</svg>"));
     assert_eq!(text.matches("<circle").count(), 4, "three points and the ring of a preset");
-    for part in ["standard", "alpha_min 8/255", "both", "time and error", "ms a frame"] {
+    for part in ["standard", "alpha_min 8/255", "both", "time and error", "time of a frame, ms"] {
         assert!(text.contains(part), "{part}");
     }
     assert!(!text.contains("hidden"), "a name that is not worth its place");
-    let picture = image::load_from_memory(&png(&chart()).unwrap()).unwrap().into_rgb8();
-    assert_eq!(picture.dimensions(), SIZE);
-    let count = |wanted: [u8; 3]| picture.pixels().filter(|pixel| pixel.0 == wanted).count();
-    assert!(count([200, 80, 40]) > 300, "the frontier is not drawn");
-    assert!(count([40, 90, 160]) > 20, "the other points are not drawn");
-    // Letters are drawn in shades of grey.
-    let dark = picture.pixels().filter(|pixel| pixel.0.iter().all(|&value| value < 120)).count();
-    assert!(dark > 2000, "no letters: {dark}");
 }
 
 #[test]
@@ -51,6 +45,5 @@ fn one_point_or_none_can_be_drawn() {
     for dots in [Vec::new(), chart().dots[..1].to_vec()] {
         let chart = Chart { dots, ..chart() };
         assert!(svg(&chart).unwrap().contains("</svg>"));
-        assert!(!png(&chart).unwrap().is_empty());
     }
 }

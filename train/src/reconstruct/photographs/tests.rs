@@ -7,10 +7,3 @@ fn a_camera_starts_with_its_focal_length_in_the_middle() {
     assert_eq!(of(CameraModelName::SimpleRadial), "900.500,320.0,240.5,0");
     assert_eq!(of(CameraModelName::Opencv), "900.500,900.500,320.0,240.5,0,0,0,0");
 }
-
-#[test]
-fn names_are_those_of_the_command_line() {
-    for model in CameraModelName::value_variants() {
-        assert_eq!(model.to_possible_value().unwrap().get_name(), model.name());
-    }
-}

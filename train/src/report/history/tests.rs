@@ -8,7 +8,7 @@ fn run(steps: usize, history: History, until: usize) -> History {
     let mut recorder = Recorder::new(steps, history, 0.0);
     let done = recorder.history.points.last().map_or(0, |point| point.step);
     for step in done + 1..=until {
-        recorder.add((step as f64, 1));
+        recorder.add(step as f64, 1);
         if recorder.is_due(step) {
             recorder.keep(step, 10 * step);
         }

@@ -32,7 +32,6 @@ pub fn summary(metrics: &Metrics) -> String {
     text + &format!("</ul>\n<p>Device: {device}. splat {version}.</p>\n")
 }
 
-/// Formats seconds for people.
 fn duration(seconds: f64) -> String {
     match seconds {
         ..120.0 => format!("{seconds:.1} s"),
@@ -116,7 +115,6 @@ pub fn times(seconds: &Seconds) -> String {
     format!("<section>\n<h2>Time</h2>\n{}</section>\n", table(&[("stage", ""), ("s", "number")], rows))
 }
 
-/// All options.
 pub fn options(metrics: &Metrics) -> serde_json::Result<String> {
     let text = serde_json::to_string_pretty(&metrics.options)?;
     let seed = metrics.seed.map(|seed| format!("Seed {seed}. ")).unwrap_or_default();

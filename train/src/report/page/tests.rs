@@ -12,6 +12,8 @@ use super::super::{VIEWS, pictures};
 use super::comparisons::MOST;
 use super::*;
 use crate::inputs::Inputs;
+use crate::view::page::SceneSource;
+use crate::view::scene::{ShownScene, Viewpoint};
 
 /// Names that someone could give to photographs.
 const NASTY: &str = "</script><script>alert('1 & \"2\"')</script><img src=x onerror=alert(2)>.png";
@@ -99,10 +101,13 @@ fn page(views: Vec<ViewScore>) -> String {
     let page = ReportPage {
         metrics: &metrics,
         history: &history(),
-        scene: Some(&scene()),
-        viewpoints: &viewpoints,
-        background: [0.0; 3],
-        antialias: false,
+        viewer: Some(Viewer {
+            scene: &scene(),
+            source: SceneSource::Page,
+            viewpoints: &viewpoints,
+            background: [0.0; 3],
+            antialias: false,
+        }),
     };
     page.write(&out).unwrap();
     std::fs::read_to_string(out.join(REPORT)).unwrap()
@@ -218,14 +223,7 @@ fn a_run_without_test_views_or_splats_has_a_page() {
     let out = OutputFolder::prepare(folder.path(), Inputs::default(), [""; 0], &[]).unwrap();
     let metrics = metrics(Vec::new(), "");
     let history = History::default();
-    let page = ReportPage {
-        metrics: &metrics,
-        history: &history,
-        scene: None,
-        viewpoints: &[],
-        background: [0.0; 3],
-        antialias: false,
-    };
+    let page = ReportPage { metrics: &metrics, history: &history, viewer: None };
     let html = page.html(&Comparisons::default()).unwrap();
     assert!(html.contains("holds out no photograph") && html.contains("no splat that can be drawn"));
     page.write(&out).unwrap();

@@ -12,7 +12,7 @@ fn checkpoints_are_due_by_steps_and_by_time() {
 #[test]
 fn ten_scores_are_taken_where_they_cost_little() {
     let steps = |steps: usize, views: usize, share: f64| {
-        (1..=steps).filter(|&step| scores_by_itself((step, steps), views, share)).collect::<Vec<_>>()
+        (1..=steps).filter(|&step| scores_by_itself(step, steps, views, share)).collect::<Vec<_>>()
     };
     assert_eq!(steps(2_000, 9, 0.0), (1..=10).map(|tenth| 200 * tenth).collect::<Vec<_>>());
     assert_eq!(steps(505, 1, 0.02), [51, 101, 152, 202, 253, 303, 354, 404, 455, 505]);

@@ -14,7 +14,5 @@ fn times_are_read_as_people_write_them() {
 #[test]
 fn a_time_is_saved_as_it_is_written() {
     let time: TrainingTime = "1h 30m".parse().unwrap();
-    let text = serde_json::to_string(&time).unwrap();
-    assert_eq!(serde_json::from_str::<TrainingTime>(&text).unwrap(), time);
-    assert!(serde_json::from_str::<TrainingTime>("\"0s\"").is_err());
+    assert_eq!(time.to_string().parse(), Ok(time));
 }

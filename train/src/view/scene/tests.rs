@@ -100,7 +100,7 @@ fn viewpoints_are_where_the_cameras_are() {
         alpha: None,
         mask: None,
     };
-    let found = Viewpoint::of(&photo.into());
+    let found = Viewpoint::of(&photo.name, &photo.intrinsics, &photo.cam_from_world);
     assert_eq!((found.position, found.forward), ([0.0, 0.0, -5.0], [0.0, 0.0, 1.0]));
     assert_eq!(found.up, DVec3::NEG_Y);
     assert!((found.fov_y_degrees - 90.0).abs() < 1e-9);

@@ -10,7 +10,7 @@ const ACCEPTED: f64 = 0.25;
 fn assert_foreseen(resolution: Resolution, added: usize, from: usize) {
     let config = TrainConfig { steps: 1000, resolution, ..TrainConfig::default() };
     let refinements: Vec<usize> = (100..500).step_by(50).collect();
-    let mut forecast = Forecast::new(config.clone(), refinements.clone(), (10_000, 30_000.0));
+    let mut forecast = Forecast::new(config.clone(), refinements.clone(), 10_000, 30_000.0);
     let (mut splats, mut seconds) = (10_000, vec![0.0]);
     let mut forecasts = Vec::new();
     for step in 1..=1000 {
@@ -48,7 +48,7 @@ fn photographs_that_are_small_at_first_are_expected_to_grow() {
 #[test]
 fn nothing_is_left_after_the_last_step_and_nothing_is_known_before_the_second() {
     let config = TrainConfig { steps: 3, ..TrainConfig::default() };
-    let mut forecast = Forecast::new(config, vec![], (10, 100.0));
+    let mut forecast = Forecast::new(config, vec![], 10, 100.0);
     forecast.observe(RunProgress { step: 1, splats: 10, seconds: 9.0 });
     assert_eq!((forecast.left_s(), forecast.mean_s()), (0.0, 0.0));
     forecast.observe(RunProgress { step: 2, splats: 10, seconds: 9.5 });

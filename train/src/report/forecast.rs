@@ -26,7 +26,6 @@ const MEMORY: f64 = 0.7;
 pub struct RunProgress {
     /// Number of steps done.
     pub step: usize,
-    /// Number of Gaussians.
     pub splats: usize,
     /// Training time so far, s.
     pub seconds: f64,
@@ -52,7 +51,7 @@ pub struct Forecast {
 impl Forecast {
     /// A forecast for a run that begins with `splats` Gaussians in photographs of `pixels` pixels, and whose number of
     /// Gaussians may change at the steps `refinements`.
-    pub fn new(config: TrainConfig, refinements: Vec<usize>, (splats, pixels): (usize, f64)) -> Self {
+    pub fn new(config: TrainConfig, refinements: Vec<usize>, splats: usize, pixels: f64) -> Self {
         let growth = GROWTH * splats as f64 / refinements.len().max(1) as f64;
         let last = RunProgress { step: 0, splats, seconds: 0.0 };
         Self { config, refinements, pixels, last, counted: 0.0, step_s: 0.0, unit_s: 0.0, growth }
@@ -63,7 +62,6 @@ impl Forecast {
         (self.config, self.refinements) = (config, refinements);
     }
 
-    /// Observes the run after one step or several.
     pub fn observe(&mut self, now: RunProgress) {
         let last = std::mem::replace(&mut self.last, now);
         let steps = now.step.saturating_sub(last.step) as f64;
