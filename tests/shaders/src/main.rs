@@ -1,7 +1,8 @@
 //! Examines every WGSL module that the kernels' tests compile: its limits, its barriers, and its translations for the platforms
-//! that no machine here has. The arguments are logs that CubeCL writes where `CUBECL_DEBUG_LOG` names a file; `.ci/run shaders`
+//! that no machine here has; with `--spirv FOLDER` it writes them there for the compilers of cards. The arguments are logs that CubeCL writes where `CUBECL_DEBUG_LOG` names a file; `.ci/run shaders`
 //! makes them. Prints each finding, and fails if there is one.
 
+mod cards;
 mod flow;
 mod limits;
 mod log;
@@ -18,13 +19,18 @@ use crate::log::Modules;
 use crate::target::{Outcome, TARGETS};
 
 fn main() -> io::Result<ExitCode> {
-    let files: Vec<String> = env::args().skip(1).collect();
+    let mut files: Vec<String> = env::args().skip(1).collect();
+    let folder = (files.len() > 1 && files[0] == "--spirv").then(|| files.drain(..2).nth(1)).flatten();
     if files.is_empty() {
-        eprintln!("usage: splat-shaders LOG...");
+        eprintln!("usage: splat-shaders [--spirv FOLDER] LOG...");
         return Ok(ExitCode::from(2));
     }
     let logs = files.iter().map(fs::read_to_string).collect::<io::Result<Vec<String>>>()?;
     let modules: Modules = logs.iter().flat_map(|log| log::modules(log)).collect();
+    if let Some(folder) = folder {
+        cards::write(&modules, folder.as_ref())?;
+        return Ok(ExitCode::SUCCESS);
+    }
     let mut findings = examine(&modules);
     let compiled: BTreeSet<&str> = modules.values().map(|name| log::function(name)).collect();
     for kernel in source::kernels()? {

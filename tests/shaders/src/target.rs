@@ -28,7 +28,7 @@ pub enum Outcome {
 }
 
 /// All features that kernels use where they exist.
-const ALL: Capabilities = Capabilities::SHADER_FLOAT32_ATOMIC;
+pub const ALL: Capabilities = Capabilities::SHADER_FLOAT32_ATOMIC;
 
 /// DirectX 12 with its older compiler (FXC) and with its newer one (DXC), Metal before and since float atomics.
 pub const TARGETS: [Target; 4] = [
@@ -82,7 +82,8 @@ fn all<E: std::fmt::Display>(entry_points: Vec<Result<String, E>>) -> Result<(),
     entry_points.into_iter().try_for_each(|name| name.map(drop).map_err(|error| error.to_string()))
 }
 
-fn validate(module: &Module, features: Capabilities) -> Result<ModuleInfo, String> {
+/// Returns what naga finds out about a module, or why it is not valid.
+pub fn validate(module: &Module, features: Capabilities) -> Result<ModuleInfo, String> {
     Validator::new(ValidationFlags::all(), features)
         .validate(module)
         .map_err(|error| format!("{:?}", error.into_inner()))
