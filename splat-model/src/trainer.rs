@@ -1,6 +1,5 @@
 //! Training of a scene from photographs. The caller drives it step by step, and so can observe, stop or extend it.
 
-mod checked;
 mod config;
 mod differentiate;
 mod effects;
@@ -246,14 +245,7 @@ impl Trainer {
             return Ok(self);
         }
         let zeros = Tensor::zeros([self.scene.gaussians.len(), width], &self.device);
-        self.with_group_of(Group::new(name, zeros, options)?)
-    }
-
-    /// As [`Self::with_group`], with values of one's own on the scene's device.
-    ///
-    /// # Errors
-    /// As [`Self::with_group`], and if the number of rows differs.
-    pub fn with_group_of(self, group: Group) -> Result<Self, TrainError> {
+        let group = Group::new(name, zeros, options)?;
         Ok(Self { scene: self.scene.with_group(group)?, ..self })
     }
 
@@ -402,12 +394,10 @@ impl Trainer {
         Adam::default().for_batch(self.config.batch)
     }
 
-    /// The error of a step that was not taken, with the stage that goes wrong first.
-    fn non_finite(&mut self, fault: Fault) -> TrainError {
+    /// The error of a step that was not taken.
+    fn non_finite(&self, fault: Fault) -> TrainError {
         let Fault { step, view, what } = fault;
-        let sound = "every stage of the render is sound, so it is the loss or a backward pass that goes wrong";
-        let stage = self.diagnose(view).map_or(sound.into(), |wrong| wrong.to_string());
-        TrainError::NonFinite { step, view: self.views.name(view).to_owned(), what, stage }
+        TrainError::NonFinite { step, view: self.views.name(view).to_owned(), what }
     }
 
     /// The next view, which begins to be decoded.

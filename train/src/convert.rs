@@ -27,7 +27,7 @@ const SPZ_SCALE_ERROR: f64 = 0.033;
 pub struct ConvertArgs {
     /// Scene to convert: PLY, SuperSplat's compressed PLY, SPZ or SOG, recognized by its content
     pub scene: PathBuf,
-    /// File to write, replacing an existing one; its name gives the format: .ply, .compressed.ply, .spz, .glb, .gltf or .sog
+    /// File to write, replacing an existing one; its name gives the format: .ply, .compressed.ply, .spz, .glb or .sog
     pub out: PathBuf,
     /// Format to write, if the name does not give it
     #[arg(long, value_enum)]
@@ -62,8 +62,6 @@ pub enum FormatName {
     Spz,
     /// glTF with KHR_gaussian_splatting: all parameters to degree 3, in 32-bit floats; written, not read
     Glb,
-    /// The same as JSON, which holds the data as base64
-    Gltf,
     /// PlayCanvas' format: pictures of 8 bits and a palette of harmonics, to degree 3
     Sog,
 }
@@ -75,7 +73,6 @@ impl From<FormatName> for Format {
             FormatName::CompressedPly => Self::CompressedPly,
             FormatName::Spz => Self::Spz,
             FormatName::Glb => Self::Glb,
-            FormatName::Gltf => Self::Gltf,
             FormatName::Sog => Self::Sog,
         }
     }
@@ -95,7 +92,7 @@ pub fn run(args: &ConvertArgs) -> Result<()> {
         )
     })?;
     let (mut scene, found) = formats::read(&args.scene).context("cannot read the scene")?;
-    scene.antialiased |= args.antialias;
+    scene.trained.antialias |= args.antialias;
     let (splats, of_degree) = (scene.rows.len(), scene.rows.sh_degree);
     for (option, given, of) in [
         ("--sh-bits", args.sh_bits.is_some(), Format::Spz),

@@ -97,10 +97,9 @@ fn rows(args: &ExportArgs, capture: Option<&Capture>) -> Result<(GaussianRows, T
     if let Some(capture) = capture {
         return input::rows("--scene", &args.scene, capture);
     }
-    let (SceneFile { rows, antialiased, trained, .. }, _) =
-        formats::read(&args.scene).context("cannot read the scene")?;
+    let (SceneFile { rows, trained, .. }, _) = formats::read(&args.scene).context("cannot read the scene")?;
     progress::note_unusable(&args.scene, rows.unusable(), rows.len());
-    Ok((rows, TrainedAs { antialias: antialiased, ..trained }))
+    Ok((rows, trained))
 }
 
 /// The scene as SOG, the smallest of the formats that the viewer reads.

@@ -49,12 +49,6 @@ impl RenderInput {
         self.edits.push(Rc::new(edit));
     }
 
-    /// The projected Gaussians, edited.
-    pub(crate) fn project(&self) -> Result<Projected, SplatError> {
-        let projected = project(&self.splats, &self.camera, &self.extras, &self.options)?;
-        self.edits.iter().try_fold(projected, |projected, edit| edit(projected))
-    }
-
     /// Renders the view.
     ///
     /// # Errors
@@ -63,7 +57,8 @@ impl RenderInput {
         if self.edits.is_empty() {
             return render_view(&self.splats, &self.camera, &self.extras, &self.options);
         }
-        let projected = self.project()?;
+        let projected = project(&self.splats, &self.camera, &self.extras, &self.options)?;
+        let projected = self.edits.iter().try_fold(projected, |projected, edit| edit(projected))?;
         let features = visible_colours(&self.splats, &self.camera, &projected, &self.options)?;
         let intersections = intersect(&projected, &self.options)?;
         rasterize(&projected, &features, &intersections, &self.extras, &self.options)

@@ -7,7 +7,6 @@
 use burn::tensor::{Bool, Gradients as Remaining, Int, Tensor};
 use splat_op::{Extras, Rendered};
 
-use super::checked::{Wrong, first_wrong};
 use super::{LossInputs, TrainError, Trainer};
 use crate::density::rows::Gradients;
 use crate::density::{Observed, Signals};
@@ -143,12 +142,6 @@ impl Trainer {
     fn render(&mut self, prepared: &PreparedStep) -> Result<Rendered<3>, TrainError> {
         let inputs = self.effects.samples(prepared.input.clone(), prepared.at);
         Ok(mean_of(inputs.iter().map(RenderInput::render).collect::<Result<_, _>>()?))
-    }
-
-    /// Renders a view once more, stage by stage. Returns the first output that is not valid, if there is one.
-    pub(super) fn diagnose(&mut self, view: usize) -> Option<Wrong> {
-        let prepared = self.prepare(view, None).ok()?;
-        self.effects.samples(prepared.input, prepared.at).iter().find_map(first_wrong)
     }
 
     /// Computes the loss of a picture with all penalties, `[1]`, tracked.

@@ -82,7 +82,8 @@ pub enum TrainError {
     },
     /// A loss or gradient is not finite. The scene keeps its state before the step.
     #[error(
-        "step {step}, photograph `{view}`: {what} is not finite, so the step was not taken and the run ends; {stage}"
+        "step {step}, photograph `{view}`: {what} is not finite, so the step was not taken and the run ends. Usual causes in a loss or an \
+         effect of your own are a root or a logarithm at zero, and a mean over an empty mask"
     )]
     NonFinite {
         /// Number of the step, counted from 1.
@@ -91,8 +92,6 @@ pub enum TrainError {
         view: String,
         /// The loss, or the names of the parameters with non-finite gradients.
         what: String,
-        /// The stage of the render that goes wrong first, or that none does.
-        stage: String,
     },
     /// Another rank of the run failed. The scene keeps its state before the step.
     #[error("rank {rank}: {message}")]

@@ -24,7 +24,7 @@ enum Account {
     /// Every view is differentiated.
     Views(Vec<ViewAccount>),
     /// A loss or gradient is not finite.
-    NonFinite { view: String, what: String, stage: String },
+    NonFinite { view: String, what: String },
     /// Something else went wrong.
     Failed(String),
 }
@@ -100,8 +100,8 @@ impl Trainer {
     ) -> Result<(Vec<OneView>, Vec<ViewAccount>), TrainError> {
         let account = match &own {
             Ok(own) => Account::Views(own.iter().map(|one| self.account_of(one)).collect()),
-            Err(TrainError::NonFinite { view, what, stage, .. }) => {
-                Account::NonFinite { view: view.clone(), what: what.clone(), stage: stage.clone() }
+            Err(TrainError::NonFinite { view, what, .. }) => {
+                Account::NonFinite { view: view.clone(), what: what.clone() }
             }
             Err(error) => Account::Failed(error.to_string()),
         };
@@ -112,9 +112,7 @@ impl Trainer {
                     all.extend(views);
                     continue;
                 }
-                Account::NonFinite { view, what, stage } => {
-                    TrainError::NonFinite { step: self.step, view, what, stage }
-                }
+                Account::NonFinite { view, what } => TrainError::NonFinite { step: self.step, view, what },
                 Account::Failed(message) => TrainError::OtherRank { rank, message },
             };
             return Err(if rank == self.ranks.rank() { own.err().unwrap_or(failed) } else { failed });

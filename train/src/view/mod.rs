@@ -41,7 +41,7 @@ pub fn run(args: &ViewArgs) -> Result<()> {
 fn pages(args: &ViewArgs) -> Result<[ServedFile; 2]> {
     const SCENE: &str = "/scene.ply";
     let (scene, _) = formats::read(&args.scene).context("cannot read the scene")?;
-    let (antialias, background) = (scene.antialiased, scene.trained.background);
+    let (antialias, background) = (scene.trained.antialias, scene.trained.background);
     let rows = scene.rows;
     progress::note_unusable(&args.scene, rows.unusable(), rows.len());
     let scene = ShownScene::new(&rows, usize::MAX)

@@ -117,10 +117,8 @@ fn a_jpeg_that_is_cut_short_is_refused_for_training_and_for_testing() {
     for name in ["0000.jpg", "0003.jpg"] {
         let path = capture.path().join("images").join(name);
         let whole = fs::read(&path).unwrap();
-        let third = whole.len() / 3;
-        let zeros = [&whole[..third], &vec![0; third], &whole[2 * third..]].concat();
-        for spoilt in [&whole[..whole.len() * 3 / 10], &[&whole[..2 * third], &[0xff, 0xd9]].concat(), &zeros] {
-            fs::write(&path, spoilt).unwrap();
+        for percent in [30, 95] {
+            fs::write(&path, &whole[..whole.len() * percent / 100]).unwrap();
             let out = tempfile::tempdir().unwrap();
             for effects in ["none", "auto"] {
                 let arguments =

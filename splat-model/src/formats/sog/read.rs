@@ -12,7 +12,7 @@ use super::meta::{Harmonics, Meta};
 use super::{DEGREE_MAX, LARGEST, LEVELS, META, PER_ROW, PLACES, expanded};
 use crate::formats::{Format, FormatError, SceneFile, extras, opacity, quaternion};
 use crate::gaussians::GaussianRows;
-use crate::ply::{WorldFrame, brief};
+use crate::ply::{TrainedAs, WorldFrame, brief};
 
 /// Largest number of Gaussians for each byte of a scene's files. Scenes have one for ten bytes; the limit keeps a small file from asking for any
 /// amount of memory.
@@ -129,7 +129,7 @@ fn scene(json: &[u8], bytes: u64, load: &mut dyn FnMut(&str) -> Result<Vec<u8>, 
         higher(harmonics, &mut rows, &mut picture)?;
     }
     let WorldFrame { origin, metres_per_unit, trained } = extras::world(&meta.extras.into());
-    Ok(SceneFile { rows, origin, metres_per_unit, antialiased: meta.antialias, trained })
+    Ok(SceneFile { rows, origin, metres_per_unit, trained: TrainedAs { antialias: meta.antialias, ..trained } })
 }
 
 /// Reads the higher harmonics.

@@ -93,7 +93,7 @@ fn pack(rows: &GaussianRows, scene: &SceneFile, options: SogOptions) -> Result<V
         version: 2,
         asset: Asset { generator: concat!("splat ", env!("CARGO_PKG_VERSION")).into() },
         count,
-        antialias: scene.antialiased,
+        antialias: scene.trained.antialias,
         means: Means { mins: means.mins, maxs: means.maxs, files: ["means_l.webp", "means_u.webp"].map(name) },
         scales: ValueCodes { codebook: scales.codebook, files: [name("scales.webp")] },
         quats: PictureFiles { files: [name("quats.webp")] },

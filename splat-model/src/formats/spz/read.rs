@@ -12,6 +12,7 @@ use splat_op::sh::SH_DEGREE_MAX;
 use super::pack::{Layout, SECTIONS, unpack};
 use super::{ANTIALIASED, GZIP, HEADER, MAGIC};
 use crate::formats::{Format, FormatError, SceneFile};
+use crate::ply::TrainedAs;
 
 /// Maximum number of bytes that one byte of a file can expand to: the limit of deflate (zlib's documentation), and more than
 /// any scene needs with zstd.
@@ -40,7 +41,8 @@ pub fn read(path: &Path) -> Result<SceneFile, FormatError> {
     let of = Of { path, bytes };
     let (layout, flags, sections) = if is_gzip { of.gzip(file)? } else { of.zstd(file)? };
     let rows = unpack(&layout, sections.each_ref().map(Vec::as_slice));
-    Ok(SceneFile { rows, antialiased: flags & ANTIALIASED != 0, ..SceneFile::default() })
+    let trained = TrainedAs { antialias: flags & ANTIALIASED != 0, ..TrainedAs::default() };
+    Ok(SceneFile { rows, trained, ..SceneFile::default() })
 }
 
 /// The layout, flags and sections of a file.
