@@ -187,7 +187,7 @@ fn check_entries(
         }
     }
     match images.is_empty() {
-        true => Err(CaptureError::NoViews { file: files.images.clone() }),
+        true => Err(CaptureError::no_views(&files.images)),
         false => Ok(()),
     }
 }

@@ -105,8 +105,7 @@ pub(super) fn load(source: &Path) -> Result<Capture, CaptureError> {
         }
         _ => "cameras are at several places. Name the one that is meant instead of the folder, or remove the others",
     };
-    let detail = format!("{detail}. Found: {}", list(&mut found.iter()));
-    Err(CaptureError::Cameras { folder: source.to_owned(), detail })
+    Err(CaptureError::content(source, format!("{detail}. Found: {}", list(&mut found.iter()))))
 }
 
 /// Whether some of the first photographs are there, in `folder` if one is given.

@@ -197,9 +197,13 @@ pub(crate) fn decode(file: &Path, camera: &Intrinsics) -> Result<DynamicImage, C
     reader.limits(limits(camera));
     let decoder = reader.into_decoder().map_err(fail)?;
     let (width, height) = decoder.dimensions();
-    let (found, expected) = ([width as usize, height as usize], [camera.width, camera.height]);
-    if found != expected {
-        return Err(CaptureError::PictureSize { file: file.to_owned(), found, expected });
+    if [width as usize, height as usize] != [camera.width, camera.height] {
+        let detail = format!(
+            "the picture is {width} × {height} px, expected {} × {} px as its camera states. Use the pictures that the reconstruction was \
+             made from, or run it again on these",
+            camera.width, camera.height
+        );
+        return Err(CaptureError::content(file, detail));
     }
     if matches!(decoder.color_type(), ColorType::Rgb32F | ColorType::Rgba32F) {
         let reason = "it holds linear light as floating-point numbers, not display-referred colours";

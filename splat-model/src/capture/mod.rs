@@ -121,7 +121,7 @@ impl Capture {
     /// Checks that the photographs of some views are there, without opening them.
     ///
     /// # Errors
-    /// [`CaptureError::Photographs`], with the number of all photographs that are not.
+    /// A [`CaptureError`], with the number of all photographs that are not.
     pub fn check_photographs(&self, views: &[usize]) -> Result<(), CaptureError> {
         // A folder in the place of a picture has an error of its own.
         if views.iter().all(|&view| self.views[view].image_path.exists()) {

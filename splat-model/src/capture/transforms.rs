@@ -117,7 +117,7 @@ impl Reading {
         let whole = Place::new(file, PlaceInFile::Whole);
         let frames = whole.required("frames", fields.frames.as_deref(), "a list of frames")?;
         if frames.is_empty() {
-            return Err(CaptureError::NoViews { file: file.to_owned() });
+            return Err(CaptureError::no_views(file));
         }
         for (index, frame) in frames.iter().enumerate() {
             match self.add_frame(file, index, frame, fields) {

@@ -122,7 +122,12 @@ pub fn folder(capture: &Capture) -> Option<PathBuf> {
 pub fn from_maps(capture: &Capture, views: &[usize]) -> Result<Option<Vec<Vec<DepthSample>>>, CaptureError> {
     let Some(folder) = folder(capture) else { return Ok(None) };
     let file = capture.folder.join(folder).join(SCALE);
-    let wrong = |file: &Path, reason: String| CaptureError::Depth { file: file.to_owned(), reason };
+    let wrong = |file: &Path, reason: String| {
+        let expected =
+            "16-bit grey PNG pictures, and beside them `depth.json` with scene units per level: {\"scale\": 0.001}";
+        let detail = format!("{reason}. Expected {expected}; `--effects=-depth-supervision` does without");
+        CaptureError::content(file, detail)
+    };
     let unread = |error: io::Error| wrong(&file, error.to_string());
     let DepthScale { scale } = json::read(&file, LARGEST_TEXT, unread, |reason| wrong(&file, reason))?;
     if !(scale > 0.0 && scale.is_finite()) {
@@ -187,12 +192,6 @@ impl Depths {
         samples.iter_mut().for_each(|list| list.retain(|sample| f64::from(sample.depth) >= least));
         let on_device = samples.iter().map(|_| None).collect();
         Self { config, samples, on_device, device: device.clone() }
-    }
-
-    /// The least of all known depths.
-    #[cfg(test)]
-    pub(crate) fn least(&self) -> f64 {
-        self.samples.iter().flatten().map(|sample| f64::from(sample.depth)).fold(f64::INFINITY, f64::min)
     }
 
     /// Whether a view's depth must be rendered: the step is supervised, and the photograph has known depths.

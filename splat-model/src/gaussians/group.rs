@@ -69,10 +69,10 @@ impl GroupOptions {
     /// Checks that all numbers can be used and saved.
     ///
     /// # Errors
-    /// [`RowsError::Option`] for the first that cannot.
+    /// [`RowsError::Group`] for the first that cannot.
     pub fn check(&self, name: &str) -> Result<(), RowsError> {
-        let refuse = |option, found: f64, expected| {
-            Err(RowsError::Option { name: name.to_owned(), option, found: found.to_string(), expected })
+        let refuse = |option: &str, found: f64, expected: &str| {
+            Err(RowsError::Group(format!("`{option}` of the group `{name}` is {found}, expected {expected}")))
         };
         if !(self.rate >= 0.0 && self.rate.is_finite()) {
             return refuse("rate", self.rate, "a finite number that is not negative");
@@ -110,7 +110,7 @@ impl Group {
         check_name(name)?;
         options.check(name)?;
         if values.dims()[1] == 0 {
-            return Err(RowsError::Empty { name: name.to_owned() });
+            return Err(RowsError::empty(name));
         }
         Ok(Self::of_blocks(name, vec![parameter(values)], options))
     }
@@ -120,7 +120,7 @@ impl Group {
     }
 
     /// A group of numbers on the host, row-major.
-    pub(super) fn of_numbers(name: &str, (count, width): (usize, usize), numbers: Vec<f32>, device: &Device) -> Self {
+    pub(super) fn of_numbers(name: &str, count: usize, width: usize, numbers: Vec<f32>, device: &Device) -> Self {
         let blocks = row_blocks(name, count, width, device);
         if blocks.len() == 1 {
             let values = super::tensor(numbers, [count, width], device);
@@ -215,7 +215,10 @@ pub(crate) fn check_name(name: &str) -> Result<(), RowsError> {
     let bad = |c: char| c.is_whitespace() || c.is_control() || c == '/';
     let stem = name.rsplit_once('_').filter(|(_, i)| i.parse::<usize>().is_ok()).map_or(name, |(stem, _)| stem);
     match name.is_empty() || name.contains(bad) || RESERVED.contains(&name) || RESERVED.contains(&stem) {
-        true => Err(RowsError::Name { name: name.to_owned() }),
+        true => Err(RowsError::Group(format!(
+            "a group named {name:?}, expected a name without white space, control characters and slashes that is not one of a scene file's \
+             own properties, such as `x` and `scale_0`"
+        ))),
         false => Ok(()),
     }
 }

@@ -45,14 +45,14 @@ fn a_scene_in_parts_is_the_file_of_the_whole() {
     let rows = numbered_rows(11, 2);
     let origin = DVec3::new(1.0, 2.0, 3.0);
     write(&whole, &rows, origin).unwrap();
-    write_parts(&parts, (11, 2), [0..4, 4..4, 4..11].map(|which| part(&rows, which)), origin).unwrap();
+    write_parts(&parts, 11, 2, [0..4, 4..4, 4..11].map(|which| part(&rows, which)), origin).unwrap();
     let file = fs::read(&whole).unwrap();
     assert!(fs::read(&parts).unwrap() == file);
     // Other parts than announced, and one that does not fit together, leave the file as it was.
     let mut torn = rows.clone();
     torn.sh_rest.pop();
-    for (announced, rows) in [((12, 2), &rows), ((10, 2), &rows), ((11, 1), &rows), ((11, 2), &torn)] {
-        let error = write_parts(&parts, announced, [rows], origin).unwrap_err();
+    for (count, sh_degree, rows) in [(12, 2, &rows), (10, 2, &rows), (11, 1, &rows), (11, 2, &torn)] {
+        let error = write_parts(&parts, count, sh_degree, [rows], origin).unwrap_err();
         assert!(matches!(error, PlyError::Io { .. }), "{error}");
         assert!(fs::read(&parts).unwrap() == file);
     }
@@ -128,7 +128,7 @@ fn an_empty_scene_is_read_and_never_written() {
     let folder = TempDir::new().unwrap();
     let path = folder.path().join("scene.ply");
     let mut header = Vec::new();
-    write_header(&mut header, 0, (3, &[]), WorldFrame::default()).unwrap();
+    write_header(&mut header, 0, 3, &[], WorldFrame::default()).unwrap();
     fs::write(&path, &header).unwrap();
     let empty = GaussianRows { sh_degree: 3, ..GaussianRows::default() };
     assert_eq!(read(&path).unwrap(), (empty.clone(), DVec3::ZERO));

@@ -136,12 +136,8 @@ fn common_options(
     splats: usize,
 ) -> Result<Vec<String>> {
     let (split, _) = training.photos.split(capture);
-    let chosen = training.effects.choose(
-        capture,
-        &split.train,
-        training.model.antialias.unwrap_or_default(),
-        training.photos.max_side,
-    )?;
+    let antialias = training.model.antialias.unwrap_or_default();
+    let chosen = training.effects.choose(capture, &split.train, antialias)?;
     let apart = [EffectKind::Environment, EffectKind::PoseRefinement];
     for effect in apart.iter().filter(|effect| chosen.has(**effect)) {
         progress::note(&format!(

@@ -153,7 +153,7 @@ fn to_the_end(
     args.lpips = args.lpips.from_anywhere();
     args.start = args.start.map(std::path::absolute).transpose()?;
     let (seen, max_side) = (split.require_train()?, args.photos.max_side);
-    let effects = args.effects.choose(&capture, seen, args.model.antialias.unwrap_or_default(), max_side)?;
+    let effects = args.effects.choose(&capture, seen, args.model.antialias.unwrap_or_default())?;
     effects.configure(&mut config, args.background, args.sh_degree);
     config.density = config.density.focused(capture.focus.map(Focus::on));
     if args.start.is_none() && is_random(&capture, seen, max_side) {

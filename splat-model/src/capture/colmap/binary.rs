@@ -190,6 +190,6 @@ impl<'a> BinaryReader<'a> {
     }
 
     fn damaged(&self, detail: String) -> CaptureError {
-        CaptureError::Damaged { file: self.file.to_owned(), detail }
+        CaptureError::content(self.file, detail)
     }
 }

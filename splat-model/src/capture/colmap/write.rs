@@ -43,12 +43,14 @@ pub fn write_binary_with_tracks(
     points: &PointCloud,
     tracks: &Tracks,
 ) -> Result<(), CaptureError> {
-    if points.positions.len() != points.colours.len() {
-        let (positions, colours) = (points.positions.len(), points.colours.len());
-        return Err(CaptureError::Cloud { positions, colours });
-    }
     let model = folder.join("sparse").join("0");
     let files = ModelFiles::encoded(&model, "bin");
+    if points.positions.len() != points.colours.len() {
+        let (positions, colours) = (points.positions.len(), points.colours.len());
+        let detail =
+            format!("{positions} positions and {colours} colours of points, expected one colour for each position");
+        return Err(CaptureError::content(&files.points, detail));
+    }
     let cameras = distinct(views);
     let camera_bytes = camera_bytes(&files.cameras, &cameras)?;
     let (keypoints, elements) = keypoints(views.len(), points, tracks);

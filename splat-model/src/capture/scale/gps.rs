@@ -46,7 +46,10 @@ pub fn from_gps(capture: &Capture) -> Result<Result<Scale, ScaleError>, CaptureE
 fn fitted(pairs: &[(DVec3, Gps)], placed: usize) -> Result<Scale, ScaleError> {
     let found = pairs.len();
     if found < MIN_PHOTOGRAPHS {
-        return Err(ScaleError::TooFewPositions { found, placed, expected: MIN_PHOTOGRAPHS });
+        return Err(ScaleError(format!(
+            "{found} of {placed} placed photographs have a GPS position in EXIF, expected at least {MIN_PHOTOGRAPHS}: switch on the location \
+             in the camera"
+        )));
     }
     // Heights only if all have one: a missing height is not zero.
     let heights = pairs.iter().all(|(_, gps)| gps.altitude_m.is_some());
@@ -63,13 +66,14 @@ fn fitted(pairs: &[(DVec3, Gps)], placed: usize) -> Result<Scale, ScaleError> {
     let variance = sum_squares / (3.0 * n - 7.0);
     let deviation = variance.sqrt() / (similarity.scale * spread.sqrt());
     if !(deviation <= MAX_DEVIATION && super::is_scale(similarity.scale)) {
-        return Err(ScaleError::Noise {
-            photographs: found,
-            percent: (100.0 * deviation).min(1e3),
-            expected_percent: 100.0 * MAX_DEVIATION,
-            residual_m: (sum_squares / n).sqrt(),
-            spread_m: similarity.scale * (spread / n).sqrt(),
-        });
+        return Err(ScaleError(format!(
+            "the GPS positions of {found} photographs determine the scale to ±{:.0}%, expected ±{:.0}% or better: they differ by {:.1} m from \
+             the cameras, which are {:.1} m from their mean; cover more ground",
+            (100.0 * deviation).min(1e3),
+            100.0 * MAX_DEVIATION,
+            (sum_squares / n).sqrt(),
+            similarity.scale * (spread / n).sqrt()
+        )));
     }
     let source = format!("the GPS positions of {} photographs, {} of which fit", found, inliers.len());
     Ok(Scale { metres_per_unit: similarity.scale, relative_deviation: Some(deviation), source })

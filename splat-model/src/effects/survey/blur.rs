@@ -90,7 +90,7 @@ impl Detail {
         let mut found = Self::default();
         for (i, direction) in DIRECTIONS.into_iter().enumerate() {
             let value = |pixel: usize| photo.rgb[3 * pixel + 1];
-            let energies = energies(direction, (rows.clone(), columns.clone()), width, value);
+            let energies = energies(direction, rows.clone(), columns.clone(), width, value);
             [found.near[i], found.far[i]] = energies.map(|energy| energy as f64);
         }
         Some(found)
@@ -134,9 +134,9 @@ fn sharpness_by([width, height]: [usize; 2], value: impl Fn(usize) -> u8) -> Opt
         return None;
     }
     // The range of rows is symmetric, because steps go up and down.
-    let within = (APART..=height - APART - 1, 0..=width - APART - 1);
+    let (rows, columns) = (APART..=height - APART - 1, 0..=width - APART - 1);
     let along = |direction| {
-        let [near, far] = energies(direction, within.clone(), width, &value);
+        let [near, far] = energies(direction, rows.clone(), columns.clone(), width, &value);
         (far > 0).then(|| near as f64 / far as f64)
     };
     DIRECTIONS.into_iter().filter_map(along).min_by(f64::total_cmp)
@@ -145,7 +145,8 @@ fn sharpness_by([width, height]: [usize; 2], value: impl Fn(usize) -> u8) -> Opt
 /// Sums of squared differences along a direction, between neighbours and between pixels [`APART`], over pixels of these rows and columns.
 fn energies(
     [right, down]: [isize; 2],
-    (rows, columns): (RangeInclusive<usize>, RangeInclusive<usize>),
+    rows: RangeInclusive<usize>,
+    columns: RangeInclusive<usize>,
     width: usize,
     value: impl Fn(usize) -> u8,
 ) -> [i64; 2] {

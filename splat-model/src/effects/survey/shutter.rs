@@ -10,7 +10,8 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use super::{Capture, quantile};
-use crate::effects::pose::anchors::{FEWEST, ROBUST_RAD, columns, solve};
+use crate::effects::pose::anchors::{FEWEST, ROBUST_RAD, columns};
+use crate::solve::solve;
 
 /// Iterations of the robust weights.
 const ROUNDS: usize = 10;

@@ -45,27 +45,11 @@ pub enum WeightsError {
         /// The reason.
         detail: String,
     },
-    /// The tensors do not belong to a supported network.
-    #[error(
-        "{path}: {found}, expected the weights of LPIPS with the network alex (AlexNet) or vgg (VGG16), as docs/METRICS.md \
-         describes them",
-        path = path.display()
-    )]
-    Network {
+    /// The tensors do not belong to a supported network, or one of them is missing or wrong.
+    #[error("{path}: {found}, expected {expected}; docs/METRICS.md describes the tensors", path = path.display())]
+    Tensors {
         /// The file.
         path: PathBuf,
-        /// The tensors that were found, in words.
-        found: String,
-    },
-    /// A tensor of the network is missing or wrong.
-    #[error("{path}: `{name}` of the network {} {found}, expected {expected}; docs/METRICS.md lists all names", net.name(), path = path.display())]
-    Tensor {
-        /// The file.
-        path: PathBuf,
-        /// The tensor's name.
-        name: String,
-        /// The network, identified by its first layer.
-        net: Net,
         /// What was found.
         found: String,
         /// What was expected.
@@ -89,14 +73,15 @@ impl Lpips {
             return Err(format(format!("it is larger than {} MB, more than any network", MOST_BYTES / 1_000_000)));
         }
         let tensors = SafeTensors::deserialize(&bytes).map_err(|error| format(error.to_string()))?;
-        let net = network(&tensors).map_err(|found| WeightsError::Network { path: path.to_owned(), found })?;
+        let wrong = |found, expected| WeightsError::Tensors { path: path.to_owned(), found, expected };
+        let expected = "the weights of LPIPS with the network alex (AlexNet) or vgg (VGG16)";
+        let net = network(&tensors).map_err(|found| wrong(found, expected.into()))?;
         let device = device.clone().inner();
         let read = |name: &str, shape: &[usize], is_weight| {
             let values = values(&tensors, name, shape, is_weight);
-            values.map(|values| TensorData::new(values, shape)).map_err(|(found, expected)| {
-                let (path, name) = (path.to_owned(), name.to_owned());
-                WeightsError::Tensor { path, name, net, found, expected }
-            })
+            values
+                .map(|values| TensorData::new(values, shape))
+                .map_err(|(found, expected)| wrong(format!("`{name}` of the network {} {found}", net.name()), expected))
         };
         let mut convolutions = Vec::new();
         let mut linear = Vec::new();
