@@ -296,7 +296,8 @@ impl Trainer {
         let others = self.config.step_rates().after(step as f64 / steps as f64);
         let done = step as f64 / steps as f64;
         let rates = StepRates { rates: others, means: self.means_decay.at(step), done, views: self.config.batch };
-        self.scene.step(gradients, &self.adam(), &rates, step, held.as_ref());
+        let adam = Adam::default().for_batch(self.config.batch);
+        self.scene.step(gradients, &adam, &rates, step, held.as_ref());
         for (view, mut of_effects) in views {
             self.effects.step(&mut of_effects, EffectContext { view, step, steps, verdict: held.as_ref() });
         }
@@ -326,10 +327,6 @@ impl Trainer {
         }
         let (view, splats) = (self.views.name(first).to_owned(), self.scene.gaussians.len());
         Ok(StepReport { step, loss, view, splats, refined })
-    }
-
-    fn adam(&self) -> Adam {
-        Adam::default().for_batch(self.config.batch)
     }
 
     /// The error of a step that was not taken.

@@ -191,7 +191,7 @@ fn dropped(scene: &SceneFile, format: Format, written: &Written, of_degree: usiz
         let [x, y, z] = scene.origin.to_array();
         lost.push(format!("the origin {x} {y} {z}, which positions were relative to: they are stored without it"));
     }
-    if let Some(metres) = scene.metres_per_unit.filter(|_| !format.holds_scale()) {
+    if let Some(metres) = scene.metres_per_unit.filter(|_| !format.holds_origin()) {
         lost.push(format!("the size of a unit, {metres} m"));
     }
     if scene.trained != (TrainedAs { antialias: scene.trained.antialias, ..TrainedAs::default() })

@@ -148,7 +148,7 @@ fn tracks(images: &[ImageRecord], points: &[PointRecord]) -> Tracks {
     };
     let mut tracks = Tracks::default();
     for point in points {
-        tracks.push(point.track.iter().map(observation), point.error_px);
+        tracks.push(point.track.iter().filter_map(observation), point.error_px);
     }
     tracks
 }

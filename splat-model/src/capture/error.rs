@@ -96,7 +96,6 @@ impl CaptureError {
         Self::Content { file: file.to_owned(), detail: detail.into() }
     }
 
-    /// The error for a file that lists no photographs.
     pub(super) fn no_views(file: &Path) -> Self {
         Self::content(
             file,

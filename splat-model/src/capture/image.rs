@@ -131,7 +131,6 @@ fn picture<P: Pixel<Subpixel = u8>>([width, height]: [usize; 2], bytes: Vec<u8>)
     ImageBuffer::from_raw(width as u32, height as u32, bytes).expect("a photograph has as many bytes as its size says")
 }
 
-/// Colours and opacities.
 fn split_alpha(picture: RgbaImage) -> (Vec<u8>, Vec<u8>) {
     let pixels = picture.into_raw();
     let (pixels, _) = pixels.as_chunks::<4>();

@@ -151,6 +151,12 @@ impl Capture {
         WorldFrame { metres_per_unit, ..self.origin.into() }
     }
 
+    /// Mean number of pixels of some photographs, whose longer sides are at most `max_side` px. 0 without photographs.
+    pub fn mean_pixels(&self, views: &[usize], max_side: Option<u32>) -> f64 {
+        let cameras = views.iter().map(|&view| self.views[view].intrinsics_within(max_side));
+        cameras.map(|camera| (camera.width * camera.height) as f64).sum::<f64>() / views.len().max(1) as f64
+    }
+
     /// The position of a sparse point, world frame.
     pub(crate) fn position(&self, point: usize) -> DVec3 {
         Vec3::from_array(self.points.positions[point]).as_dvec3()
@@ -198,17 +204,6 @@ impl View {
         let Intrinsics { width, height, .. } = self.intrinsics;
         let [width, height] = image::size_within([width as u32, height as u32], max_side);
         self.intrinsics.resized(width as usize, height as usize)
-    }
-}
-
-impl Capture {
-    /// Mean number of pixels of some photographs, whose longer sides are at most `max_side` px. 0 without photographs.
-    pub fn mean_pixels(&self, views: &[usize], max_side: Option<u32>) -> f64 {
-        let pixels = |&view: &usize| {
-            let Intrinsics { width, height, .. } = self.views[view].intrinsics;
-            image::size_within([width as u32, height as u32], max_side).map(f64::from).iter().product::<f64>()
-        };
-        views.iter().map(pixels).sum::<f64>() / views.len().max(1) as f64
     }
 }
 

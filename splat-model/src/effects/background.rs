@@ -82,16 +82,14 @@ impl Background {
     /// # Errors
     /// If the file cannot be read or is not a background.
     pub fn read(path: &Path) -> Result<Self, BackgroundError> {
-        let wrong = |reason| BackgroundError { path: path.to_owned(), reason };
-        let unread =
-            |source| wrong(format!("{source}; expected the `background.json` that a run writes beside its scene"));
         let content = |found: String| {
-            wrong(format!(
-                "{found}, expected {{\"colour\": [r, g, b]}} or {{\"environment\": [[r, g, b], ...]}} with 1, 4, 9, 16 or 25 coefficients, \
-                 all finite"
-            ))
+            let reason = format!(
+                "{found}, expected the `background.json` that a run writes beside its scene: {{\"colour\": [r, g, b]}} or \
+                 {{\"environment\": [[r, g, b], ...]}} with 1, 4, 9, 16 or 25 coefficients, all finite"
+            );
+            BackgroundError { path: path.to_owned(), reason }
         };
-        let found: Self = json::read(path, LARGEST_FILE, unread, content)?;
+        let found: Self = json::read(path, LARGEST_FILE, content)?;
         match &found {
             Self::Environment(coefficients) if sh_degree(coefficients.len()).is_none() => {
                 Err(content(format!("{} coefficients", coefficients.len())))
@@ -161,7 +159,6 @@ fn directions_of(camera: &Intrinsics, cam_from_world: &DAffine3, device: &Device
     Tensor::from_data(TensorData::new(values, [3, height, width]), device)
 }
 
-/// See [`environment::over`].
 fn over(image: &Tensor<3>, alpha: &Tensor<3>, directions: &Tensor<3>, coefficients: &Tensor<2>) -> Tensor<3> {
     environment::over(image, alpha, directions, coefficients).expect("a render of this camera, on one device")
 }

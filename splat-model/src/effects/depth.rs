@@ -10,7 +10,6 @@
 //! scene units) than without supervision (0.46). With the full derivative they are nearer (less than 0.28). It is
 //! `(zᵢ − D/α)/α` for each weight: Gaussians that are too far fade, and nearer ones gain.
 
-use std::io;
 use std::path::{Path, PathBuf};
 
 use burn::tensor::{DType, Device, Int, Tensor, TensorData};
@@ -74,7 +73,6 @@ pub fn from_tracks(capture: &Capture, views: &[usize]) -> Vec<Vec<DepthSample>> 
     })
 }
 
-/// The contents of `depth.json`.
 #[derive(Deserialize)]
 struct DepthScale {
     /// Scene units per level.
@@ -87,7 +85,6 @@ const FOLDERS: [&str; 3] = ["depth", "depths", "depth_maps"];
 /// The file beside depth maps that states their scale.
 pub(crate) const SCALE: &str = "depth.json";
 
-/// The folders of the capture that may hold depth maps.
 pub(crate) fn folders(capture: &Capture) -> Vec<PathBuf> {
     FOLDERS.iter().map(|name| capture.folder.join(name)).filter(|folder| folder.is_dir()).collect()
 }
@@ -128,8 +125,7 @@ pub fn from_maps(capture: &Capture, views: &[usize]) -> Result<Option<Vec<Vec<De
         let detail = format!("{reason}. Expected {expected}; `--effects=-depth-supervision` does without");
         CaptureError::content(file, detail)
     };
-    let unread = |error: io::Error| wrong(&file, error.to_string());
-    let DepthScale { scale } = json::read(&file, LARGEST_TEXT, unread, |reason| wrong(&file, reason))?;
+    let DepthScale { scale } = json::read(&file, LARGEST_TEXT, |reason| wrong(&file, reason))?;
     if !(scale > 0.0 && scale.is_finite()) {
         return Err(wrong(&file, format!("`scale` is {scale}, expected a number above 0")));
     }

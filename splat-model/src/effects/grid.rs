@@ -21,7 +21,6 @@ use super::maps::{ColourMaps, MapKind};
 /// Grid positions along a side of the picture.
 const SIDE: usize = 16;
 
-/// Levels of brightness.
 const LEVELS: usize = 8;
 
 /// Options of bilateral grids.

@@ -33,7 +33,6 @@ pub const BLUR_RATIO: f64 = 0.7;
 /// other things differ in sharpness without blur.
 pub const SAME_BLUR_RATIO: f64 = 0.7;
 
-/// The name of the decision on spherical harmonics.
 const VIEW_DEPENDENCE: &str = "view-dependence";
 
 /// The outcome of a decision.

@@ -62,7 +62,6 @@ fn unknown(path: &Path, first: &[u8]) -> FormatError {
     }
 }
 
-/// The error for a scene in glTF.
 fn gltf(path: &Path) -> FormatError {
     let what = "a scene in glTF, which is written here and not read".into();
     FormatError::foreign(path, what, "convert it to PLY with `npx @playcanvas/splat-transform IN OUT.ply`")

@@ -36,29 +36,11 @@ use crate::replace::{WRITE, replace};
 #[cfg(test)]
 mod tests;
 
-/// The highest degree of the spherical harmonics.
 pub(super) const DEGREE_MAX: usize = 3;
-
-/// First bytes of the binary container.
-const MAGIC: [u8; 4] = *b"glTF";
-
-/// Version of the binary container.
-const VERSION: u32 = 2;
-
-/// Types of the container's chunks.
-const CHUNKS: [[u8; 4]; 2] = [*b"JSON", *b"BIN\0"];
 
 const EXTENSION: &str = "KHR_gaussian_splatting";
 
-/// The kernel and the colour space of scenes here.
-const KERNEL: &str = "ellipse";
-const COLOUR_SPACE: &str = "srgb_rec709_display";
-
-/// Names of the attributes, without those of harmonics.
 const POSITION: &str = "POSITION";
-const ROTATION: &str = "KHR_gaussian_splatting:ROTATION";
-const SCALE: &str = "KHR_gaussian_splatting:SCALE";
-const OPACITY: &str = "KHR_gaussian_splatting:OPACITY";
 
 /// Name of the attribute of harmonic `k` in the order of the coefficients, `k = l² + n`.
 fn harmonic(k: usize) -> String {
@@ -91,20 +73,21 @@ fn write_to(out: &mut impl Write, rows: &GaussianRows, scene: &SceneFile) -> io:
         word.map(u32::to_le_bytes)
     };
     let length = 20 + json.len() + 8 + bytes;
-    out.write_all(&[MAGIC, VERSION.to_le_bytes(), word(length)?, word(json.len())?, CHUNKS[0]].concat())?;
+    // The second word is the version of the container.
+    out.write_all(&[*b"glTF", 2_u32.to_le_bytes(), word(length)?, word(json.len())?, *b"JSON"].concat())?;
     out.write_all(&json)?;
-    out.write_all(&[word(bytes)?, CHUNKS[1]].concat())?;
+    out.write_all(&[word(bytes)?, *b"BIN\0"].concat())?;
     attributes.iter().try_for_each(|attribute| out.write_all(&attribute.bytes))
 }
 
 fn document(rows: &GaussianRows, attributes: &[Attribute], scene: &SceneFile) -> Value {
-    let mut asset = object(json!({ "version": "2.0", "generator": concat!("splat ", env!("CARGO_PKG_VERSION")) }));
+    let mut asset = json!({ "version": "2.0", "generator": concat!("splat ", env!("CARGO_PKG_VERSION")) });
     let mut extras = extras::of(scene.world());
     if scene.trained.antialias {
         extras.insert("antialiased".into(), json!(true));
     }
     if !extras.is_empty() {
-        asset.insert("extras".into(), extras.into());
+        asset["extras"] = extras.into();
     }
     let (mut low, mut high) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
     for mean in turned(rows) {
@@ -117,16 +100,17 @@ fn document(rows: &GaussianRows, attributes: &[Attribute], scene: &SceneFile) ->
         let (name, mut accessor, bytes) = (attribute.name.clone(), attribute.accessor.clone(), attribute.bytes.len());
         views.push(json!({ "buffer": 0, "byteOffset": at, "byteLength": bytes, "target": ARRAY_BUFFER }));
         at += bytes;
-        accessor.insert("count".into(), json!(rows.len()));
-        accessor.insert("bufferView".into(), json!(i));
+        accessor["count"] = json!(rows.len());
+        accessor["bufferView"] = json!(i);
         if name == POSITION {
-            accessor.extend([("min".into(), json!(low.map(f64::from))), ("max".into(), json!(high.map(f64::from)))]);
+            accessor["min"] = json!(low.map(f64::from));
+            accessor["max"] = json!(high.map(f64::from));
         }
         accessors.push(accessor);
         names.insert(name, json!(i));
     }
     let splatting = json!({
-        "kernel": KERNEL, "colorSpace": COLOUR_SPACE, "projection": "perspective", "sortingMethod": "cameraDistance"
+        "kernel": "ellipse", "colorSpace": "srgb_rec709_display", "projection": "perspective", "sortingMethod": "cameraDistance"
     });
     let primitive = json!({ "mode": 0, "attributes": names, "extensions": { EXTENSION: splatting } });
     json!({
@@ -145,23 +129,18 @@ fn document(rows: &GaussianRows, attributes: &[Attribute], scene: &SceneFile) ->
 /// An attribute, and its accessor without the place of its bytes.
 struct Attribute {
     name: String,
-    accessor: Map<String, Value>,
+    accessor: Value,
     bytes: Vec<u8>,
 }
 
 fn floats<const N: usize>(name: impl Into<String>, values: impl ExactSizeIterator<Item = [f32; N]>) -> Attribute {
     let shape = if N == 1 { "SCALAR".to_owned() } else { format!("VEC{N}") };
-    let accessor = object(json!({ "componentType": FLOAT, "type": shape }));
+    let accessor = json!({ "componentType": FLOAT, "type": shape });
     let mut bytes = Vec::with_capacity(4 * N * values.len());
     values.for_each(|value| value.iter().for_each(|number| bytes.extend(number.to_le_bytes())));
     Attribute { name: name.into(), accessor, bytes }
 }
 
-fn object(value: Value) -> Map<String, Value> {
-    value.as_object().cloned().unwrap_or_default()
-}
-
-/// Centres in glTF's frame.
 fn turned(rows: &GaussianRows) -> impl ExactSizeIterator<Item = [f32; 3]> {
     let axes = HalfTurn::Z.axes();
     rows.means.iter().map(move |mean| [0, 1, 2].map(|axis| axes[axis] * mean[axis]))
@@ -177,7 +156,7 @@ fn attributes(rows: &GaussianRows) -> Vec<Attribute> {
     };
     let colours = Attribute {
         name: "COLOR_0".into(),
-        accessor: object(json!({ "componentType": UNSIGNED_BYTE, "normalized": true, "type": "VEC4" })),
+        accessor: json!({ "componentType": UNSIGNED_BYTE, "normalized": true, "type": "VEC4" }),
         bytes: (0..rows.len()).flat_map(colour).collect(),
     };
     let rotations = rows.rotations.iter().map(|rotation| {
@@ -194,9 +173,9 @@ fn attributes(rows: &GaussianRows) -> Vec<Attribute> {
     let mut attributes = vec![
         floats(POSITION, turned(rows)),
         colours,
-        floats(ROTATION, rotations),
-        floats(SCALE, scales),
-        floats(OPACITY, opacities),
+        floats(format!("{EXTENSION}:ROTATION"), rotations),
+        floats(format!("{EXTENSION}:SCALE"), scales),
+        floats(format!("{EXTENSION}:OPACITY"), opacities),
         floats(harmonic(0), rows.sh_dc.iter().copied()),
     ];
     let per_row = rows.rest_per_row();

@@ -121,13 +121,8 @@ impl Format {
         }
     }
 
-    /// Whether the format holds the origin that positions are relative to.
+    /// Whether the format holds the origin that positions are relative to and the size of a scene unit.
     pub fn holds_origin(self) -> bool {
-        self != Self::Spz
-    }
-
-    /// Whether the format holds the size of a scene unit.
-    pub fn holds_scale(self) -> bool {
         self != Self::Spz
     }
 
@@ -185,19 +180,9 @@ pub struct Written<'a> {
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum FormatError {
-    /// A PLY file, compressed or not, that breaks the format; or rows that do not belong together.
+    /// The operating system reported an error, a PLY file, compressed or not, breaks the format, or rows do not belong together.
     #[error(transparent)]
     Ply(#[from] PlyError),
-    /// The operating system reported an error.
-    #[error("{path}: could not {action}: {source}", path = path.display())]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// The attempted action, with the remedy if there is one.
-        action: &'static str,
-        /// The system's reason.
-        source: io::Error,
-    },
     /// The file does not begin like a scene of any supported format.
     #[error(
         "{path}: not a scene: it begins with `{found}`, expected a PLY file (original layout or SuperSplat's compressed one), SPZ \
@@ -238,7 +223,7 @@ pub enum FormatError {
 
 impl FormatError {
     fn io(path: &Path, action: &'static str) -> impl FnOnce(io::Error) -> Self {
-        move |source| Self::Io { path: path.to_path_buf(), action, source }
+        move |source| PlyError::Io { path: path.to_path_buf(), action, source }.into()
     }
 
     fn broken(path: &Path, format: Format, detail: impl Into<String>) -> Self {

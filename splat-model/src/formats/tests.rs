@@ -147,7 +147,7 @@ fn the_size_of_a_unit_stays_where_there_is_a_place_for_it() {
         write(&path, &scene, format).unwrap();
         assert_eq!(
             read(&path).unwrap().0.metres_per_unit,
-            scene.metres_per_unit.filter(|_| format.holds_scale()),
+            scene.metres_per_unit.filter(|_| format.holds_origin()),
             "{format}"
         );
         for metres in [0.0, -1.0, f64::NAN, f64::INFINITY] {
@@ -356,7 +356,6 @@ fn handful() -> SceneFile {
         origin: DVec3::new(1e6, 0.0, 0.0),
         metres_per_unit: Some(0.125),
         trained: TrainedAs { antialias: true, ..TrainedAs::default() },
-        ..SceneFile::default()
     }
 }
 

@@ -200,7 +200,6 @@ impl Group {
         }
     }
 
-    /// The group without autodiff.
     pub(super) fn untracked(&self) -> Self {
         let plain = |block: &Param<Tensor<2>>| Param::from_tensor(block.val().inner());
         Self { blocks: self.blocks.iter().map(plain).collect(), name: self.name.clone(), options: self.options }
@@ -239,7 +238,6 @@ pub(crate) fn row_blocks(name: &str, count: usize, width: usize, device: &Device
     (0..count.max(1)).step_by(rows).map(|first| first..first.saturating_add(rows).min(count)).collect()
 }
 
-/// Joins tensors of consecutive rows.
 pub(crate) fn joined<const D: usize, K: Basic>(mut blocks: Vec<Tensor<D, K>>) -> Tensor<D, K> {
     if blocks.len() == 1 { blocks.swap_remove(0) } else { Tensor::cat(blocks, 0) }
 }

@@ -13,7 +13,6 @@ use super::moments::{Moments, Stored};
 /// bounded by the learning rate either way, because Adam is invariant to the gradient's length.
 const LARGEST_GRADIENT: f64 = 1e17;
 
-/// When a step is taken.
 pub(crate) struct StepAt<'a> {
     /// Number of the step, counted from 1.
     pub step: usize,
@@ -152,7 +151,6 @@ fn step_in_tensors<const D: usize>(factors: &Factors, from: Stepped<D>, grad: Te
     Stepped { param: param - rated(factors.rate, ratio), m, v }
 }
 
-/// Multiplies each number by its rate.
 fn rated<const D: usize>(rate: Rates, ratio: Tensor<D>) -> Tensor<D> {
     let dims = ratio.dims();
     let Some(Band { period, width }) = rate.band(&dims) else { return ratio * rate.others };

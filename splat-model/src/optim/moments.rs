@@ -81,7 +81,6 @@ impl FromStr for MomentBits {
 #[derive(Clone, Debug)]
 pub struct Moments<const D: usize>(Option<Stored<D>>);
 
-/// How moments are stored.
 #[derive(Clone, Debug)]
 #[expect(clippy::large_enum_variant, reason = "handles of tensors, a few for a scene")]
 pub(crate) enum Stored<const D: usize> {
@@ -152,7 +151,6 @@ impl<const D: usize> Moments<D> {
         Self::packed(continued(&words, source, kept), packing)
     }
 
-    /// Some rows, on a device.
     pub(crate) fn rows(&self, first: usize, count: usize, device: &Device) -> Self {
         fn of<const R: usize, K: Basic>(
             all: &Tensor<R, K>,
@@ -222,7 +220,6 @@ impl<const D: usize> Stored<D> {
     }
 }
 
-/// The shape of the words of a parameter.
 fn words_shape<const D: usize>(shape: [usize; D], packing: Packing) -> [usize; 2] {
     [shape[0], packing.words_per_row(shape[1..].iter().product())]
 }

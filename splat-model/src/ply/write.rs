@@ -130,7 +130,6 @@ pub fn write_to(out: &mut impl Write, rows: &GaussianRows, world: impl Into<Worl
     write_rows(out, rows)
 }
 
-/// Writes the header of a file with `count` Gaussians.
 pub(super) fn write_header(
     out: &mut impl Write,
     count: usize,

@@ -80,7 +80,6 @@ fn three_and_the_validator_of_khronos_accept_our_gltf() {
         origin: [1e6, 0.0, 0.0].into(),
         metres_per_unit: Some(0.5),
         trained: TrainedAs { antialias: true, ..TrainedAs::default() },
-        ..SceneFile::default()
     };
     formats::write(&path, &scene, Format::Glb).unwrap();
     let found: Value = serde_json::from_str(&node(&folder, &["glb.mjs", text(&path)])).unwrap();

@@ -183,7 +183,6 @@ fn rotation(place: &Place, cam_from_world: &DAffine3) -> Result<DQuat, CaptureEr
     }
 }
 
-/// The bytes of a file.
 struct Bytes(Vec<u8>);
 
 impl Bytes {

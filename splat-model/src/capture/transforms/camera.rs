@@ -183,7 +183,6 @@ impl<'a> Lenses<'a> {
         Ok((model, all))
     }
 
-    /// The name of a supported model.
     fn model(&self) -> Result<&'a str, CaptureError> {
         for fields in [self.frame, self.file] {
             if let Some(name) = fields.camera_model.as_deref() {

@@ -61,7 +61,6 @@ impl Fields {
     }
 }
 
-/// Reads a file.
 pub(super) fn parse(file: &Path, bytes: &[u8]) -> Result<Fields, CaptureError> {
     let mut input = serde_json::Deserializer::from_slice(bytes);
     let read = serde_path_to_error::deserialize(&mut input);

@@ -2,8 +2,9 @@
 
 use burn::tensor::{Device, Tensor};
 
+use super::Trained;
 use super::step::on;
-use super::{Trained, all_rows};
+use crate::density::pick::all_rows;
 use crate::gaussians::{BASE_GROUPS, Gaussians, Group, GroupOptions, SH, joined, parameter, row_blocks};
 use crate::optim::{MomentBits, Moments};
 use crate::state::{State, StateError};

@@ -108,7 +108,6 @@ pub(super) fn on<const D: usize>(device: &Device, values: Tensor<D>) -> Tensor<D
     if device.is_autodiff() { Tensor::from_inner(values) } else { values }
 }
 
-/// Replaces the values of a parameter.
 pub(super) fn replace<const D: usize>(param: &mut Param<Tensor<D>>, values: Tensor<D>) {
     let device = param.val().device();
     *param = parameter(on(&device, values));

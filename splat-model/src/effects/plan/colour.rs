@@ -27,7 +27,6 @@ pub const VIEW_DEPENDENT_SHARE: f64 = 0.005;
 /// Smallest number of points for a decision on shares of half a percent.
 const FEWEST_COMPARED: usize = 500;
 
-/// The reason for a missing comparison of colours.
 const FEW_POINTS: &str = "too few points are visible in several photographs";
 
 /// Decides on the degree of the spherical harmonics instead of an effect. Missing harmonics cost more than idle ones, so

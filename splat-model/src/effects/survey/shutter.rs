@@ -25,7 +25,6 @@ pub struct ShutterEvidence {
     pub left_by_rows: f64,
 }
 
-/// The observation of a point in a photograph.
 struct ShutterObservation {
     /// Derivative of the direction with respect to the camera's `ω` and `τ`.
     columns: [DVec3; 6],

@@ -48,7 +48,6 @@ pub fn read(path: &Path) -> Result<SceneFile, FormatError> {
 /// The layout, flags and sections of a file.
 type SpzSections = (Layout, u8, [Vec<u8>; SECTIONS]);
 
-/// The file that is read.
 #[derive(Clone, Copy)]
 struct Of<'a> {
     path: &'a Path,
@@ -163,7 +162,6 @@ impl Of<'_> {
     }
 }
 
-/// Names of the sections, for messages.
 const NAMES: [&str; SECTIONS] = ["positions", "opacities", "colours", "scales", "rotations", "harmonics"];
 
 /// Parses a little-endian number.

@@ -55,7 +55,7 @@ fn coefficients_that_a_model_has_not_are_not_dropped_in_silence() {
 #[test]
 fn tracks_read_as_they_were_written() {
     let written = small_capture();
-    let observation = |view, x| Some(Observation { view, at_px: [x, 2.5] });
+    let observation = |view, x| Observation { view, at_px: [x, 2.5] };
     let mut tracks = Tracks::default();
     tracks.push([observation(1, 0.5), observation(0, 7.25)], 0.75);
     tracks.push([observation(1, 3.0)], -1.0);
