@@ -9,7 +9,6 @@ mod files;
 mod model;
 mod pictures;
 mod text;
-mod write;
 
 #[cfg(test)]
 mod tests;
@@ -29,8 +28,6 @@ use super::read::{Place, PlaceInFile, quoted, read};
 use super::{Capture, CaptureError, Observation, Tracks, View};
 use crate::encoding::utf8;
 use crate::ply;
-
-pub use write::{write_binary, write_binary_with_tracks};
 
 /// One line of `cameras`.
 #[derive(Clone, Debug, PartialEq)]

@@ -31,7 +31,7 @@ use glam::{DAffine3, DVec3, Vec3};
 use splat_op::Intrinsics;
 
 use self::blocks::Bounds;
-pub use colmap::{photographs_in, write_binary, write_binary_with_tracks};
+pub use colmap::photographs_in;
 pub use error::CaptureError;
 pub use image::{Photo, load_all};
 pub use photograph::{Photograph, PhotographFacts};

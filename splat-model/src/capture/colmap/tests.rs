@@ -1,9 +1,8 @@
-//! Tests of the three readers and the writer, on small models and on real captures.
+//! Tests of the three readers, on small models and on real captures.
 
 mod binary_files;
 mod real;
 mod text_files;
-mod writing;
 
 use std::fs;
 

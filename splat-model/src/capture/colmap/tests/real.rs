@@ -166,18 +166,3 @@ fn statue_wild_has_a_camera_for_each_photo_and_two_more() {
     let file = root.join("sparse/0/cameras.bin");
     assert_eq!(binary::cameras(&file, &read(&file).unwrap()).unwrap().len(), 86);
 }
-
-#[test]
-fn real_captures_survive_writing() {
-    for name in ["fox_small", "fox_distorted", "statue_wild"] {
-        let Some(capture) = load_real(name) else { continue };
-        let folder = tempfile::tempdir().unwrap();
-        write_binary(folder.path(), &capture.views, &capture.points).unwrap();
-        let again = load(folder.path()).unwrap();
-        assert_eq!(again.points, capture.points);
-        for (again, view) in again.views.iter().zip(&capture.views) {
-            assert_eq!((&again.name, again.intrinsics), (&view.name, view.intrinsics));
-            assert!(again.cam_from_world.abs_diff_eq(view.cam_from_world, 1e-12));
-        }
-    }
-}
