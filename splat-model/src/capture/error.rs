@@ -99,7 +99,7 @@ impl CaptureError {
     pub(super) fn no_views(file: &Path) -> Self {
         Self::content(
             file,
-            "no images, expected at least one. Run the reconstruction again, or choose another of its models",
+            "it lists no images, expected at least one. Run the reconstruction again, or choose another of its models",
         )
     }
 

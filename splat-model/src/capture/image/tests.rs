@@ -208,7 +208,7 @@ fn tensors_are_in_the_unit_range() {
     let rgb = load(&view, None).unwrap().rgb_over([0.0, 1.0, 0.0], &device);
     assert_eq!((rgb.dims(), rgb.dtype()), ([4, 1, 3], DType::F32));
     let found = rgb.into_data().try_to_vec::<f32>().unwrap();
-    assert_eq!(found[..4], [0.0, 1.0, 0.2, 0.2 / 255.0]);
+    assert_eq!(found[..4], [0.0, 1.0, 0.2, 1.0 / 255.0 * 0.2]);
     assert_eq!(found[6..9], [0.0, 1.0, 0.0], "the background");
 }
 
