@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail};
 use clap::Parser;
 use splat_demo::DemoOptions;
-use splat_model::capture::{Capture, write_binary_with_tracks};
+use splat_model::capture::Capture;
 use splat_model::effects::{EffectKind, Plan, Survey};
 use splat_op::{CameraModel, Intrinsics};
 use splat_train::options::{Cli, Command};
@@ -286,7 +286,7 @@ fn strip_lens(folder: &Path, capture: &Capture) -> Result<PathBuf> {
     for view in &mut views {
         view.intrinsics = Intrinsics { model: CameraModel::Pinhole, distortion: [0.0; 8], ..view.intrinsics };
     }
-    write_binary_with_tracks(&stripped, &views, &capture.points, &capture.tracks)?;
+    splat_demo::write_model(&stripped, &views, &capture.points, &capture.tracks)?;
     let pictures = stripped.join("images");
     std::fs::create_dir_all(&pictures)?;
     for view in &views {

@@ -40,7 +40,7 @@ impl RandomScene {
 pub fn write(path: &Path, count: usize) -> Result<(), PlyError> {
     let mut scene = RandomScene::default();
     let parts = (0..count).step_by(ROWS_AT_ONCE).map(|first| scene.next_rows(ROWS_AT_ONCE.min(count - first)));
-    write_parts(path, (count, 3), parts, WorldFrame::default())
+    write_parts(path, count, 3, parts, WorldFrame::default())
 }
 
 #[cfg(test)]

@@ -167,7 +167,6 @@ fn missing_lpips(lpips: Option<&Lpips>, views: &[ViewScore]) -> Option<String> {
     Some(format!("{count} of {} views cannot be measured; {name}: {reason}", views.len()))
 }
 
-/// The render after colour correction.
 fn corrected(comparison: &Comparison) -> Tensor<3> {
     let (image, truth) = (values_of(comparison.image.clone()), values_of(comparison.truth.clone()));
     let values = colour_corrected(&image, &truth, comparison.photo.mask.as_deref());

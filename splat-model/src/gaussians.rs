@@ -44,7 +44,7 @@ impl Gaussians {
         let (count, of_sh) = (rows.len(), rows.rest_per_row() + 3);
         let GaussianRows { means, rotations, log_scales, logit_opacities, sh_dc, sh_rest, groups, .. } = rows;
         let [of_means, of_rotations, of_scales, of_opacities, of_harmonics] = BASE_GROUPS;
-        let group = |name, width, numbers| Group::of_numbers(name, (count, width), numbers, device);
+        let group = |name, width, numbers| Group::of_numbers(name, count, width, numbers, device);
         let mut all = vec![
             group(of_means, 3, means.into_flattened()),
             group(of_rotations, 4, rotations.into_flattened()),
@@ -53,7 +53,7 @@ impl Gaussians {
             group(of_harmonics, of_sh, interleaved(sh_dc, sh_rest)),
         ];
         for GroupRows { name, width, values, options } in groups {
-            let mut group = Group::of_numbers(&name, (count, width), values, device);
+            let mut group = Group::of_numbers(&name, count, width, values, device);
             group.set_options(options);
             all.push(group);
         }
@@ -68,22 +68,22 @@ impl Gaussians {
     pub fn with_group(mut self, group: Group) -> Result<Self, RowsError> {
         let (count, sh_degree, width) = (self.len(), self.sh_degree(), group.width());
         if self.group(group.name()).is_some() {
-            return Err(RowsError::Taken { name: group.name().to_owned() });
+            return Err(RowsError::taken(group.name()));
         }
         if group.rows() != count {
             let (found, expected) = (group.rows() * width, count * width);
             return Err(RowsError::Length { field: group.name().to_owned(), found, expected, count, sh_degree });
         }
         let (own, new) = (self.means(), group.raw());
-        let name = || group.name().to_owned();
         if own.device().inner() != new.device().inner() || own.dtype() != new.dtype() {
             let of = |values: &Tensor<2>| format!("on {:?} in {:?}", values.device(), values.dtype());
-            return Err(RowsError::Place { name: name(), found: of(&new), expected: of(&own) });
+            let found = format!("the group `{}` is {}", group.name(), of(&new));
+            return Err(RowsError::Group(format!("{found}, expected {}", of(&own))));
         }
         let (bytes, most) = (4 * (count * width) as u64, splat_op::largest_tensor(&own.device()));
         if bytes > most {
-            let (found, expected) = (format!("{bytes} bytes large"), format!("at most {most} on this device"));
-            return Err(RowsError::Place { name: name(), found, expected });
+            let found = format!("the group `{}` is {bytes} bytes large", group.name());
+            return Err(RowsError::Group(format!("{found}, expected at most {most} on this device")));
         }
         let values = match (own.is_autodiff(), new.is_autodiff()) {
             (true, false) => Tensor::from_inner(new),

@@ -83,6 +83,7 @@ pub mod ply;
 mod quantile;
 pub mod replace;
 pub mod sniff;
+mod solve;
 pub mod state;
 pub mod trainer;
 

@@ -9,7 +9,7 @@ pub mod lpips;
 use burn::tensor::{Bool, Tensor};
 
 use crate::effects::masks;
-use crate::loss::ssim::{Truth, d_ssim, ssim_map};
+use crate::loss::{Truth, d_ssim, ssim_map};
 
 pub use self::correct::colour_corrected;
 
@@ -21,7 +21,11 @@ pub const LARGEST_PSNR_DB: f64 = 100.0;
 /// NaN if either holds NaN.
 pub fn psnr(image: Tensor<3>, truth: Tensor<3>) -> f64 {
     let difference = displayed(image) - displayed(truth);
-    let mean_square: f64 = (difference.clone() * difference).mean().into_scalar::<f64>();
+    psnr_of((difference.clone() * difference).mean().into_scalar::<f64>())
+}
+
+/// PSNR, dB, of a mean square error.
+fn psnr_of(mean_square: f64) -> f64 {
     let psnr_db = -10.0 * mean_square.log10();
     // Not `min`, which would turn NaN into a perfect score.
     if psnr_db > LARGEST_PSNR_DB { LARGEST_PSNR_DB } else { psnr_db }
@@ -43,10 +47,8 @@ pub fn scores_without(image: Tensor<3>, truth: Tensor<3>, excluded: &Tensor<3, B
     let counts = excluded.clone().bool_not().float().permute([1, 2, 0]);
     let values = channels as f64 * counts.clone().sum().into_scalar::<f64>();
     let squares: f64 = (image.clone() - truth.clone()).square().sum().into_scalar();
-    let psnr_db = -10.0 * (squares / values).log10();
     let similar: f64 = (ssim_map(image, truth) * counts.expand([height, width, channels])).sum().into_scalar();
-    // Not `min`, which would turn NaN into a perfect score.
-    (if psnr_db > LARGEST_PSNR_DB { LARGEST_PSNR_DB } else { psnr_db }, similar / values)
+    (psnr_of(squares / values), similar / values)
 }
 
 /// The mean of one metric over views, as tables report it. NaN without views.

@@ -6,6 +6,7 @@ mod differentiate;
 mod effects;
 mod error;
 mod guard;
+mod loss;
 pub mod ranks;
 mod resolution;
 mod shared;
@@ -16,92 +17,29 @@ mod views;
 use std::rc::Rc;
 use std::{iter, mem};
 
-use burn::tensor::{Bool, Device, Tensor};
+use burn::tensor::{Device, Tensor};
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
-use splat_op::{Colour, Extras, RenderOptions, SplatError};
+use splat_op::RenderOptions;
 
 use crate::accuracy::Setting;
 use crate::capture::{Photo, Photograph, PointCloud, PointsSeen};
 use crate::density::rows::{StepRates, Trained};
 use crate::density::{RefineReport, Strategy, StrategyContext};
-use crate::effects::{Effect, EffectContext, EffectStack, RenderInput, masks};
+use crate::effects::{Effect, EffectContext, EffectStack};
 use crate::gaussians::{BASE_GROUPS, Gaussians, Group, GroupOptions};
-use crate::loss::{Truth, photometric};
+use crate::loss::photometric;
 use crate::optim::{Adam, Decay, scene_extent, sh_degree_at};
 
 pub use self::config::TrainConfig;
 use self::differentiate::Batch;
 pub use self::error::TrainError;
 pub use self::guard::{Fault, Guard};
+pub use self::loss::{Loss, LossInputs};
 use self::ranks::{Alone, Ranks};
 pub use self::resolution::Resolution;
 use self::views::Views;
-
-/// The inputs of a loss in one step.
-pub struct LossInputs<'a> {
-    /// `[H, W, 3]`: the render as it is compared with the photograph, tracked. It includes the exposure if one is learned,
-    /// and is black where a mask excludes pixels, like `truth`.
-    pub image: Tensor<3>,
-    /// `[H, W, 1]`: the render's alpha, tracked; zero where a mask excludes pixels.
-    pub alpha: Tensor<3>,
-    /// The photograph, prepared; [`Truth::image`] gives it as `[H, W, 3]`.
-    pub truth: &'a Truth,
-    /// `[H, W, 1]`: the accumulated depth, tracked; zero where a mask excludes pixels. `None` unless an effect asks for it, in
-    /// [`RenderInput::options`].
-    pub depth: Option<Tensor<3>>,
-    /// `[1, H, W]`: the pixels that a mask excludes, if there is one.
-    pub excluded: Option<&'a Tensor<3, Bool>>,
-    /// The inputs of the render, after effects: the activated parameters, tracked, the camera and the options.
-    pub input: &'a RenderInput,
-    /// The scene's parameters, tracked.
-    pub gaussians: &'a Gaussians,
-    /// Number of the step, counted from 1.
-    pub step: usize,
-    /// The photograph's name.
-    pub view: &'a str,
-}
-
-impl LossInputs<'_> {
-    /// `[N, width]`: the values of a group that was added to the scene, activated and tracked. [`Self::input`] has the activated
-    /// values of the others.
-    ///
-    /// # Panics
-    /// If the scene has no such group.
-    pub fn group(&self, name: &str) -> Tensor<2> {
-        let group = self.gaussians.group(name).unwrap_or_else(|| panic!("the scene has no group `{name}`"));
-        group.values()
-    }
-
-    /// Renders features of one's own, `[N, C]`, from the view's camera, over black: `[H, W, C]`, tracked, and zero where a mask excludes
-    /// pixels. Motion blur and a rolling shutter, which take several renders, are left out.
-    ///
-    /// # Errors
-    /// Errors of the render operation.
-    pub fn features(&self, features: Tensor<2>) -> Result<Tensor<3>, SplatError> {
-        let mut input = self.input.clone();
-        input.splats.colour = Colour::Features(features);
-        input.extras = Extras::default();
-        let colour = input.render()?.colour;
-        Ok(match self.excluded {
-            Some(excluded) => masks::cleared(colour, excluded),
-            None => colour,
-        })
-    }
-}
-
-/// A loss: any function of [`LossInputs`] to a `[1]` tensor.
-pub trait Loss {
-    /// The loss of one step, `[1]`, tracked.
-    fn loss(&self, seen: &LossInputs) -> Tensor<1>;
-}
-
-impl<F: Fn(&LossInputs) -> Tensor<1>> Loss for F {
-    fn loss(&self, seen: &LossInputs) -> Tensor<1> {
-        self(seen)
-    }
-}
 
 /// The result of a step.
 #[derive(Clone, Debug)]
@@ -366,7 +304,8 @@ impl Trainer {
         let others = self.config.step_rates().after(step as f64 / steps as f64);
         let done = step as f64 / steps as f64;
         let rates = StepRates { rates: others, means: self.means_decay.at(step), done, views: self.config.batch };
-        self.scene.step(gradients, &self.adam(), &rates, step, held.as_ref());
+        let adam = Adam::default().for_batch(self.config.batch);
+        self.scene.step(gradients, &adam, &rates, step, held.as_ref());
         for (view, mut of_effects) in views {
             self.effects.step(&mut of_effects, EffectContext { view, step, steps, verdict: held.as_ref() });
         }
@@ -398,15 +337,12 @@ impl Trainer {
         Ok(StepReport { step, loss, view, splats, refined })
     }
 
-    fn adam(&self) -> Adam {
-        Adam::default().for_batch(self.config.batch)
-    }
-
     /// The error of a step that was not taken, with the stage that goes wrong first.
     fn non_finite(&mut self, fault: Fault) -> TrainError {
         let Fault { step, view, what } = fault;
-        let sound = "every stage of the render is sound, so it is the loss or a backward pass that goes wrong";
-        let stage = self.diagnose(view).map_or(sound.into(), |wrong| wrong.to_string());
+        let sound = "every stage of the render is sound, so it is the loss or a backward pass that goes wrong: usual causes are a root or a \
+                     logarithm at zero, and a mean over an empty mask";
+        let stage = self.first_wrong(view).unwrap_or(sound.into());
         TrainError::NonFinite { step, view: self.views.name(view).to_owned(), what, stage }
     }
 

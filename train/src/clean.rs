@@ -12,7 +12,6 @@ use splat_model::effects::background::Background;
 use splat_model::evaluate::evaluate;
 use splat_model::formats::{self, SceneFile};
 use splat_model::gaussians::{GaussianRows, Gaussians};
-use splat_model::ply::TrainedAs;
 use splat_op::RenderOptions;
 
 use crate::background::ShowArgs;
@@ -104,15 +103,14 @@ struct CleanupJudge<'a> {
 impl<'a> CleanupJudge<'a> {
     fn new(args: &CleanArgs, capture: &'a Capture, scene: &SceneFile) -> Result<Self> {
         let (device, _) = args.show.device.resolve()?;
-        let trained = TrainedAs { antialias: scene.antialiased, ..scene.trained };
-        let background = args.show.background(&args.scene, &trained)?;
+        let background = args.show.background(&args.scene, &scene.trained)?;
         let mut rows = scene.rows.clone();
         input::move_means(&mut rows, (scene.origin - capture.origin).to_array());
         let (split, _) = args.photos.split(capture);
         let all: Vec<usize> = (0..capture.views.len()).collect();
         let judged = if split.test.is_empty() { &all } else { &split.test };
         let photos = input::photographs(capture, judged, args.photos.max_side, false)?;
-        let options = args.show.model.or(&trained).config().render_options(input::extent(capture));
+        let options = args.show.model.or(&scene.trained).config().render_options(input::extent(capture));
         Ok(Self { capture, rows, photos, background, options, device, max_side: args.photos.max_side })
     }
 

@@ -28,7 +28,7 @@ const SPZ_SCALE_ERROR: f64 = 0.033;
 pub struct ConvertArgs {
     /// Scene to convert: PLY, SuperSplat's compressed PLY, SPZ or SOG, recognized by its content
     pub scene: PathBuf,
-    /// File to write, replacing an existing one; its name gives the format: .ply, .compressed.ply, .spz, .glb, .gltf or .sog
+    /// File to write, replacing an existing one; its name gives the format: .ply, .compressed.ply, .spz, .glb or .sog
     pub out: PathBuf,
     /// Format to write, if the name does not give it
     #[arg(long, value_parser = formats_by_name())]
@@ -53,12 +53,11 @@ pub struct ConvertArgs {
 }
 
 /// The formats on the command line.
-const FORMATS: [(&str, Format); 6] = [
+const FORMATS: [(&str, Format); 5] = [
     ("ply", Format::Ply),
     ("compressed-ply", Format::CompressedPly),
     ("spz", Format::Spz),
     ("glb", Format::Glb),
-    ("gltf", Format::Gltf),
     ("sog", Format::Sog),
 ];
 
@@ -78,7 +77,7 @@ pub fn run(args: &ConvertArgs) -> Result<()> {
         None => format_of(&args.out).context("no format is chosen with `--format`")?,
     };
     let (mut scene, found) = formats::read(&args.scene).context("cannot read the scene")?;
-    scene.antialiased |= args.antialias;
+    scene.trained.antialias |= args.antialias;
     let (splats, of_degree) = (scene.rows.len(), scene.rows.sh_degree);
     for (option, given, of) in [
         ("--sh-bits", args.sh_bits.is_some(), Format::Spz),
@@ -187,7 +186,7 @@ fn dropped(scene: &SceneFile, format: Format, written: &Written, of_degree: usiz
         let [x, y, z] = scene.origin.to_array();
         lost.push(format!("the origin {x} {y} {z}, which positions were relative to: they are stored without it"));
     }
-    if let Some(metres) = scene.metres_per_unit.filter(|_| !format.holds_scale()) {
+    if let Some(metres) = scene.metres_per_unit.filter(|_| !format.holds_origin()) {
         lost.push(format!("the size of a unit, {metres} m"));
     }
     if scene.trained != (TrainedAs { antialias: scene.trained.antialias, ..TrainedAs::default() })

@@ -11,7 +11,6 @@ use splat_model::effects::depth::{self, DepthConfig};
 use splat_model::effects::exposure::ExposureConfig;
 use splat_model::effects::grid::GridConfig;
 use splat_model::effects::optics::OpticsConfig;
-use splat_model::effects::plan::slowness;
 use splat_model::effects::pose::{PoseConfig, anchors};
 use splat_model::effects::{EffectKind, Plan, Survey};
 use splat_model::trainer::{TrainConfig, Trainer};
@@ -84,11 +83,11 @@ impl EffectsArg {
     }
 
     /// Decides on the effects for a capture, which is surveyed by its training views if `auto` needs it. `antialias`:
-    /// whether that option was given. `max_side`: largest side of the photographs in training, px.
+    /// whether that option was given.
     ///
     /// # Errors
     /// If a picture of the capture cannot be read, or the two options contradict each other.
-    pub fn choose(&self, capture: &Capture, train: &[usize], antialias: bool, max_side: Option<u32>) -> Result<Chosen> {
+    pub fn choose(&self, capture: &Capture, train: &[usize], antialias: bool) -> Result<Chosen> {
         let adjusted = self.adjustments.iter().rev().find(|(effect, _)| *effect == EffectKind::Antialias);
         ensure!(
             !(antialias && adjusted.is_some_and(|(_, on)| !on)),
@@ -96,10 +95,7 @@ impl EffectsArg {
             self.text
         );
         let survey = self.auto.then(|| Survey::of_views(capture, train)).transpose()?;
-        let plan = match &survey {
-            Some(survey) => Some(Plan::of(survey, capture.mean_pixels(train, max_side), slowness()?)),
-            None => None,
-        };
+        let plan = survey.as_ref().map(Plan::from);
         let mut on = self.of(&plan.as_ref().map_or(Vec::new(), Plan::effects));
         if antialias && !on.contains(&EffectKind::Antialias) {
             on.push(EffectKind::Antialias);

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicUsize;
 
 use anyhow::{Context, Result, bail, ensure};
-use splat_model::capture::image::{load_again, load_all};
+use splat_model::capture::image::{load, load_all};
 use splat_model::capture::{Capture, CaptureError, Photo, Photograph, PhotographFacts};
 use splat_model::effects::masks;
 use splat_model::formats;
@@ -144,7 +144,7 @@ impl PhotoSelection<'_> {
     fn again(&self, view: usize) -> impl Fn() -> Result<Photo, CaptureError> + Send + Sync + 'static {
         let (capture, max_side, masked, opaque) = (Arc::clone(self.capture), self.max_side, self.masked, self.opaque);
         move || {
-            let mut photos = vec![load_again(&capture.views[view], max_side)?];
+            let mut photos = vec![load(&capture.views[view], max_side)?];
             if masked {
                 masks::attach(&capture, &[view], &mut photos)?;
             }
@@ -166,13 +166,13 @@ fn made_opaque(photo: Photo, opaque: bool) -> Photo {
 /// If the file is missing, is not a scene, or holds no Gaussian.
 pub fn rows(option: &str, path: &Path, capture: Option<&Capture>) -> Result<(GaussianRows, TrainedAs)> {
     let (scene, _) = formats::read(path).with_context(|| format!("cannot read the scene that `{option}` names"))?;
-    let formats::SceneFile { mut rows, origin, antialiased, trained, .. } = scene;
+    let formats::SceneFile { mut rows, origin, trained, .. } = scene;
     ensure!(!rows.is_empty(), "{} holds no Gaussian: name a scene that was trained with `{option}`", path.display());
     if let Some(capture) = capture {
         move_means(&mut rows, (origin - capture.origin).to_array());
     }
     progress::note_unusable(path, rows.unusable(), rows.len());
-    Ok((rows, TrainedAs { antialias: antialiased, ..trained }))
+    Ok((rows, trained))
 }
 
 /// Returns some rows of a scene, with spherical harmonics up to `sh_degree`.

@@ -7,4 +7,4 @@ mod dials;
 mod setting;
 
 pub use self::dials::{DIALS, Dial, DialValue, Judge};
-pub use self::setting::{DialError, Preset, PresetError, Setting};
+pub use self::setting::{DialError, Preset, Setting};

@@ -15,27 +15,10 @@ use super::dials::{DIALS, Dial, Judge};
 #[serde(try_from = "BTreeMap<String, String>", into = "BTreeMap<String, String>")]
 pub struct Setting(BTreeMap<&'static str, &'static str>);
 
-/// A dial or a value that does not exist.
+/// A dial, a value or a preset that does not exist: its name, and the names that do.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
-#[non_exhaustive]
-pub enum DialError {
-    /// The dial does not exist.
-    #[error("there is no dial {found:?}; the dials are {}", names(DIALS.iter().map(|dial| dial.name)))]
-    Dial {
-        /// The requested name.
-        found: String,
-    },
-    /// The dial has no such value.
-    #[error("the dial {dial} has no value {found:?}; its values are {known}")]
-    Value {
-        /// The dial.
-        dial: &'static str,
-        /// The requested value.
-        found: String,
-        /// The values of the dial.
-        known: String,
-    },
-}
+#[error("{0}")]
+pub struct DialError(String);
 
 fn names<'a>(all: impl Iterator<Item = &'a str>) -> String {
     all.collect::<Vec<_>>().join(", ")
@@ -49,11 +32,13 @@ impl Setting {
     pub fn new<'a>(turned: impl IntoIterator<Item = (&'a str, &'a str)>) -> Result<Self, DialError> {
         let mut setting = Self::default();
         for (name, value) in turned {
-            let dial = Dial::named(name).ok_or_else(|| DialError::Dial { found: name.into() })?;
-            let found = dial.value(value).ok_or_else(|| DialError::Value {
-                dial: dial.name,
-                found: value.into(),
-                known: names(dial.values.iter().map(|value| value.name)),
+            let dial = Dial::named(name).ok_or_else(|| {
+                let known = names(DIALS.iter().map(|dial| dial.name));
+                DialError(format!("there is no dial {name:?}; the dials are {known}"))
+            })?;
+            let found = dial.value(value).ok_or_else(|| {
+                let known = names(dial.values.iter().map(|value| value.name));
+                DialError(format!("the dial {} has no value {value:?}; its values are {known}", dial.name))
             })?;
             setting.0.insert(dial.name, found.name);
         }
@@ -137,11 +122,6 @@ pub enum Preset {
     Exact,
 }
 
-/// A preset that does not exist.
-#[derive(Clone, Debug, PartialEq, Eq, Error)]
-#[error("there is no accuracy {0:?}, expected fast, standard or exact")]
-pub struct PresetError(String);
-
 impl Preset {
     /// All presets.
     pub const ALL: [Self; 3] = [Self::Fast, Self::Standard, Self::Exact];
@@ -177,10 +157,11 @@ impl Display for Preset {
 }
 
 impl FromStr for Preset {
-    type Err = PresetError;
+    type Err = DialError;
 
-    fn from_str(text: &str) -> Result<Self, PresetError> {
-        Self::ALL.into_iter().find(|preset| preset.name() == text).ok_or_else(|| PresetError(text.into()))
+    fn from_str(text: &str) -> Result<Self, DialError> {
+        let unknown = || DialError(format!("there is no accuracy {text:?}, expected fast, standard or exact"));
+        Self::ALL.into_iter().find(|preset| preset.name() == text).ok_or_else(unknown)
     }
 }
 

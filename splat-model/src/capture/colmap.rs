@@ -9,7 +9,6 @@ mod files;
 mod model;
 mod pictures;
 mod text;
-mod write;
 
 #[cfg(test)]
 mod tests;
@@ -29,8 +28,6 @@ use super::read::{Place, PlaceInFile, quoted, read};
 use super::{Capture, CaptureError, Observation, Tracks, View};
 use crate::encoding::utf8;
 use crate::ply;
-
-pub use write::{write_binary, write_binary_with_tracks};
 
 /// One line of `cameras`.
 #[derive(Clone, Debug, PartialEq)]
@@ -148,7 +145,7 @@ fn tracks(images: &[ImageRecord], points: &[PointRecord]) -> Tracks {
     };
     let mut tracks = Tracks::default();
     for point in points {
-        tracks.push(point.track.iter().map(observation), point.error_px);
+        tracks.push(point.track.iter().filter_map(observation), point.error_px);
     }
     tracks
 }
@@ -187,7 +184,7 @@ fn check_entries(
         }
     }
     match images.is_empty() {
-        true => Err(CaptureError::NoViews { file: files.images.clone() }),
+        true => Err(CaptureError::no_views(&files.images)),
         false => Ok(()),
     }
 }

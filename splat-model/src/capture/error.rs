@@ -25,31 +25,6 @@ pub enum CaptureError {
         /// What to do.
         fix: &'static str,
     },
-    /// Photographs that a file lists are not there.
-    #[error(
-        "{missing} of {of} photographs that {} lists are missing, the first is {}: {beside}. Put the photographs where it lists them: below \
-         `images/`, or for JSON below its folder", .file.display(), .first.display()
-    )]
-    Photographs {
-        /// The file.
-        file: PathBuf,
-        /// Number of photographs that are missing.
-        missing: usize,
-        /// Number of photographs that were looked for.
-        of: usize,
-        /// Where the first should be.
-        first: PathBuf,
-        /// What lies there instead.
-        beside: String,
-    },
-    /// Cameras lie at unusual places, and which are meant is not clear.
-    #[error("{}: {detail}", .folder.display())]
-    Cameras {
-        /// The folder in which they were looked for.
-        folder: PathBuf,
-        /// What was found, and what to do.
-        detail: String,
-    },
     /// A file is there but cannot be read.
     #[error("cannot read {}: {reason}. {fix}", .file.display())]
     Read {
@@ -68,50 +43,13 @@ pub enum CaptureError {
         /// The operating system's reason.
         reason: io::Error,
     },
-    /// One field of one entry holds something that no capture can have.
-    #[error("{}: {place}: `{field}` is {found}, expected {expected}. {fix}", .file.display())]
-    Entry {
-        /// The file.
-        file: PathBuf,
-        /// The entry, such as "image entry 3" or "camera on line 4".
-        place: String,
-        /// The field, as the format's own document calls it.
-        field: &'static str,
-        /// The value found.
-        found: Box<str>,
-        /// The values allowed.
-        expected: Box<str>,
-        /// What to do.
-        fix: &'static str,
-    },
-    /// The lens model of a camera is not supported.
-    #[error(
-        "{}: {place}: the camera model is {model}, which is not supported, while the pinhole, radial, OPENCV and fisheye models \
-         are. Remove the lens distortion with `colmap image_undistorter` and use the folder that it writes, or reconstruct with \
-         another `--ImageReader.camera_model`",
-        .file.display()
-    )]
-    Model {
-        /// The file.
-        file: PathBuf,
-        /// The camera.
-        place: String,
-        /// Its model, by COLMAP's name where there is one.
-        model: String,
-    },
-    /// The counts of a binary file and its bytes contradict each other.
+    /// A file or folder holds something that no capture can have, or that is not supported.
     #[error("{}: {detail}", .file.display())]
-    Damaged {
-        /// The file.
+    Content {
+        /// The file or folder.
         file: PathBuf,
         /// What was found, what was expected and what to do.
         detail: String,
-    },
-    /// The reconstruction lists no photographs.
-    #[error("{} lists no images, expected at least one. Run the reconstruction again, or choose another of its models", .file.display())]
-    NoViews {
-        /// The file.
-        file: PathBuf,
     },
     /// The picture of a view cannot be decoded.
     #[error("cannot decode {}: {reason}. Expected a JPEG or PNG picture: export or copy it again", .file.display())]
@@ -120,32 +58,6 @@ pub enum CaptureError {
         file: PathBuf,
         /// What the decoder said.
         reason: String,
-    },
-    /// A depth map, or the file beside them, cannot be used.
-    #[error(
-        "{}: {reason}. Expected 16-bit grey PNG pictures, and beside them `depth.json` with scene units per level: \
-         {{\"scale\": 0.001}}; `--effects=-depth-supervision` does without",
-        .file.display()
-    )]
-    Depth {
-        /// The file.
-        file: PathBuf,
-        /// What was found.
-        reason: String,
-    },
-    /// The picture of a view has another size than its camera.
-    #[error(
-        "{}: the picture is {} × {} px, expected {} × {} px as its camera states. Use the pictures that the reconstruction \
-         was made from, or run it again on these",
-        .file.display(), .found[0], .found[1], .expected[0], .expected[1]
-    )]
-    PictureSize {
-        /// The picture.
-        file: PathBuf,
-        /// Its width and height, px.
-        found: [usize; 2],
-        /// The width and height of its camera, px.
-        expected: [usize; 2],
     },
     /// A photograph changed between two decodings.
     #[error(
@@ -158,14 +70,6 @@ pub enum CaptureError {
     /// The file of points that the capture names cannot be read.
     #[error(transparent)]
     Points(PlyError),
-    /// A point cloud whose columns differ in length.
-    #[error("the point cloud has {positions} positions and {colours} colours, expected one colour for each position")]
-    Cloud {
-        /// Number of positions.
-        positions: usize,
-        /// Number of colours.
-        colours: usize,
-    },
     /// A split that leaves nothing to test on.
     #[error(
         "{} for training and none is held out for testing, expected at least one. {}", all(*.views),
@@ -187,10 +91,29 @@ pub enum CaptureError {
 }
 
 impl CaptureError {
+    /// The error for a file or folder with such content.
+    pub(crate) fn content(file: &Path, detail: impl Into<String>) -> Self {
+        Self::Content { file: file.to_owned(), detail: detail.into() }
+    }
+
+    pub(super) fn no_views(file: &Path) -> Self {
+        Self::content(
+            file,
+            "it lists no images, expected at least one. Run the reconstruction again, or choose another of its models",
+        )
+    }
+
     /// The error for photographs that `file` lists, of which these are missing.
     pub(super) fn photographs(missing: &[PathBuf], of: usize, file: &Path) -> Self {
         let first = missing.first().cloned().unwrap_or_default();
-        Self::Photographs { file: file.to_owned(), missing: missing.len(), of, beside: beside(&first), first }
+        let detail = format!(
+            "{} of {of} photographs that it lists are missing, the first is {}: {}. Put the photographs where it lists them: below \
+             `images/`, or for JSON below its folder",
+            missing.len(),
+            first.display(),
+            beside(&first)
+        );
+        Self::content(file, detail)
     }
 }
 

@@ -30,7 +30,6 @@ pub(super) enum Cameras {
 }
 
 impl Cameras {
-    /// The path that names them.
     fn path(&self) -> &Path {
         match self {
             Self::Colmap(models) => &models[0],
@@ -50,11 +49,10 @@ impl Cameras {
 pub(super) fn is_there(source: &Path) -> bool {
     match source.is_file() {
         true => of_file(source).is_some(),
-        false => is_inside(source) || !above(source).is_empty(),
+        false => !inside(source, 0).is_empty() || !above(source).is_empty(),
     }
 }
 
-/// See [`Capture::load`].
 pub(super) fn load(source: &Path) -> Result<Capture, CaptureError> {
     if let Some(cameras) = of_file(source) {
         return cameras.load(&colmap::Pictures::Near(&parent(source)));
@@ -105,8 +103,7 @@ pub(super) fn load(source: &Path) -> Result<Capture, CaptureError> {
         }
         _ => "cameras are at several places. Name the one that is meant instead of the folder, or remove the others",
     };
-    let detail = format!("{detail}. Found: {}", list(&mut found.iter()));
-    Err(CaptureError::Cameras { folder: source.to_owned(), detail })
+    Err(CaptureError::content(source, format!("{detail}. Found: {}", list(&mut found.iter()))))
 }
 
 /// Whether some of the first photographs are there, in `folder` if one is given.
@@ -175,11 +172,6 @@ fn inside(folder: &Path, depth: usize) -> Vec<Cameras> {
     found
 }
 
-/// Whether there are cameras in a folder.
-pub(super) fn is_inside(folder: &Path) -> bool {
-    !inside(folder, 0).is_empty()
-}
-
 /// The cameras directly above a folder: in the first of the places there that has any.
 fn above(folder: &Path) -> Vec<Cameras> {
     let above = parent(folder);
@@ -193,7 +185,7 @@ fn is_model(folder: &Path) -> bool {
 }
 
 /// Whether a file is JSON with frames that have poses.
-pub(super) fn has_frames(file: &Path) -> bool {
+fn has_frames(file: &Path) -> bool {
     let is_small = regular_size(file).is_ok_and(|bytes| bytes <= MAX_BYTES);
     let text = if is_small { read(file).map(utf8).unwrap_or_default() } else { Vec::new() };
     let holds = |word: &[u8]| text.windows(word.len()).any(|part| part == word);

@@ -1,7 +1,7 @@
 //! Decoding of photographs.
 
 use std::fs::File;
-use std::io::{self, BufRead, BufReader, Cursor, Seek};
+use std::io::{self, BufReader};
 use std::ops::{Add, Div, Mul, Sub};
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -56,17 +56,6 @@ pub struct Photo {
 }
 
 impl Photo {
-    /// `[H, W, 3]`: display-referred colours in 0..1, not multiplied by alpha, in the device's float type.
-    pub fn rgb_tensor(&self, device: &Device) -> Tensor<3> {
-        unit_range(&self.rgb, [self.intrinsics.height, self.intrinsics.width, 3], device)
-    }
-
-    /// `[H, W, 1]`: opacity in 0..1, in the device's float type; None if the photograph is opaque everywhere.
-    pub fn alpha_tensor(&self, device: &Device) -> Option<Tensor<3>> {
-        let alpha = self.alpha.as_ref()?;
-        Some(unit_range(alpha, [self.intrinsics.height, self.intrinsics.width, 1], device))
-    }
-
     /// `[H, W, 3]`, a view of planes as a render is: display-referred colours in 0..1, composited over `background`, RGB in 0..1.
     pub fn rgb_over(&self, background: [f32; 3], device: &Device) -> Tensor<3> {
         let shape = [3, self.intrinsics.height, self.intrinsics.width];
@@ -77,8 +66,11 @@ impl Photo {
         Tensor::<3>::from_data(planes, device).permute([1, 2, 0])
     }
 
-    /// [`Self::rgb_over`] as `[3, H, W]`.
-    fn planes_over<F: Unit>(&self, background: [f32; 3]) -> Vec<F> {
+    /// [`Self::rgb_over`] as `[3, H, W]`, in the device's precision so that an f64 device gets all digits.
+    fn planes_over<F>(&self, background: [f32; 3]) -> Vec<F>
+    where
+        F: Element + From<u8> + From<f32> + Add<Output = F> + Sub<Output = F> + Mul<Output = F> + Div<Output = F>,
+    {
         let (width, height) = (self.intrinsics.width, self.intrinsics.height);
         let units: [F; 256] = std::array::from_fn(|byte| F::from(byte as u8) / F::from(u8::MAX));
         let mut planes = vec![F::from(0u8); 3 * width * height];
@@ -128,24 +120,6 @@ impl Photo {
     }
 }
 
-/// A float type that bytes are converted to.
-trait Unit:
-    Element
-    + From<u8>
-    + From<f32>
-    + Copy
-    + Send
-    + Sync
-    + Add<Output = Self>
-    + Sub<Output = Self>
-    + Mul<Output = Self>
-    + Div<Output = Self>
-{
-}
-
-impl Unit for f32 {}
-impl Unit for f64 {}
-
 /// `rgb`, `[H, W, 3]`, with opacities `[H, W, 1]`, over `background`; `rgb` itself where it is opaque everywhere.
 pub(super) fn over(rgb: Tensor<3>, alpha: Option<Tensor<3>>, background: [f32; 3]) -> Tensor<3> {
     let Some(alpha) = alpha else { return rgb };
@@ -157,7 +131,6 @@ fn picture<P: Pixel<Subpixel = u8>>([width, height]: [usize; 2], bytes: Vec<u8>)
     ImageBuffer::from_raw(width as u32, height as u32, bytes).expect("a photograph has as many bytes as its size says")
 }
 
-/// Colours and opacities.
 fn split_alpha(picture: RgbaImage) -> (Vec<u8>, Vec<u8>) {
     let pixels = picture.into_raw();
     let (pixels, _) = pixels.as_chunks::<4>();
@@ -173,18 +146,7 @@ fn split_alpha(picture: RgbaImage) -> (Vec<u8>, Vec<u8>) {
 /// A [`CaptureError`] if the file is missing, is not a JPEG or PNG picture, is damaged or cut short, or differs in size from the view's
 /// camera.
 pub fn load(view: &View, max_side: Option<u32>) -> Result<Photo, CaptureError> {
-    photo(view, max_side, decode(&view.image_path, &view.intrinsics)?)
-}
-
-/// Loads a picture as [`load`] does that has loaded it before: that its data are whole is not checked again, which takes a third of the time.
-///
-/// # Errors
-/// Those of [`load`].
-pub fn load_again(view: &View, max_side: Option<u32>) -> Result<Photo, CaptureError> {
-    photo(view, max_side, decoded(&view.image_path, reader(&view.image_path)?, &view.intrinsics)?)
-}
-
-fn photo(view: &View, max_side: Option<u32>, picture: DynamicImage) -> Result<Photo, CaptureError> {
+    let picture = decode(&view.image_path, &view.intrinsics)?;
     let size = [picture.width(), picture.height()];
     let (rgb, alpha) = match with_alpha(&picture) {
         Some(rgba) => {
@@ -222,30 +184,25 @@ pub fn load_all<'a>(
 }
 
 /// Decodes a whole picture. Decoders refuse a PNG that is cut short, but not a JPEG.
-pub(crate) fn decode(file: &Path, camera: &Intrinsics) -> Result<DynamicImage, CaptureError> {
-    let reader = reader(file)?;
-    if reader.format() != Some(ImageFormat::Jpeg) {
-        return decoded(file, reader, camera);
-    }
-    let bytes = read(file)?;
-    jpeg::check(&bytes, [camera.width, camera.height]).map_err(|reason| undecodable(file, reason))?;
-    decoded(file, ImageReader::with_format(Cursor::new(&bytes), ImageFormat::Jpeg), camera)
-}
-
+///
 /// The size of the file is compared with the camera's before any pixel is decoded, so that a picture allocates no more
 /// than its camera implies.
-fn decoded<R: BufRead + Seek>(
-    file: &Path,
-    mut reader: ImageReader<R>,
-    camera: &Intrinsics,
-) -> Result<DynamicImage, CaptureError> {
+pub(crate) fn decode(file: &Path, camera: &Intrinsics) -> Result<DynamicImage, CaptureError> {
     let fail = |error: ImageError| undecodable(file, error.to_string());
+    let mut reader = reader(file)?;
+    if reader.format() == Some(ImageFormat::Jpeg) && !jpeg::has_end(&read(file)?) {
+        return Err(undecodable(file, "it is cut short or damaged: the marker of its end is missing".into()));
+    }
     reader.limits(limits(camera));
     let decoder = reader.into_decoder().map_err(fail)?;
     let (width, height) = decoder.dimensions();
-    let (found, expected) = ([width as usize, height as usize], [camera.width, camera.height]);
-    if found != expected {
-        return Err(CaptureError::PictureSize { file: file.to_owned(), found, expected });
+    if [width as usize, height as usize] != [camera.width, camera.height] {
+        let detail = format!(
+            "the picture is {width} × {height} px, expected {} × {} px as its camera states. Use the pictures that the reconstruction was \
+             made from, or run it again on these",
+            camera.width, camera.height
+        );
+        return Err(CaptureError::content(file, detail));
     }
     if matches!(decoder.color_type(), ColorType::Rgb32F | ColorType::Rgba32F) {
         let reason = "it holds linear light as floating-point numbers, not display-referred colours";
@@ -345,14 +302,4 @@ fn resize_with_alpha(rgba: RgbaImage, width: u32, height: u32) -> RgbaImage {
         pixel.0 = if alpha > 0.0 { [r / alpha, g / alpha, b / alpha, alpha / HEADROOM] } else { [0.0; 4] };
     }
     DynamicImage::ImageRgba32F(resized).into_rgba8()
-}
-
-/// Bytes as numbers in 0..1, divided in the device's precision so that an f64 device gets all digits.
-fn unit_range(bytes: &[u8], shape: [usize; 3], device: &Device) -> Tensor<3> {
-    let data = if device.settings().float_dtype == FloatDType::F64 {
-        TensorData::new(bytes.iter().map(|&byte| f64::from(byte) / 255.0).collect::<Vec<f64>>(), shape)
-    } else {
-        TensorData::new(bytes.iter().map(|&byte| f32::from(byte) / 255.0).collect::<Vec<f32>>(), shape)
-    };
-    Tensor::from_data(data, device)
 }

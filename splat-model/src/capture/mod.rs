@@ -31,7 +31,7 @@ use glam::{DAffine3, DVec3, Vec3};
 use splat_op::Intrinsics;
 
 use self::blocks::Bounds;
-pub use colmap::{photographs_in, write_binary, write_binary_with_tracks};
+pub use colmap::photographs_in;
 pub use error::CaptureError;
 pub use image::{Photo, load_all};
 pub use photograph::{Photograph, PhotographFacts};
@@ -121,7 +121,7 @@ impl Capture {
     /// Checks that the photographs of some views are there, without opening them.
     ///
     /// # Errors
-    /// [`CaptureError::Photographs`], with the number of all photographs that are not.
+    /// A [`CaptureError`], with the number of all photographs that are not.
     pub fn check_photographs(&self, views: &[usize]) -> Result<(), CaptureError> {
         // A folder in the place of a picture has an error of its own.
         if views.iter().all(|&view| self.views[view].image_path.exists()) {
@@ -149,6 +149,12 @@ impl Capture {
     pub fn world_frame(&self) -> WorldFrame {
         let metres_per_unit = self.scale.as_ref().map(|scale| scale.metres_per_unit);
         WorldFrame { metres_per_unit, ..self.origin.into() }
+    }
+
+    /// Mean number of pixels of some photographs, whose longer sides are at most `max_side` px. 0 without photographs.
+    pub fn mean_pixels(&self, views: &[usize], max_side: Option<u32>) -> f64 {
+        let cameras = views.iter().map(|&view| self.views[view].intrinsics_within(max_side));
+        cameras.map(|camera| (camera.width * camera.height) as f64).sum::<f64>() / views.len().max(1) as f64
     }
 
     /// The position of a sparse point, world frame.
@@ -198,17 +204,6 @@ impl View {
         let Intrinsics { width, height, .. } = self.intrinsics;
         let [width, height] = image::size_within([width as u32, height as u32], max_side);
         self.intrinsics.resized(width as usize, height as usize)
-    }
-}
-
-impl Capture {
-    /// Mean number of pixels of some photographs, whose longer sides are at most `max_side` px. 0 without photographs.
-    pub fn mean_pixels(&self, views: &[usize], max_side: Option<u32>) -> f64 {
-        let pixels = |&view: &usize| {
-            let Intrinsics { width, height, .. } = self.views[view].intrinsics;
-            image::size_within([width as u32, height as u32], max_side).map(f64::from).iter().product::<f64>()
-        };
-        views.iter().map(pixels).sum::<f64>() / views.len().max(1) as f64
     }
 }
 

@@ -6,7 +6,8 @@ use std::path::{Component, Path, PathBuf};
 
 use unicode_normalization::UnicodeNormalization;
 
-use super::read::quoted;
+use super::CaptureError;
+use super::read::{quoted, unreadable};
 
 /// Extensions of pictures. A name may lack its own (NeRF-synthetic), or have one more on the disk than in the list (BlenderNeRF).
 pub(crate) const PICTURES: [&str; 3] = ["png", "jpg", "jpeg"];
@@ -91,25 +92,29 @@ pub(super) fn beside(missing: &Path) -> String {
     }
 }
 
-/// Names of files in a folder and its subfolders, in order, without hidden ones. Empty if it cannot be listed.
-pub(crate) fn files_below(folder: &Path) -> Vec<String> {
-    /// Largest depth of subfolders.
+/// Names of files in a folder and its subfolders, in order, without hidden ones and those in folders of the names `without`.
+///
+/// # Errors
+/// If a folder cannot be listed.
+pub(super) fn files_below(folder: &Path, without: &[&str]) -> Result<Vec<String>, CaptureError> {
     const DEEPEST: usize = 8;
-    fn walk(folder: &Path, prefix: &str, depth: usize, found: &mut Vec<String>) {
-        for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
-            let name = entry.file_name().to_string_lossy().into_owned();
+    let (mut found, mut folders) = (Vec::new(), vec![(folder.to_owned(), String::new(), 0)]);
+    while let Some((folder, prefix, depth)) = folders.pop() {
+        let failed = |reason| unreadable(&folder, reason);
+        for entry in fs::read_dir(&folder).map_err(failed)? {
+            let entry = entry.map_err(failed)?;
+            // Formats of cameras hold names in UTF-8.
+            let Ok(name) = entry.file_name().into_string() else { continue };
             match entry.path().is_dir() {
                 _ if name.starts_with('.') => {}
-                true if depth < DEEPEST => walk(&entry.path(), &format!("{prefix}{name}/"), depth + 1, found),
-                true => {}
+                true if depth == DEEPEST || without.contains(&name.as_str()) => {}
+                true => folders.push((entry.path(), format!("{prefix}{name}/"), depth + 1)),
                 false => found.push(format!("{prefix}{name}")),
             }
         }
     }
-    let mut found = Vec::new();
-    walk(folder, "", 0, &mut found);
     found.sort();
-    found
+    Ok(found)
 }
 
 #[cfg(test)]

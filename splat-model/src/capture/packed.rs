@@ -9,7 +9,6 @@ use super::image::over;
 /// Bits of a channel.
 const BITS: i32 = 8;
 
-/// A packed photograph.
 #[derive(Clone, Debug)]
 pub(crate) struct PackedPhoto {
     /// `[1, H, W]`, i32: red in the lowest byte, then green, blue and alpha.

@@ -11,15 +11,8 @@ use super::{CaptureError, Photo};
 /// Decodes a photograph again, in the same way.
 type Read = dyn Fn() -> Result<Photo, CaptureError> + Send + Sync;
 
-#[derive(Clone)]
-enum PixelSource {
-    Kept(Arc<Photo>),
-    Read(Arc<Read>),
-    Later(Arc<Later>),
-}
-
 /// Pixels that are decoded on their first use.
-struct Later {
+struct Pixels {
     read: Box<Read>,
     /// Bytes that more pixels may take, in common with other photographs.
     room: Arc<AtomicUsize>,
@@ -54,20 +47,34 @@ pub struct Photograph {
     pub has_alpha: bool,
     /// Whether a mask excludes any of its pixels.
     pub has_mask: bool,
-    pixels: PixelSource,
+    pixels: Arc<Pixels>,
+}
+
+impl From<&Photo> for PhotographFacts {
+    fn from(photo: &Photo) -> Self {
+        Self {
+            name: photo.name.clone(),
+            intrinsics: photo.intrinsics,
+            cam_from_world: photo.cam_from_world,
+            has_alpha: photo.alpha.is_some(),
+            has_mask: photo.mask.is_some(),
+        }
+    }
 }
 
 impl From<Photo> for Photograph {
     fn from(photo: Photo) -> Self {
-        let photo = Arc::new(photo);
-        Self::with(&photo, PixelSource::Kept(Arc::clone(&photo)))
+        let (facts, photo) = (PhotographFacts::from(&photo), Arc::new(photo));
+        let again = Arc::clone(&photo);
+        let read = Box::new(move || Ok(Photo::clone(&again)));
+        Self::with(facts, Pixels { read, room: Arc::default(), kept: OnceLock::from(photo) })
     }
 }
 
 impl Photograph {
     /// A photograph whose pixels are released: `read` decodes it again on each use.
     pub fn read_again(photo: &Photo, read: impl Fn() -> Result<Photo, CaptureError> + Send + Sync + 'static) -> Self {
-        Self::with(photo, PixelSource::Read(Arc::new(read)))
+        Self::read_later(photo.into(), &Arc::default(), read)
     }
 
     /// A photograph that `read` decodes on its first use. Its pixels are kept if they fit into `room`, bytes, which photographs
@@ -77,29 +84,17 @@ impl Photograph {
         room: &Arc<AtomicUsize>,
         read: impl Fn() -> Result<Photo, CaptureError> + Send + Sync + 'static,
     ) -> Self {
-        let PhotographFacts { name, intrinsics, cam_from_world, has_alpha, has_mask } = facts;
-        let later = Later { read: Box::new(read), room: Arc::clone(room), kept: OnceLock::new() };
-        Self { name, intrinsics, cam_from_world, has_alpha, has_mask, pixels: PixelSource::Later(Arc::new(later)) }
+        Self::with(facts, Pixels { read: Box::new(read), room: Arc::clone(room), kept: OnceLock::new() })
     }
 
-    fn with(photo: &Photo, pixels: PixelSource) -> Self {
-        Self {
-            name: photo.name.clone(),
-            intrinsics: photo.intrinsics,
-            cam_from_world: photo.cam_from_world,
-            has_alpha: photo.alpha.is_some(),
-            has_mask: photo.mask.is_some(),
-            pixels,
-        }
+    fn with(facts: PhotographFacts, pixels: Pixels) -> Self {
+        let PhotographFacts { name, intrinsics, cam_from_world, has_alpha, has_mask } = facts;
+        Self { name, intrinsics, cam_from_world, has_alpha, has_mask, pixels: Arc::new(pixels) }
     }
 
     /// Whether its pixels stay in memory.
     pub fn is_kept(&self) -> bool {
-        match &self.pixels {
-            PixelSource::Kept(_) => true,
-            PixelSource::Read(_) => false,
-            PixelSource::Later(later) => later.kept.get().is_some(),
-        }
+        self.pixels.kept.get().is_some()
     }
 
     /// The photograph with its pixels, decoded if they were not kept.
@@ -107,14 +102,10 @@ impl Photograph {
     /// # Errors
     /// If the picture is missing or has changed.
     pub fn pixels(&self) -> Result<Arc<Photo>, CaptureError> {
-        let photo = match &self.pixels {
-            PixelSource::Kept(photo) => return Ok(Arc::clone(photo)),
-            PixelSource::Read(read) => read()?,
-            PixelSource::Later(later) => match later.kept.get() {
-                Some(photo) => return Ok(Arc::clone(photo)),
-                None => (later.read)()?,
-            },
-        };
+        if let Some(photo) = self.pixels.kept.get() {
+            return Ok(Arc::clone(photo));
+        }
+        let photo = (self.pixels.read)()?;
         let size = |camera: &Intrinsics| [camera.width, camera.height];
         if (size(&photo.intrinsics), photo.alpha.is_some(), photo.mask.is_some())
             != (size(&self.intrinsics), self.has_alpha, self.has_mask)
@@ -128,13 +119,11 @@ impl Photograph {
 
     /// Keeps the decoded pixels of a photograph that is [read later](Self::read_later), if there is room.
     pub fn keep(&self, photo: &Arc<Photo>) {
-        if let PixelSource::Later(later) = &self.pixels {
-            let bytes = self.bytes();
-            let fits = later.room.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |room| room.checked_sub(bytes));
-            if fits.is_ok() && later.kept.set(Arc::clone(photo)).is_err() {
-                // Another thread has kept it meanwhile.
-                later.room.fetch_add(bytes, Ordering::Relaxed);
-            }
+        let (bytes, Pixels { room, kept, .. }) = (self.bytes(), &*self.pixels);
+        let fits = room.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |room| room.checked_sub(bytes));
+        if fits.is_ok() && kept.set(Arc::clone(photo)).is_err() {
+            // Another thread has kept it meanwhile.
+            room.fetch_add(bytes, Ordering::Relaxed);
         }
     }
 

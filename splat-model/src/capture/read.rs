@@ -101,7 +101,6 @@ impl<'a> Place<'a> {
         expected: impl fmt::Display,
         fix: &'static str,
     ) -> CaptureError {
-        let (found, expected) = (found.to_string().into(), expected.to_string().into());
-        CaptureError::Entry { file: self.file.to_owned(), place: self.to_string(), field, found, expected, fix }
+        CaptureError::content(self.file, format!("{self}: `{field}` is {found}, expected {expected}. {fix}"))
     }
 }

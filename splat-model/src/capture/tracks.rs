@@ -12,25 +12,20 @@ pub struct Observation {
 /// Observations and reprojection error of each point, in the order of the point cloud.
 ///
 /// Tracks are evidence and may be incomplete: an element that names a photograph or keypoint that
-/// the model lacks is dropped and counted.
+/// the model lacks is dropped.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Tracks {
     observations: Vec<Observation>,
     /// End of each point's observations.
     ends: Vec<usize>,
     stated_errors_px: Vec<Option<f32>>,
-    dangling: usize,
 }
 
 impl Tracks {
-    /// Adds the next point: its observations, `None` for each dangling one, and the file's reprojection error, px.
-    pub fn push(&mut self, observations: impl IntoIterator<Item = Option<Observation>>, stated_error_px: f64) {
-        for observation in observations {
-            match observation.filter(|observation| observation.at_px.iter().all(|px| px.is_finite())) {
-                Some(observation) => self.observations.push(observation),
-                None => self.dangling += 1,
-            }
-        }
+    /// Adds the next point: its observations and the file's reprojection error, px.
+    pub fn push(&mut self, observations: impl IntoIterator<Item = Observation>, stated_error_px: f64) {
+        let is_finite = |observation: &Observation| observation.at_px.iter().all(|px| px.is_finite());
+        self.observations.extend(observations.into_iter().filter(is_finite));
         self.ends.push(self.observations.len());
         // COLMAP writes −1 for an unmeasured error.
         let measured = stated_error_px.is_finite() && stated_error_px >= 0.0;
@@ -39,10 +34,10 @@ impl Tracks {
 
     /// The tracks of some points, in this order, in the views that have a place among others.
     pub(super) fn picked(&self, points: impl IntoIterator<Item = usize>, place: &[Option<usize>]) -> Self {
-        let mut picked = Self { dangling: self.dangling, ..Self::default() };
+        let mut picked = Self::default();
         for point in points {
             let placed =
-                self.of(point).iter().filter_map(|seen| Some(Some(Observation { view: place[seen.view]?, ..*seen })));
+                self.of(point).iter().filter_map(|seen| Some(Observation { view: place[seen.view]?, ..*seen }));
             picked.push(placed, self.stated_error_px(point).map_or(-1.0, f64::from));
         }
         picked
@@ -63,11 +58,6 @@ impl Tracks {
     /// All observations of all points.
     pub fn observations(&self) -> usize {
         self.observations.len()
-    }
-
-    /// The number of elements that named a photograph or keypoint that the model lacks.
-    pub fn dangling(&self) -> usize {
-        self.dangling
     }
 }
 

@@ -102,7 +102,6 @@ struct Reading {
 }
 
 impl Reading {
-    /// Reads the fields of a file.
     fn read(&self, file: &Path) -> Result<Fields, CaptureError> {
         let bytes = regular_size(file).map_err(|reason| unreadable(file, reason))?;
         if bytes > MAX_BYTES {
@@ -112,12 +111,11 @@ impl Reading {
         json::parse(file, &utf8(read(file)?))
     }
 
-    /// Adds the frames of a file.
     fn add(&mut self, file: &Path, fields: &Fields) -> Result<(), CaptureError> {
         let whole = Place::new(file, PlaceInFile::Whole);
         let frames = whole.required("frames", fields.frames.as_deref(), "a list of frames")?;
         if frames.is_empty() {
-            return Err(CaptureError::NoViews { file: file.to_owned() });
+            return Err(CaptureError::no_views(file));
         }
         for (index, frame) in frames.iter().enumerate() {
             match self.add_frame(file, index, frame, fields) {

@@ -1,7 +1,6 @@
 //! Photographs without a reconstruction: what a folder holds, before anything finds their cameras.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
@@ -11,8 +10,8 @@ use splat_op::Intrinsics;
 use super::CaptureError;
 use super::exif::Exif;
 use super::image::{decode, size};
-use super::names::PICTURES;
-use super::read::{read, unreadable};
+use super::names::{PICTURES, files_below};
+use super::read::read;
 
 /// Extensions of pictures that cannot be read, but that a user may have meant.
 const OTHER_PICTURES: [&str; 12] =
@@ -20,9 +19,6 @@ const OTHER_PICTURES: [&str; 12] =
 
 /// Folders beside photographs that hold other pictures of a capture.
 const NOT_PHOTOGRAPHS: [&str; 5] = ["masks", "mask", "depth", "depths", "depth_maps"];
-
-/// Largest depth of subfolders that are searched.
-const MAX_DEPTH: usize = 8;
 
 /// The pictures of a folder.
 #[derive(Clone, Debug, Default)]
@@ -44,35 +40,17 @@ impl PhotographFolder {
     pub fn list(folder: &Path) -> Result<Self, CaptureError> {
         let images = folder.join("images");
         let root = if images.is_dir() { images } else { folder.to_owned() };
-        let mut found = Self { root: root.clone(), ..Self::default() };
-        found.walk(&root, "", 0)?;
-        found.names.sort();
-        Ok(found)
-    }
-
-    fn walk(&mut self, folder: &Path, prefix: &str, depth: usize) -> Result<(), CaptureError> {
-        let entries = fs::read_dir(folder).map_err(|reason| unreadable(folder, reason))?;
-        for entry in entries {
-            let entry = entry.map_err(|reason| unreadable(folder, reason))?;
-            // Formats of cameras hold names in UTF-8.
-            let Ok(name) = entry.file_name().into_string() else { continue };
-            let path = entry.path();
-            if name.starts_with('.') {
-                continue;
-            } else if path.is_dir() {
-                if depth < MAX_DEPTH && !NOT_PHOTOGRAPHS.contains(&name.as_str()) {
-                    self.walk(&path, &format!("{prefix}{name}/"), depth + 1)?;
-                }
-                continue;
-            }
-            let extension = path.extension().map(|extension| extension.to_string_lossy().to_ascii_lowercase());
+        let mut found = Self { root, ..Self::default() };
+        for name in files_below(&found.root, &NOT_PHOTOGRAPHS)? {
+            let extension =
+                Path::new(&name).extension().map(|extension| extension.to_string_lossy().to_ascii_lowercase());
             match extension {
-                Some(kind) if PICTURES.contains(&kind.as_str()) => self.names.push(format!("{prefix}{name}")),
-                Some(kind) if OTHER_PICTURES.contains(&kind.as_str()) => *self.other.entry(kind).or_default() += 1,
+                Some(kind) if PICTURES.contains(&kind.as_str()) => found.names.push(name),
+                Some(kind) if OTHER_PICTURES.contains(&kind.as_str()) => *found.other.entry(kind).or_default() += 1,
                 _ => {}
             }
         }
-        Ok(())
+        Ok(found)
     }
 
     /// The path of a photograph.

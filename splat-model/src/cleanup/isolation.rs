@@ -11,7 +11,6 @@ use rayon::prelude::*;
 
 use crate::gaussians::GaussianRows;
 
-/// Number of neighbours.
 const NEIGHBOURS: usize = 16;
 
 /// The factor from which on `splat clean` takes a Gaussian for isolated.

@@ -64,7 +64,7 @@ impl Adaptive {
         let sound = self.sound(&plain, &usable, step);
         let wanted = gradients.clone().greater_elem(self.config.grad_threshold).bool_and(sound.clone());
         let Chosen { rows: chosen, count, threshold, surviving, spared } =
-            self.choose(&plain, (&sound, wanted), &gradients, step);
+            self.choose(&plain, &sound, wanted, &gradients, step);
         let sound = if spared > 0 { self.spare(&plain, sound, spared) } else { sound };
 
         // Those that are split make place for their parts.
@@ -123,7 +123,8 @@ impl Adaptive {
     fn choose(
         &self,
         scene: &Gaussians,
-        (sound, mut wanted): (&Tensor<1, Bool>, Tensor<1, Bool>),
+        sound: &Tensor<1, Bool>,
+        mut wanted: Tensor<1, Bool>,
         gradients: &Tensor<1>,
         step: usize,
     ) -> Chosen {
@@ -139,7 +140,7 @@ impl Adaptive {
                 (surviving, count) = (all, all_wanted);
                 // Beyond the focus only as many as still fit into its share.
                 let most = (focus.beyond_share * self.config.max_splats as f64) as usize;
-                let room = self.paced(most.saturating_sub(surviving_far), (surviving_far, wanted_far), step);
+                let room = self.paced(most.saturating_sub(surviving_far), surviving_far, wanted_far, step);
                 if room < wanted_far {
                     let admitted = largest(gradients, &far, room).0;
                     wanted = wanted.bool_and(far.bool_not().bool_or(admitted));
@@ -147,7 +148,7 @@ impl Adaptive {
                 }
             }
         }
-        let room = self.paced(self.config.max_splats.saturating_sub(surviving), (surviving, count), step);
+        let room = self.paced(self.config.max_splats.saturating_sub(surviving), surviving, count, step);
         let (most, spared) = whole(surviving, count.min(room), gradients.dims()[0] - surviving);
         let (rows, threshold) = if most == count {
             (wanted, self.config.grad_threshold)
@@ -166,7 +167,7 @@ impl Adaptive {
 
     /// The part of the `room` left for more than `count` rows that the refinement at `step` may use, if so many are `wanted`. Copying
     /// and splitting add one row each.
-    fn paced(&self, room: usize, (count, wanted): (usize, usize), step: usize) -> usize {
+    fn paced(&self, room: usize, count: usize, wanted: usize, step: usize) -> usize {
         let Some(growth) = self.config.growth else { return room };
         let every = self.config.every.max(1);
         let end = (self.config.until_share * self.steps as f64).ceil() as usize;

@@ -35,7 +35,6 @@ pub(super) fn ones(mask: Tensor<1, Bool>) -> Tensor<1, Int> {
     mask.int().cast(DType::I32)
 }
 
-/// `[count]`: all rows.
 pub(super) fn all_rows(count: usize, device: &Device) -> Tensor<1, Int> {
     Tensor::arange(0..count as i64, (device, DType::I32))
 }

@@ -7,12 +7,13 @@ mod step;
 use std::ops::Range;
 
 use burn::module::ParamId;
-use burn::tensor::{DType, Device, Int, Tensor};
+use burn::tensor::{Int, Tensor};
 use splat_op::Splats;
 
 pub use self::gradients::{Gradients, GroupGradients};
 pub use self::step::StepRates;
 use self::step::{on, replace, take};
+use super::pick::all_rows;
 use crate::gaussians::{BASE_GROUPS, Gaussians, Group, NewRows, RowsError, SH, parameter, row_blocks};
 use crate::optim::MomentBits;
 use crate::optim::moments::{Moments, Stored, followed, gathered, grown};
@@ -226,11 +227,6 @@ impl Trained {
 /// Moments without history, of so many bits.
 fn without_history(group: &Group, bits: MomentBits) -> Vec<Moments<2>> {
     group.blocks.iter().map(|block| Moments::with_bits(&block.val(), bits)).collect()
-}
-
-/// All rows in their order.
-fn all_rows(count: usize, device: &Device) -> Tensor<1, Int> {
-    Tensor::arange(0..count as i64, (device, DType::I32))
 }
 
 #[cfg(test)]

@@ -11,7 +11,6 @@
 //!
 //! Directions use the photographs' given poses, also while poses are refined.
 
-use std::io;
 use std::path::{Path, PathBuf};
 
 use burn::tensor::{Device, Gradients, Tensor, TensorData};
@@ -52,7 +51,7 @@ pub enum Backdrop {
 const RATE: Falling = Falling { from: 0.01, to: 0.001 };
 
 /// Memory for the viewing directions of each camera's pixels. Beyond it they are computed at each step.
-pub(super) const CACHE_BYTES: usize = 256 << 20;
+const CACHE_BYTES: usize = 256 << 20;
 
 /// A background in a file or on the command line.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -64,30 +63,14 @@ pub enum Background {
     Environment(Vec<[f32; 3]>),
 }
 
-/// Errors of background files.
+/// A background file that cannot be read, or is none.
 #[derive(Debug, Error)]
-#[non_exhaustive]
-pub enum BackgroundError {
-    /// The file cannot be read.
-    #[error("{path}: {source}; expected the `background.json` that a run writes beside its scene", path = path.display())]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// The system's reason.
-        source: io::Error,
-    },
-    /// The file is not a background.
-    #[error(
-        "{path}: {reason}, expected {{\"colour\": [r, g, b]}} or {{\"environment\": [[r, g, b], ...]}} with 1, 4, 9, 16 or 25 \
-         coefficients, all finite",
-        path = path.display()
-    )]
-    Content {
-        /// The file.
-        path: PathBuf,
-        /// The found content.
-        reason: String,
-    },
+#[error("{path}: {reason}", path = .path.display())]
+pub struct BackgroundError {
+    /// The file.
+    pub path: PathBuf,
+    /// What was found and what was expected.
+    pub reason: String,
 }
 
 /// Largest accepted file. A background is a few hundred bytes.
@@ -99,9 +82,14 @@ impl Background {
     /// # Errors
     /// If the file cannot be read or is not a background.
     pub fn read(path: &Path) -> Result<Self, BackgroundError> {
-        let content = |reason| BackgroundError::Content { path: path.to_owned(), reason };
-        let unread = |source| BackgroundError::Read { path: path.to_owned(), source };
-        let found: Self = json::read(path, LARGEST_FILE, unread, content)?;
+        let content = |found: String| {
+            let reason = format!(
+                "{found}, expected the `background.json` that a run writes beside its scene: {{\"colour\": [r, g, b]}} or \
+                 {{\"environment\": [[r, g, b], ...]}} with 1, 4, 9, 16 or 25 coefficients, all finite"
+            );
+            BackgroundError { path: path.to_owned(), reason }
+        };
+        let found: Self = json::read(path, LARGEST_FILE, content)?;
         match &found {
             Self::Environment(coefficients) if sh_degree(coefficients.len()).is_none() => {
                 Err(content(format!("{} coefficients", coefficients.len())))
@@ -171,7 +159,6 @@ fn directions_of(camera: &Intrinsics, cam_from_world: &DAffine3, device: &Device
     Tensor::from_data(TensorData::new(values, [3, height, width]), device)
 }
 
-/// See [`environment::over`].
 fn over(image: &Tensor<3>, alpha: &Tensor<3>, directions: &Tensor<3>, coefficients: &Tensor<2>) -> Tensor<3> {
     environment::over(image, alpha, directions, coefficients).expect("a render of this camera, on one device")
 }

@@ -10,7 +10,6 @@
 //! scene units) than without supervision (0.46). With the full derivative they are nearer (less than 0.28). It is
 //! `(zᵢ − D/α)/α` for each weight: Gaussians that are too far fade, and nearer ones gain.
 
-use std::io;
 use std::path::{Path, PathBuf};
 
 use burn::tensor::{DType, Device, Int, Tensor, TensorData};
@@ -74,7 +73,6 @@ pub fn from_tracks(capture: &Capture, views: &[usize]) -> Vec<Vec<DepthSample>> 
     })
 }
 
-/// The contents of `depth.json`.
 #[derive(Deserialize)]
 struct DepthScale {
     /// Scene units per level.
@@ -87,7 +85,6 @@ const FOLDERS: [&str; 3] = ["depth", "depths", "depth_maps"];
 /// The file beside depth maps that states their scale.
 pub(crate) const SCALE: &str = "depth.json";
 
-/// The folders of the capture that may hold depth maps.
 pub(crate) fn folders(capture: &Capture) -> Vec<PathBuf> {
     FOLDERS.iter().map(|name| capture.folder.join(name)).filter(|folder| folder.is_dir()).collect()
 }
@@ -122,9 +119,13 @@ pub fn folder(capture: &Capture) -> Option<PathBuf> {
 pub fn from_maps(capture: &Capture, views: &[usize]) -> Result<Option<Vec<Vec<DepthSample>>>, CaptureError> {
     let Some(folder) = folder(capture) else { return Ok(None) };
     let file = capture.folder.join(folder).join(SCALE);
-    let wrong = |file: &Path, reason: String| CaptureError::Depth { file: file.to_owned(), reason };
-    let unread = |error: io::Error| wrong(&file, error.to_string());
-    let DepthScale { scale } = json::read(&file, LARGEST_TEXT, unread, |reason| wrong(&file, reason))?;
+    let wrong = |file: &Path, reason: String| {
+        let expected =
+            "16-bit grey PNG pictures, and beside them `depth.json` with scene units per level: {\"scale\": 0.001}";
+        let detail = format!("{reason}. Expected {expected}; `--effects=-depth-supervision` does without");
+        CaptureError::content(file, detail)
+    };
+    let DepthScale { scale } = json::read(&file, LARGEST_TEXT, |reason| wrong(&file, reason))?;
     if !(scale > 0.0 && scale.is_finite()) {
         return Err(wrong(&file, format!("`scale` is {scale}, expected a number above 0")));
     }
@@ -187,12 +188,6 @@ impl Depths {
         samples.iter_mut().for_each(|list| list.retain(|sample| f64::from(sample.depth) >= least));
         let on_device = samples.iter().map(|_| None).collect();
         Self { config, samples, on_device, device: device.clone() }
-    }
-
-    /// The least of all known depths.
-    #[cfg(test)]
-    pub(crate) fn least(&self) -> f64 {
-        self.samples.iter().flatten().map(|sample| f64::from(sample.depth)).fold(f64::INFINITY, f64::min)
     }
 
     /// Whether a view's depth must be rendered: the step is supervised, and the photograph has known depths.

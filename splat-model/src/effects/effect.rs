@@ -70,7 +70,6 @@ impl RenderInput {
     }
 }
 
-/// The mean of one or more renders.
 pub(crate) fn mean_of(mut pictures: Vec<Rendered<3>>) -> Rendered<3> {
     let count = pictures.len() as f32;
     if pictures.len() == 1 {

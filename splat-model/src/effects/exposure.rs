@@ -8,14 +8,13 @@
 //! Without the reset, a render without a map loses up to 5 dB. A weak penalty pulls each map towards the identity and so
 //! bounds maps with little evidence.
 
-use burn::tensor::{Device, Gradients, Tensor};
+use burn::tensor::{Device, Tensor};
 use serde::{Deserialize, Serialize};
-use splat_op::{Rendered, colour_map};
+use splat_op::colour_map;
 
-use super::centred::Centred;
-use super::learned::{EffectContext, Falling};
-use super::{Effect, EffectKind, Leaf, RenderInput};
-use crate::state::{State, StateError};
+use super::EffectKind;
+use super::learned::Falling;
+use super::maps::{ColourMaps, MapKind};
 
 /// Options of exposures.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -34,55 +33,21 @@ impl Default for ExposureConfig {
     }
 }
 
-/// The colour maps of all photographs of a run.
-pub struct Exposure {
-    config: ExposureConfig,
-    /// `[3, 4]` each: `A`, and `b` in the last column.
-    maps: Centred<2>,
-}
+/// The colour maps of all photographs of a run, `[3, 4]` each: `A`, and `b` in the last column.
+pub type Exposure = ColourMaps<2>;
 
 impl Exposure {
     /// Identity maps for `views` photographs, on `device`.
     pub fn new(config: ExposureConfig, views: usize, device: &Device) -> Self {
-        let identity = Tensor::cat(vec![Tensor::<2>::eye(3, device), Tensor::zeros([3, 1], device)], 1);
-        Self { config, maps: Centred::new(identity, views) }
-    }
-
-    /// The penalty for a step on `view`, `[1]`.
-    fn pull(&mut self, view: usize) -> Tensor<1> {
-        let difference = self.maps.tracked(view) - Tensor::from_inner(self.maps.neutral());
-        difference.square().sum() * self.config.weight
-    }
-}
-
-impl Effect for Exposure {
-    fn name(&self) -> &'static str {
-        EffectKind::Exposure.name()
-    }
-
-    /// The result is not clamped: beyond 0 and 1 the gradient leads back.
-    fn image(&mut self, image: Tensor<3>, _: &RenderInput, _: &Rendered<3>, at: EffectContext) -> Tensor<3> {
-        apply(&image, &self.maps.tracked(at.view))
-    }
-
-    fn penalty(&mut self, _: &RenderInput, _: &Rendered<3>, at: EffectContext) -> Option<Tensor<1>> {
-        Some(self.pull(at.view))
-    }
-
-    fn leaves(&mut self, at: EffectContext) -> Vec<Leaf> {
-        vec![self.maps.leaf(at.view)]
-    }
-
-    fn step(&mut self, gradients: &mut Gradients, at: EffectContext) {
-        self.maps.step(gradients, self.config.rate.at(at.step, at.steps), at);
-    }
-
-    fn save(&self, to: &mut State) -> Result<(), StateError> {
-        self.maps.save(to)
-    }
-
-    fn load(&mut self, from: &mut State, _: &Device) -> Result<(), StateError> {
-        self.maps.load(from)
+        let kind = MapKind {
+            effect: EffectKind::Exposure,
+            rate: config.rate,
+            neutral: Tensor::cat(vec![Tensor::<2>::eye(3, device), Tensor::zeros([3, 1], device)], 1),
+            apply,
+            penalty: |map, neutral| (map - neutral).square().sum(),
+            weight: config.weight,
+        };
+        Self::of_kind(kind, views)
     }
 }
 

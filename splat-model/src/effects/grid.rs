@@ -10,20 +10,17 @@
 //!
 //! [`splat_op::bilateral`] applies a grid.
 
-use burn::tensor::{Device, Gradients, Tensor};
+use burn::tensor::{Device, Tensor};
 use serde::{Deserialize, Serialize};
-use splat_op::Rendered;
 use splat_op::bilateral::{self, MAP};
 
-use super::centred::Centred;
-use super::learned::{EffectContext, Falling};
-use super::{Effect, EffectKind, Leaf, RenderInput};
-use crate::state::{State, StateError};
+use super::EffectKind;
+use super::learned::Falling;
+use super::maps::{ColourMaps, MapKind};
 
 /// Grid positions along a side of the picture.
 const SIDE: usize = 16;
 
-/// Levels of brightness.
 const LEVELS: usize = 8;
 
 /// Options of bilateral grids.
@@ -42,12 +39,8 @@ impl Default for GridConfig {
     }
 }
 
-/// The grids of all photographs of a run.
-pub struct Grids {
-    config: GridConfig,
-    /// `[MAP, LEVELS, SIDE, SIDE]` each, levels from dark to bright, then rows and columns of the picture.
-    grids: Centred<4>,
-}
+/// The grids of all photographs of a run, `[MAP, LEVELS, SIDE, SIDE]` each, levels from dark to bright, then rows and columns of the picture.
+pub type Grids = ColourMaps<4>;
 
 impl Grids {
     /// Identity grids for `views` photographs, on `device`.
@@ -55,44 +48,15 @@ impl Grids {
         let diagonal = |entry: usize| if entry.is_multiple_of(5) { 1.0 } else { 0.0 };
         let entries: Vec<f32> = (0..MAP).map(diagonal).collect();
         let identity = Tensor::<1>::from_floats(entries.as_slice(), device).reshape([MAP, 1, 1, 1]);
-        let identity = identity.repeat(&[1, LEVELS, SIDE, SIDE]);
-        Self { config, grids: Centred::new(identity, views) }
-    }
-
-    /// The smoothness penalty for a step on `view`, `[1]`.
-    fn pull(&mut self, view: usize) -> Tensor<1> {
-        let grid = self.grids.tracked(view);
-        bilateral::roughness(&grid).expect("a grid of this effect") * self.config.smoothness
-    }
-}
-
-impl Effect for Grids {
-    fn name(&self) -> &'static str {
-        EffectKind::BilateralGrid.name()
-    }
-
-    fn image(&mut self, image: Tensor<3>, _: &RenderInput, _: &Rendered<3>, at: EffectContext) -> Tensor<3> {
-        apply(&image, &self.grids.tracked(at.view))
-    }
-
-    fn penalty(&mut self, _: &RenderInput, _: &Rendered<3>, at: EffectContext) -> Option<Tensor<1>> {
-        Some(self.pull(at.view))
-    }
-
-    fn leaves(&mut self, at: EffectContext) -> Vec<Leaf> {
-        vec![self.grids.leaf(at.view)]
-    }
-
-    fn step(&mut self, gradients: &mut Gradients, at: EffectContext) {
-        self.grids.step(gradients, self.config.rate.at(at.step, at.steps), at);
-    }
-
-    fn save(&self, to: &mut State) -> Result<(), StateError> {
-        self.grids.save(to)
-    }
-
-    fn load(&mut self, from: &mut State, _: &Device) -> Result<(), StateError> {
-        self.grids.load(from)
+        let kind = MapKind {
+            effect: EffectKind::BilateralGrid,
+            rate: config.rate,
+            neutral: identity.repeat(&[1, LEVELS, SIDE, SIDE]),
+            apply,
+            penalty: |grid, _| bilateral::roughness(&grid).expect("a grid of this effect"),
+            weight: config.smoothness,
+        };
+        Self::of_kind(kind, views)
     }
 }
 

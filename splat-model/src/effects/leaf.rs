@@ -24,7 +24,6 @@ impl Leaf {
         Self { flat, gradient: Box::new(move |gradients| leaf.grad(gradients).map(values_of)) }
     }
 
-    /// Number of elements.
     pub(crate) fn count(&self) -> usize {
         self.flat.dims()[0]
     }

@@ -6,7 +6,8 @@ use burn::tensor::{Gradients, Int, Tensor};
 use serde::{Deserialize, Serialize};
 
 use super::leaf::Leaf;
-use crate::optim::{Adam, Moments};
+use crate::optim::adam::StepAt;
+use crate::optim::{Adam, MomentBits, Moments};
 use crate::state::{State, StateError};
 
 /// A learning rate that falls by a constant factor per step.
@@ -114,8 +115,8 @@ impl<const D: usize> Learned<D> {
         self.steps += 1;
         let unknown = gradient.clone().is_nan();
         let gradient = gradient.mask_fill(unknown, 0.0);
-        let (value, at) = (self.value.clone(), (self.steps, verdict));
-        self.value = Adam::default().step_unless(value, gradient, rate, &mut self.moments, at);
+        let at = StepAt { step: self.steps, verdict };
+        self.value = Adam::default().step_unless(self.value.clone(), gradient, rate, &mut self.moments, at);
         self.moved = true;
         true
     }
@@ -124,7 +125,7 @@ impl<const D: usize> Learned<D> {
     /// that the parameter can cover its reach in a whole run, and falls to the share `fall`. Adam moves a parameter by
     /// about its rate per step, so short runs and large captures, in which a photograph is visited rarely, need other rates
     /// than long runs.
-    pub fn step_within(&mut self, gradients: &mut Gradients, (fall, views): (f64, usize), at: EffectContext) {
+    pub fn step_within(&mut self, gradients: &mut Gradients, fall: f64, views: usize, at: EffectContext) {
         let visits = at.steps as f64 / views.max(1) as f64;
         // Rates that fall from `r` to `fall r` over the run are `r (1 − fall) / −ln fall` on average.
         let first = (-fall.ln() / ((1.0 - fall) * visits.max(1.0))).min(LARGEST_STEP);
@@ -150,7 +151,7 @@ impl<const D: usize> Learned<D> {
         let (shape, device) = (self.value.dims(), self.value.device());
         self.value = from.take_shaped("value", shape, &device)?;
         self.moved = true;
-        self.moments = Moments::load(from, shape, &device)?;
+        self.moments = Moments::load(from, shape, MomentBits::ThirtyTwo, &device)?;
         self.steps = from.told("steps")?;
         Ok(())
     }

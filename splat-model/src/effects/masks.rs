@@ -23,7 +23,6 @@ use crate::capture::{Capture, CaptureError, Photo, image};
 /// Folders of the capture that are searched for masks.
 const FOLDERS: [&str; 2] = ["masks", "mask"];
 
-/// The folders of the capture that may hold masks.
 pub(crate) fn folders(capture: &Capture) -> Vec<PathBuf> {
     FOLDERS.iter().map(|name| capture.folder.join(name)).filter(|folder| folder.is_dir()).collect()
 }

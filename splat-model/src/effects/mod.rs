@@ -6,13 +6,13 @@
 //! own. A run has an [`EffectStack`] of effects.
 
 pub mod background;
-mod centred;
 pub mod depth;
 mod effect;
 pub mod exposure;
 pub mod grid;
 mod leaf;
 mod learned;
+mod maps;
 pub mod masks;
 pub mod motion;
 pub mod optics;

@@ -12,19 +12,10 @@ use burn::tensor::{Device, Gradients, Tensor};
 use serde::{Deserialize, Serialize};
 use splat_op::optics::{blurred, rolled};
 use splat_op::{Camera, CameraModel, Intrinsics, Projected, SplatError};
-use thiserror::Error;
 
 use super::learned::{EffectContext, Learned};
 use super::{Effect, Leaf, RenderInput, motion};
 use crate::state::{State, StateError};
-
-/// The camera has a lens, and rolling shutters are simulated for pinholes only.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-#[error(
-    "the camera model is {0:?}, and rolling shutters are simulated for Pinhole only: undistort the photographs, or train \
-     without `rolling-shutter`"
-)]
-pub struct LensError(pub CameraModel);
 
 /// Selects the simulated effects.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -68,11 +59,16 @@ impl Optics {
     /// Parameters for photographs of these cameras, of a scene of `extent`.
     ///
     /// # Errors
-    /// [`LensError`] if rolling shutters are selected and a camera is not a pinhole.
-    pub fn new(config: OpticsConfig, cameras: &[Intrinsics], extent: f64, device: &Device) -> Result<Self, LensError> {
+    /// The camera model if rolling shutters are selected and a camera is not a pinhole.
+    pub fn new(
+        config: OpticsConfig,
+        cameras: &[Intrinsics],
+        extent: f64,
+        device: &Device,
+    ) -> Result<Self, CameraModel> {
         let lens = cameras.iter().map(|camera| camera.model).find(|model| *model != CameraModel::Pinhole);
         if let Some(model) = lens.filter(|_| config.rolling) {
-            return Err(LensError(model));
+            return Err(model);
         }
         let reach = Tensor::<2>::from_floats(TWIST_REACH.map(|reach| [reach; 3]), device);
         let learned = |on: bool, start: &dyn Fn(usize) -> Tensor<2>| -> Vec<Learned<2>> {
@@ -145,7 +141,7 @@ impl Effect for Optics {
         for all in [&mut self.exposures, &mut self.readouts] {
             let views = all.len();
             if let Some(learned) = all.get_mut(at.view) {
-                learned.step_within(gradients, (FALL, views), at);
+                learned.step_within(gradients, FALL, views, at);
             }
         }
     }

@@ -3,14 +3,11 @@
 //! `docs/EFFECTS.md` explains the thresholds by figures of captures with and without each effect.
 
 mod colour;
-mod slowness;
 
 use serde::Serialize;
 
 pub use self::colour::{BRIGHTNESS_STOPS, GRADED, PLACES_LEAVE, VIEW_DEPENDENT_SHARE, WHITE_BALANCE_STOPS};
-pub use self::slowness::slowness;
 use super::EffectKind;
-use super::background::CACHE_BYTES;
 use super::survey::{DepthEvidence, ObservationSource, PoseSource, ShutterEvidence, Survey};
 
 /// Threshold of the ratio between the largest and the smallest size of a point, exceeded by a twentieth of the points.
@@ -36,7 +33,6 @@ pub const BLUR_RATIO: f64 = 0.7;
 /// other things differ in sharpness without blur.
 pub const SAME_BLUR_RATIO: f64 = 0.7;
 
-/// The name of the decision on spherical harmonics.
 const VIEW_DEPENDENCE: &str = "view-dependence";
 
 /// The outcome of a decision.
@@ -49,15 +45,6 @@ pub enum EffectVerdict {
     Off,
     /// Set by a separate option, whatever the capture shows.
     AsConfigured,
-}
-
-/// Expected cost of an effect, on top of a step without it, on the CPU (see `docs/EFFECTS.md`).
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-pub struct Cost {
-    /// Time of a step, ms.
-    pub ms_per_step: f64,
-    /// Memory, MiB.
-    pub mib: f64,
 }
 
 /// The decision on an effect, or a remark on something that cannot be switched.
@@ -74,8 +61,6 @@ pub struct Decision {
     pub evidence: String,
     /// The condition for the effect.
     pub rule: String,
-    /// Expected cost of the effect.
-    pub predicted: Option<Cost>,
 }
 
 /// A decision on each effect, and remarks on what cannot be switched.
@@ -104,70 +89,29 @@ impl Plan {
     }
 }
 
-impl Plan {
-    /// The plan for training on photographs of `pixels_per_view` pixels on average, on a machine of this [`slowness`]: both decide what
-    /// effects cost.
-    pub fn of(survey: &Survey, pixels_per_view: f64, slowness: f64) -> Self {
-        let at = Conditions { megapixels: pixels_per_view / 1e6, slowness };
+impl From<&Survey> for Plan {
+    fn from(survey: &Survey) -> Self {
         let decisions = vec![
             colour::view_dependence(survey),
-            antialias(survey, at),
-            alpha(survey, at),
-            colour::exposure(survey, at),
-            colour::bilateral_grid(survey, at),
-            masks(survey, at),
-            pose(survey, at),
-            environment(survey, at),
-            depth(survey, at),
+            antialias(survey),
+            alpha(survey),
+            colour::exposure(survey),
+            colour::bilateral_grid(survey),
+            masks(survey),
+            pose(survey),
+            environment(survey),
+            depth(survey),
             lens(survey),
-            motion_blur(survey, at),
-            rolling_shutter(survey, at),
+            motion_blur(survey),
+            rolling_shutter(survey),
         ];
         Self { decisions }
     }
 }
 
-impl From<&Survey> for Plan {
-    /// The plan for training on photographs at full size, on the machine of `docs/EFFECTS.md`.
-    fn from(survey: &Survey) -> Self {
-        Self::of(survey, survey.pixels_per_view, 1.0)
-    }
-}
-
-/// What decides the cost of an effect: the size of the photographs in training, and the machine.
-#[derive(Clone, Copy)]
-struct Conditions {
-    megapixels: f64,
-    slowness: f64,
-}
-
-impl Conditions {
-    /// The time per step of an effect that takes `fixed` ms and `each` ms per megapixel (see `docs/EFFECTS.md`).
-    fn ms(self, (fixed, each): (f64, f64)) -> f64 {
-        (fixed + each * self.megapixels) * self.slowness
-    }
-}
-
-/// Times per step: a constant part, ms, and a part per megapixel, ms, measured on the demo capture at 0.02 megapixels and on
-/// `fox_colmap` at 0.52, masks on the demo and `statue_wild` at 0.61 (see `docs/EFFECTS.md`). Depth is a third of a supervised step's.
-const ANTIALIAS_MS: (f64, f64) = (0.15, 0.0);
-const MASKS_MS: (f64, f64) = (0.04, 1.0);
-const ENVIRONMENT_MS: (f64, f64) = (0.16, 3.2);
-const ALPHA_MS: (f64, f64) = (0.2, 0.0);
-const POSE_MS: (f64, f64) = (0.15, 0.3);
-const DEPTH_MS: (f64, f64) = (0.06, 1.0);
-const MOTION_MS: (f64, f64) = (0.25, 2.2);
-const SHUTTER_MS: (f64, f64) = (0.25, 0.25);
-
-/// The part per megapixel of an environment's viewing directions where they are computed anew in each step: a root and a division in f64
-/// for each pixel, 7.5 ms on one thread.
-const DIRECTIONS_MS: f64 = 4.0;
-
-const MIB: f64 = (1 << 20) as f64;
-
-fn decide(effect: EffectKind, on: bool, evidence: String, rule: String, cost: Option<Cost>) -> Decision {
+fn decide(effect: EffectKind, on: bool, evidence: String, rule: String) -> Decision {
     let verdict = if on { EffectVerdict::On } else { EffectVerdict::Off };
-    Decision { name: effect.name(), effect: Some(effect), verdict, evidence, rule, predicted: cost }
+    Decision { name: effect.name(), effect: Some(effect), verdict, evidence, rule }
 }
 
 /// The verdict and the words of `judge` on what was found, or that it is not known.
@@ -179,7 +123,7 @@ fn percent(share: f64) -> String {
     format!("{:.1}%", 100.0 * share)
 }
 
-fn antialias(survey: &Survey, at: Conditions) -> Decision {
+fn antialias(survey: &Survey) -> Decision {
     let rule = format!("on if the sizes of a twentieth of the points differ by a factor above {FOOTPRINT_RATIO}");
     let (on, evidence) = known(&survey.footprint, "no point is visible in several photographs", |found| {
         let evidence = format!(
@@ -188,23 +132,20 @@ fn antialias(survey: &Survey, at: Conditions) -> Decision {
         );
         (found.largest_ratio > FOOTPRINT_RATIO, evidence)
     });
-    // The filter's standard deviation of each Gaussian, of which there are a few for each point.
-    let cost = Cost { ms_per_step: at.ms(ANTIALIAS_MS), mib: survey.points as f64 * 4.0 / MIB };
-    decide(EffectKind::Antialias, on, evidence, rule, Some(cost))
+    decide(EffectKind::Antialias, on, evidence, rule)
 }
 
-fn alpha(survey: &Survey, at: Conditions) -> Decision {
+fn alpha(survey: &Survey) -> Decision {
     let with = survey.files.with_alpha;
     let evidence = match with {
         0 => "every photograph is opaque".into(),
         _ => format!("{with} photographs have transparent pixels, or an alpha channel that was not decoded"),
     };
     let rule = "on if a photograph has an alpha channel that is not opaque".into();
-    let cost = Cost { ms_per_step: at.ms(ALPHA_MS), mib: 0.0 };
-    decide(EffectKind::Alpha, with > 0, evidence, rule, Some(cost))
+    decide(EffectKind::Alpha, with > 0, evidence, rule)
 }
 
-fn masks(survey: &Survey, at: Conditions) -> Decision {
+fn masks(survey: &Survey) -> Decision {
     let files = &survey.files;
     let evidence = match files.with_mask {
         0 => "no folder `masks` or `mask` has a file for a photograph".into(),
@@ -215,9 +156,7 @@ fn masks(survey: &Survey, at: Conditions) -> Decision {
         ),
     };
     let rule = "on if a photograph has a mask".into();
-    let mib = files.with_mask as f64 * 1e6 * at.megapixels / MIB;
-    let cost = Cost { ms_per_step: at.ms(MASKS_MS), mib };
-    decide(EffectKind::Masks, files.with_mask > 0, evidence, rule, Some(cost))
+    decide(EffectKind::Masks, files.with_mask > 0, evidence, rule)
 }
 
 /// The lens is not switched: it is part of the camera, and a capture without one uses kernels without one.
@@ -233,7 +172,7 @@ fn lens(survey: &Survey) -> Decision {
         "on if the camera models have a lens: the scene is projected through it, and photographs are not undistorted"
             .into();
     let verdict = if on { EffectVerdict::On } else { EffectVerdict::Off };
-    Decision { name: "lens", effect: None, verdict, evidence, rule, predicted: None }
+    Decision { name: "lens", effect: None, verdict, evidence, rule }
 }
 
 /// Whether poses are wrong and a rolling shutter explains the reprojection errors better than other poses do.
@@ -243,7 +182,7 @@ fn rows_explain(survey: &Survey) -> bool {
     wrong && survey.shutter.as_ref().is_some_and(rows)
 }
 
-fn rolling_shutter(survey: &Survey, at: Conditions) -> Decision {
+fn rolling_shutter(survey: &Survey) -> Decision {
     let rule = format!(
         "on if the mean reprojection error exceeds {POSE_PX} px, and camera motion during readout leaves less than {} of it and \
          less than other poses do",
@@ -255,11 +194,10 @@ fn rolling_shutter(survey: &Survey, at: Conditions) -> Decision {
             format!("camera motion during readout would leave {rows} of the reprojection error, other poses {poses}");
         (rows_explain(survey), evidence)
     });
-    let cost = Cost { ms_per_step: at.ms(SHUTTER_MS), mib: survey.views as f64 * 3.0 * 6.0 * 4.0 / MIB };
-    decide(EffectKind::RollingShutter, on, evidence, rule, Some(cost))
+    decide(EffectKind::RollingShutter, on, evidence, rule)
 }
 
-fn pose(survey: &Survey, at: Conditions) -> Decision {
+fn pose(survey: &Survey) -> Decision {
     let rule = format!("on if the mean reprojection error exceeds {POSE_PX} px and no rolling shutter causes it");
     let (on, evidence) = known(&survey.pose, "no reprojection error", |pose| {
         let source = match pose.source {
@@ -271,12 +209,10 @@ fn pose(survey: &Survey, at: Conditions) -> Decision {
             format!("mean reprojection error {mean:.2} px, a twentieth of the errors above {largest:.2} px ({source})");
         (mean > POSE_PX && !rows_explain(survey), evidence)
     });
-    // Projection and shading in two passes, the gradient of the pose, and some forty operations on twelve numbers.
-    let cost = Cost { ms_per_step: at.ms(POSE_MS), mib: survey.views as f64 * 3.0 * 6.0 * 4.0 / MIB };
-    decide(EffectKind::PoseRefinement, on, evidence, rule, Some(cost))
+    decide(EffectKind::PoseRefinement, on, evidence, rule)
 }
 
-fn environment(survey: &Survey, at: Conditions) -> Decision {
+fn environment(survey: &Survey) -> Decision {
     let rule = format!(
         "on if more than {} of the points are that far away and no photograph has transparent parts",
         percent(FAR_SHARE)
@@ -291,27 +227,20 @@ fn environment(survey: &Survey, at: Conditions) -> Decision {
         );
         (*far_share > FAR_SHARE && survey.files.with_alpha == 0, evidence)
     });
-    // The directions of as many cameras as fit are kept.
-    let all_mib = at.megapixels * 1e6 * survey.lens.cameras as f64 * (3 * size_of::<f32>()) as f64 / MIB;
-    let mib = all_mib.min(CACHE_BYTES as f64 / MIB);
-    let computed = if all_mib > mib { 1.0 - mib / all_mib } else { 0.0 };
-    let (fixed, each) = ENVIRONMENT_MS;
-    let cost = Cost { ms_per_step: at.ms((fixed, each + DIRECTIONS_MS * computed)), mib };
-    decide(EffectKind::Environment, on, evidence, rule, Some(cost))
+    decide(EffectKind::Environment, on, evidence, rule)
 }
 
-fn depth(survey: &Survey, at: Conditions) -> Decision {
+fn depth(survey: &Survey) -> Decision {
     let rule = format!("on if there is a folder of depth maps, or tracks and fewer than {FEW_VIEWS} photographs");
     let few = survey.views < FEW_VIEWS && survey.source == ObservationSource::Tracks;
     let evidence = match &survey.files.depth_maps {
         None => format!("{} photographs, no depth maps", survey.views),
         Some(folder) => format!("{} photographs and depth maps in {folder:?}", survey.views),
     };
-    let cost = Cost { ms_per_step: at.ms(DEPTH_MS), mib: survey.observations_compared as f64 * 8.0 / MIB };
-    decide(EffectKind::DepthSupervision, few || survey.files.depth_maps.is_some(), evidence, rule, Some(cost))
+    decide(EffectKind::DepthSupervision, few || survey.files.depth_maps.is_some(), evidence, rule)
 }
 
-fn motion_blur(survey: &Survey, at: Conditions) -> Decision {
+fn motion_blur(survey: &Survey) -> Decision {
     let rule = format!(
         "on if the least sharp twentieth has less than {BLUR_RATIO} of the median sharpness, and a twentieth less than {SAME_BLUR_RATIO} of \
          that of others around the same points"
@@ -330,8 +259,7 @@ fn motion_blur(survey: &Survey, at: Conditions) -> Decision {
         }
         _ => (false, "not known: no photograph has any detail".into()),
     };
-    let cost = Cost { ms_per_step: at.ms(MOTION_MS), mib: survey.views as f64 * 3.0 * 6.0 * 4.0 / MIB };
-    decide(EffectKind::MotionBlur, on, evidence, rule, Some(cost))
+    decide(EffectKind::MotionBlur, on, evidence, rule)
 }
 
 /// A sentence on how the photographs were compared.

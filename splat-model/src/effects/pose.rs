@@ -120,7 +120,7 @@ impl Effect for Poses {
 
     fn step(&mut self, gradients: &mut Gradients, at: EffectContext) {
         let views = self.corrections.len();
-        self.corrections[at.view].step_within(gradients, (self.config.fall, views), at);
+        self.corrections[at.view].step_within(gradients, self.config.fall, views, at);
     }
 
     fn save(&self, to: &mut State) -> Result<(), StateError> {

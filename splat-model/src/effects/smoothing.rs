@@ -34,7 +34,6 @@ const MARGIN: f64 = 0.15;
 /// Share of the seen centres that are sampled less than one that no camera sees is taken to be.
 const COARSE: f64 = 0.1;
 
-/// A camera that photographs the scene.
 struct Sampler {
     projector: Projector,
     cam_from_world: DAffine3,
@@ -149,7 +148,6 @@ impl Effect for Smoothing {
         Ok(())
     }
 
-    /// Convolves the Gaussians.
     fn bake(&self, rows: &mut GaussianRows) {
         let widths = self.ln_widths(&rows.means);
         let of_row = rows.log_scales.iter_mut().zip(&mut rows.logit_opacities).zip(widths);

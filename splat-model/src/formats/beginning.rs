@@ -6,7 +6,7 @@ use std::path::Path;
 
 use flate2::bufread::GzDecoder;
 
-use super::{Format, FormatError, sog, spz};
+use super::{FormatError, sog, spz};
 use crate::sniff::{FileClass, FileKind};
 
 /// What the first bytes of a scene's file tell.
@@ -62,7 +62,6 @@ fn unknown(path: &Path, first: &[u8]) -> FormatError {
     }
 }
 
-/// The error for a scene in glTF.
 fn gltf(path: &Path) -> FormatError {
     let what = "a scene in glTF, which is written here and not read".into();
     FormatError::foreign(path, what, "convert it to PLY with `npx @playcanvas/splat-transform IN OUT.ply`")
@@ -73,7 +72,7 @@ pub(super) fn json(path: &Path) -> Result<Vec<u8>, FormatError> {
     let json = fs::read(path).map_err(FormatError::io(path, "read the scene (is the path right?)"))?;
     match () {
         () if sog::is_meta(&json) => Ok(json),
-        () if Format::of_name(path) == Some(Format::Gltf) => Err(gltf(path)),
+        () if path.extension().is_some_and(|kind| kind.eq_ignore_ascii_case("gltf")) => Err(gltf(path)),
         () => Err(unknown(path, &json[..json.len().min(16)])),
     }
 }

@@ -5,7 +5,7 @@
 //! | [`Ply`](Format::Ply) | `.ply` | everything, in f32: the layout of the original implementation, see [`crate::ply`] |
 //! | [`CompressedPly`](Format::CompressedPly) | `.compressed.ply` | 16 bytes per Gaussian and one per higher coefficient, to degree 3: SuperSplat's |
 //! | [`Spz`](Format::Spz) | `.spz` | 20 bytes per Gaussian and one per higher coefficient, then zstd: Niantic's |
-//! | [`Glb`](Format::Glb), [`Gltf`](Format::Gltf) | `.glb`, `.gltf` | 60 bytes per Gaussian and 12 per higher coefficient, in f32, to degree 3: glTF with `KHR_gaussian_splatting`; written, not read |
+//! | [`Glb`](Format::Glb) | `.glb` | 60 bytes per Gaussian and 12 per higher coefficient, in f32, to degree 3: glTF with `KHR_gaussian_splatting`; written, not read |
 //! | [`Sog`](Format::Sog) | `.sog` | 8-bit pictures in WebP and a palette of harmonics, to degree 3: PlayCanvas' |
 //!
 //! Reading identifies the format by a file's first bytes, not by its name. The private modules and `docs/FORMATS.md` document
@@ -80,15 +80,13 @@ pub enum Format {
     Spz,
     /// glTF with `KHR_gaussian_splatting`, in its binary container.
     Glb,
-    /// The same as JSON, which holds the data as base64.
-    Gltf,
     /// PlayCanvas' SOG.
     Sog,
 }
 
 impl Format {
     /// All formats.
-    pub const ALL: [Self; 6] = [Self::Ply, Self::CompressedPly, Self::Spz, Self::Glb, Self::Gltf, Self::Sog];
+    pub const ALL: [Self; 5] = [Self::Ply, Self::CompressedPly, Self::Spz, Self::Glb, Self::Sog];
 
     /// The formats that are read; all are written.
     pub const READ: [Self; 4] = [Self::Ply, Self::CompressedPly, Self::Spz, Self::Sog];
@@ -109,7 +107,6 @@ impl Format {
             Self::CompressedPly => ".compressed.ply",
             Self::Spz => ".spz",
             Self::Glb => ".glb",
-            Self::Gltf => ".gltf",
             Self::Sog => ".sog",
         }
     }
@@ -118,19 +115,14 @@ impl Format {
     pub fn sh_degree_max(self) -> usize {
         match self {
             Self::CompressedPly => compressed::DEGREE_MAX,
-            Self::Glb | Self::Gltf => gltf::DEGREE_MAX,
+            Self::Glb => gltf::DEGREE_MAX,
             Self::Sog => sog::DEGREE_MAX,
             Self::Ply | Self::Spz => splat_op::sh::SH_DEGREE_MAX,
         }
     }
 
-    /// Whether the format holds the origin that positions are relative to.
+    /// Whether the format holds the origin that positions are relative to and the size of a scene unit.
     pub fn holds_origin(self) -> bool {
-        self != Self::Spz
-    }
-
-    /// Whether the format holds the size of a scene unit.
-    pub fn holds_scale(self) -> bool {
         self != Self::Spz
     }
 
@@ -146,8 +138,7 @@ impl fmt::Display for Format {
             Self::Ply => "PLY",
             Self::CompressedPly => "compressed PLY",
             Self::Spz => "SPZ",
-            Self::Glb => "binary glTF",
-            Self::Gltf => "glTF",
+            Self::Glb => "glTF",
             Self::Sog => "SOG",
         })
     }
@@ -162,17 +153,13 @@ pub struct SceneFile {
     pub origin: DVec3,
     /// Metres per scene unit, finite and positive, where the size is known. All formats but SPZ hold it.
     pub metres_per_unit: Option<f64>,
-    /// Whether the file states that the scene was trained with antialiasing (Mip-Splatting's filter), and so should be rendered
-    /// with it. All formats hold it.
-    pub antialiased: bool,
-    /// What else the file states about its training, beside [`Self::antialiased`]. All formats but SPZ hold it.
+    /// What the file states about its training. All formats hold whether that was with antialiasing; all but SPZ hold the rest.
     pub trained: TrainedAs,
 }
 
 impl SceneFile {
     fn world(&self) -> WorldFrame {
-        let trained = TrainedAs { antialias: self.antialiased, ..self.trained };
-        WorldFrame { origin: self.origin, metres_per_unit: self.metres_per_unit, trained }
+        WorldFrame { origin: self.origin, metres_per_unit: self.metres_per_unit, trained: self.trained }
     }
 }
 
@@ -193,19 +180,9 @@ pub struct Written<'a> {
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum FormatError {
-    /// A PLY file, compressed or not, that breaks the format; or rows that do not belong together.
+    /// The operating system reported an error, a PLY file, compressed or not, breaks the format, or rows do not belong together.
     #[error(transparent)]
     Ply(#[from] PlyError),
-    /// The operating system reported an error.
-    #[error("{path}: could not {action}: {source}", path = path.display())]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// The attempted action, with the remedy if there is one.
-        action: &'static str,
-        /// The system's reason.
-        source: io::Error,
-    },
     /// The file does not begin like a scene of any supported format.
     #[error(
         "{path}: not a scene: it begins with `{found}`, expected a PLY file (original layout or SuperSplat's compressed one), SPZ \
@@ -246,7 +223,7 @@ pub enum FormatError {
 
 impl FormatError {
     fn io(path: &Path, action: &'static str) -> impl FnOnce(io::Error) -> Self {
-        move |source| Self::Io { path: path.to_path_buf(), action, source }
+        move |source| PlyError::Io { path: path.to_path_buf(), action, source }.into()
     }
 
     fn broken(path: &Path, format: Format, detail: impl Into<String>) -> Self {
@@ -294,7 +271,7 @@ pub fn read(path: &Path) -> Result<(SceneFile, Format), FormatError> {
                 false => ply::read_rows(input, &header)?,
             };
             let format = if is_compressed { Format::CompressedPly } else { Format::Ply };
-            (SceneFile { rows, origin, metres_per_unit, antialiased: trained.antialias, trained }, format)
+            (SceneFile { rows, origin, metres_per_unit, trained }, format)
         }
     })
 }
@@ -312,8 +289,8 @@ pub fn write<'a>(path: &Path, scene: &'a SceneFile, format: Format) -> Result<Wr
     match format {
         Format::Ply => ply::write(path, rows, scene.world())?,
         Format::CompressedPly => compressed::write(path, rows, scene.world())?,
-        Format::Spz => spz::write(path, rows, scene.antialiased, SpzOptions::default())?,
-        Format::Glb | Format::Gltf => gltf::write(path, rows, scene, format)?,
+        Format::Spz => spz::write(path, rows, scene.trained.antialias, SpzOptions::default())?,
+        Format::Glb => gltf::write(path, rows, scene)?,
         Format::Sog => sog::write(path, rows, scene, SogOptions::default())?,
     }
     Ok(written)
@@ -325,7 +302,7 @@ pub fn write<'a>(path: &Path, scene: &'a SceneFile, format: Format) -> Result<Wr
 /// As [`write`](fn@write).
 pub fn write_spz<'a>(path: &Path, scene: &'a SceneFile, options: SpzOptions) -> Result<Written<'a>, FormatError> {
     let written = checked(path, scene, Format::Spz)?;
-    spz::write(path, &written.rows, scene.antialiased, options)?;
+    spz::write(path, &written.rows, scene.trained.antialias, options)?;
     Ok(written)
 }
 

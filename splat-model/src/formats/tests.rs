@@ -38,7 +38,7 @@ fn names_tell_formats() {
     assert_eq!(of("a/scene.ply"), Some(Format::Ply));
     assert_eq!(of("SCENE.COMPRESSED.PLY"), Some(Format::CompressedPly));
     assert_eq!(of("scene.spz"), Some(Format::Spz));
-    assert_eq!((of("a.glb"), of("a.GLTF"), of("a.sog")), (Some(Format::Glb), Some(Format::Gltf), Some(Format::Sog)));
+    assert_eq!((of("a.GLB"), of("a.gltf"), of("a.sog")), (Some(Format::Glb), None, Some(Format::Sog)));
     // The extension alone is not a name.
     assert_eq!(of(".ply"), None);
     assert_eq!((of("scene"), of("scene.splat"), of("a.ply/"), of("..")), (None, None, Some(Format::Ply), None));
@@ -59,9 +59,11 @@ fn contents_tell_formats_whatever_the_name() {
 
 #[test]
 fn gltf_is_written_and_the_way_back_is_named() {
-    for format in [Format::Glb, Format::Gltf] {
-        let (_folder, path) = folder_and_file(format);
-        write(&path, &scene(one()), format).unwrap();
+    let (_folder, path) = folder_and_file(Format::Glb);
+    write(&path, &scene(one()), Format::Glb).unwrap();
+    let text = path.with_extension("gltf");
+    fs::write(&text, "{\"asset\": {}}").unwrap();
+    for path in [path, text] {
         for message in [read(&path).unwrap_err().to_string(), detect(&path).unwrap_err().to_string()] {
             assert!(message.contains("scene.gl") && message.contains("splat-transform"), "{message}");
         }
@@ -145,7 +147,7 @@ fn the_size_of_a_unit_stays_where_there_is_a_place_for_it() {
         write(&path, &scene, format).unwrap();
         assert_eq!(
             read(&path).unwrap().0.metres_per_unit,
-            scene.metres_per_unit.filter(|_| format.holds_scale()),
+            scene.metres_per_unit.filter(|_| format.holds_origin()),
             "{format}"
         );
         for metres in [0.0, -1.0, f64::NAN, f64::INFINITY] {
@@ -159,12 +161,12 @@ fn the_size_of_a_unit_stays_where_there_is_a_place_for_it() {
 #[test]
 fn a_file_says_how_its_scene_was_trained() {
     let trained = TrainedAs { ray_max: true, background: [1.0, 0.1, 0.0], environment: true, ..TrainedAs::default() };
-    let scene = SceneFile { antialiased: true, trained, ..scene(one()) };
+    let scene = SceneFile { trained: TrainedAs { antialias: true, ..trained }, ..scene(one()) };
     for format in Format::READ {
         let (_folder, path) = folder_and_file(format);
         write(&path, &scene, format).unwrap();
         let found = read(&path).unwrap().0;
-        assert!(found.antialiased, "{format}");
+        assert!(found.trained.antialias, "{format}");
         let expected = if format == Format::Spz { TrainedAs::default() } else { trained };
         assert_eq!(TrainedAs { antialias: false, ..found.trained }, expected, "{format}");
     }
@@ -353,8 +355,7 @@ fn handful() -> SceneFile {
         rows,
         origin: DVec3::new(1e6, 0.0, 0.0),
         metres_per_unit: Some(0.125),
-        antialiased: true,
-        ..SceneFile::default()
+        trained: TrainedAs { antialias: true, ..TrainedAs::default() },
     }
 }
 

@@ -69,10 +69,10 @@ impl GroupOptions {
     /// Checks that all numbers can be used and saved.
     ///
     /// # Errors
-    /// [`RowsError::Option`] for the first that cannot.
+    /// [`RowsError::Group`] for the first that cannot.
     pub fn check(&self, name: &str) -> Result<(), RowsError> {
-        let refuse = |option, found: f64, expected| {
-            Err(RowsError::Option { name: name.to_owned(), option, found: found.to_string(), expected })
+        let refuse = |option: &str, found: f64, expected: &str| {
+            Err(RowsError::Group(format!("`{option}` of the group `{name}` is {found}, expected {expected}")))
         };
         if !(self.rate >= 0.0 && self.rate.is_finite()) {
             return refuse("rate", self.rate, "a finite number that is not negative");
@@ -110,7 +110,7 @@ impl Group {
         check_name(name)?;
         options.check(name)?;
         if values.dims()[1] == 0 {
-            return Err(RowsError::Empty { name: name.to_owned() });
+            return Err(RowsError::empty(name));
         }
         Ok(Self::of_blocks(name, vec![parameter(values)], options))
     }
@@ -120,7 +120,7 @@ impl Group {
     }
 
     /// A group of numbers on the host, row-major.
-    pub(super) fn of_numbers(name: &str, (count, width): (usize, usize), numbers: Vec<f32>, device: &Device) -> Self {
+    pub(super) fn of_numbers(name: &str, count: usize, width: usize, numbers: Vec<f32>, device: &Device) -> Self {
         let blocks = row_blocks(name, count, width, device);
         if blocks.len() == 1 {
             let values = super::tensor(numbers, [count, width], device);
@@ -200,7 +200,6 @@ impl Group {
         }
     }
 
-    /// The group without autodiff.
     pub(super) fn untracked(&self) -> Self {
         let plain = |block: &Param<Tensor<2>>| Param::from_tensor(block.val().inner());
         Self { blocks: self.blocks.iter().map(plain).collect(), name: self.name.clone(), options: self.options }
@@ -215,7 +214,10 @@ pub(crate) fn check_name(name: &str) -> Result<(), RowsError> {
     let bad = |c: char| c.is_whitespace() || c.is_control() || c == '/';
     let stem = name.rsplit_once('_').filter(|(_, i)| i.parse::<usize>().is_ok()).map_or(name, |(stem, _)| stem);
     match name.is_empty() || name.contains(bad) || RESERVED.contains(&name) || RESERVED.contains(&stem) {
-        true => Err(RowsError::Name { name: name.to_owned() }),
+        true => Err(RowsError::Group(format!(
+            "a group named {name:?}, expected a name without white space, control characters and slashes that is not one of a scene file's \
+             own properties, such as `x` and `scale_0`"
+        ))),
         false => Ok(()),
     }
 }
@@ -236,7 +238,6 @@ pub(crate) fn row_blocks(name: &str, count: usize, width: usize, device: &Device
     (0..count.max(1)).step_by(rows).map(|first| first..first.saturating_add(rows).min(count)).collect()
 }
 
-/// Joins tensors of consecutive rows.
 pub(crate) fn joined<const D: usize, K: Basic>(mut blocks: Vec<Tensor<D, K>>) -> Tensor<D, K> {
     if blocks.len() == 1 { blocks.swap_remove(0) } else { Tensor::cat(blocks, 0) }
 }

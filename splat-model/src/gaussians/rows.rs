@@ -68,49 +68,21 @@ pub enum RowsError {
         /// Degree of the spherical harmonics.
         sh_degree: usize,
     },
-    /// A group has a name that files cannot hold.
-    #[error(
-        "a group named {name:?}, expected a name without white space, control characters and slashes that is not one of a scene file's \
-         own properties, such as `x` and `scale_0`"
-    )]
-    Name {
-        /// The name.
-        name: String,
-    },
-    /// A group has the name of another one.
-    #[error("two groups are named `{name}`, expected one of each name")]
-    Taken {
-        /// The name.
-        name: String,
-    },
-    /// An option of a group is out of range.
-    #[error("`{option}` of the group `{name}` is {found}, expected {expected}")]
-    Option {
-        /// Name of the group.
-        name: String,
-        /// The option.
-        option: &'static str,
-        /// Its value.
-        found: String,
-        /// Its range.
-        expected: &'static str,
-    },
-    /// A group is on another device than the scene, or of another float type, or too large for the device.
-    #[error("the group `{name}` is {found}, expected {expected}")]
-    Place {
-        /// Name of the group.
-        name: String,
-        /// Its device and float type, or its size.
-        found: String,
-        /// Those of the scene, or the device's limit.
-        expected: String,
-    },
-    /// A group has no numbers.
-    #[error("the group `{name}` has rows of 0 numbers, expected at least 1")]
-    Empty {
-        /// The name.
-        name: String,
-    },
+    /// A group cannot be used, because of its name, an option, its device or its size: what was found, and what was expected.
+    #[error("{0}")]
+    Group(String),
+}
+
+impl RowsError {
+    /// The error for two groups of one name.
+    pub(super) fn taken(name: &str) -> Self {
+        Self::Group(format!("two groups are named `{name}`, expected one of each name"))
+    }
+
+    /// The error for a group without numbers.
+    pub(super) fn empty(name: &str) -> Self {
+        Self::Group(format!("the group `{name}` has rows of 0 numbers, expected at least 1"))
+    }
 }
 
 impl GaussianRows {
@@ -240,10 +212,10 @@ impl GaussianRows {
         for group in &self.groups {
             check_name(&group.name)?;
             if !names.insert(&group.name) {
-                return Err(RowsError::Taken { name: group.name.clone() });
+                return Err(RowsError::taken(&group.name));
             }
             if group.width == 0 {
-                return Err(RowsError::Empty { name: group.name.clone() });
+                return Err(RowsError::empty(&group.name));
             }
             of(&group.name, group.values.len(), count * group.width)?;
         }

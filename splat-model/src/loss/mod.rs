@@ -3,14 +3,12 @@
 //! Every loss is ordinary tensor code that returns a `[1]` tensor to call `backward` on. [`Truth`] holds the quantities that
 //! depend on the photograph alone, so that a training loop computes them once.
 
-pub mod l1;
 pub mod photometric;
 pub mod regularise;
 pub mod ssim;
 
-pub use l1::{l1, weighted_l1};
-pub use photometric::{DEFAULT_LAMBDA, photometric};
-pub use ssim::{Truth, d_ssim, ssim, ssim_map};
+pub use photometric::{DEFAULT_LAMBDA, d_ssim, l1, photometric};
+pub use ssim::{Truth, ssim, ssim_map};
 
 pub(crate) use splat_op::with_gradient;
 

@@ -14,7 +14,7 @@
 //!
 //! [`ssim_map`] and [`ssim`] define the metric in plain tensor code. The window is two depthwise convolutions, the fastest of
 //! the formulations tried on Burn Flex (banded matrix products, blocked or whole; shifted slices). The autodiff gradient of
-//! such a convolution is far slower than the convolution, so [`d_ssim`] and the loss are one operation, see
+//! such a convolution is far slower than the convolution, so [`d_ssim`](super::d_ssim) and the loss are one operation, see
 //! [`splat_op::loss`].
 
 use burn::tensor::{Tensor, TensorData, module::conv2d, ops::ConvOptions};
@@ -77,15 +77,9 @@ impl Truth {
     }
 }
 
-/// `1 − SSIM`, `[1]`, of `image` `[H, W, C]`, 0 to 1. The second term of the loss of 3D Gaussian splatting (Kerbl et al.
-/// 2023, eq. 7, as their code computes it, without halving).
-pub fn d_ssim(image: Tensor<3>, truth: &Truth) -> Tensor<1> {
-    super::photometric(image, truth, 1.0)
-}
-
 /// SSIM at every pixel and channel, `[H, W, C]`, of `image` and `truth`, `[H, W, C]`, 0 to 1.
 ///
-/// Plain differentiable tensor code in both arguments, for new losses. [`d_ssim`] is many times faster for the mean.
+/// Plain differentiable tensor code in both arguments, for new losses. [`d_ssim`](super::d_ssim) is many times faster for the mean.
 pub fn ssim_map(image: Tensor<3>, truth: Tensor<3>) -> Tensor<3> {
     let (x, y) = (planes(image), planes(truth));
     let window = separable_window(&x);

@@ -235,18 +235,6 @@ fn l1_is_the_mean_absolute_error() {
 }
 
 #[test]
-fn weights_mask_pixels() {
-    let device = Device::flex();
-    let tensor = |values: [f32; 4]| Tensor::<3>::from_data(TensorData::new(values.to_vec(), [1, 2, 2]), &device);
-    let weights = |values: [f32; 2]| Tensor::<3>::from_data(TensorData::new(values.to_vec(), [1, 2, 1]), &device);
-    let (image, truth) = (tensor([0.0, 1.0, 0.5, 0.5]), tensor([1.0, 0.5, 0.5, 0.75]));
-    let run = |mask| differentiate(image.clone(), |image| weighted_l1(image, truth.clone(), weights(mask)));
-    assert_eq!(run([3.0, 3.0]).0, 0.4375);
-    assert_eq!(run([1.0, 0.0]), (0.75, vec![-0.5, 0.5, 0.0, 0.0]));
-    assert_eq!(run([0.0, 0.0]), (0.0, vec![0.0; 4]));
-}
-
-#[test]
 fn all_gaussians_have_equal_shares_of_a_mean() {
     for device in crate::gaussians::testing::devices() {
         let opacities = Tensor::<1>::full([5_003], 0.5, &device).autodiff().require_grad();

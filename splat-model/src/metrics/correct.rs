@@ -6,6 +6,8 @@
 //! quadratic terms and a repetition against clipping, which are left out here. Both scores are reported, because the corrected
 //! one does not detect a scene whose colours are wrong throughout.
 
+use crate::solve::solve;
+
 /// Weight of the identity in the fit, per pixel. It decides only what the picture leaves open, for example if all channels are
 /// equal.
 const TOWARDS_IDENTITY: f64 = 1e-6;
@@ -16,7 +18,7 @@ pub fn colour_corrected(image: &[f32], truth: &[f32], counts: Option<&[bool]>) -
     let (pixels, truths) = (image.as_chunks::<3>().0, truth.as_chunks::<3>().0);
     // The normal equations `(Σ x xᵀ + w I) m = Σ x y + w m₀` with `x = (r, g, b, 1)`, for each channel `y`.
     let mut gram = [[0.0; 4]; 4];
-    let mut moment = [[0.0; 3]; 4];
+    let mut moments = [[0.0; 4]; 3];
     let mut count = 0.0;
     for (i, (pixel, truth)) in pixels.iter().zip(truths).enumerate() {
         if counts.is_some_and(|counts| !counts[i]) {
@@ -25,42 +27,20 @@ pub fn colour_corrected(image: &[f32], truth: &[f32], counts: Option<&[bool]>) -
         let x = [f64::from(pixel[0]), f64::from(pixel[1]), f64::from(pixel[2]), 1.0];
         for row in 0..4 {
             (0..4).for_each(|column| gram[row][column] += x[row] * x[column]);
-            (0..3).for_each(|channel| moment[row][channel] += x[row] * f64::from(truth[channel]));
+            (0..3).for_each(|channel| moments[channel][row] += x[row] * f64::from(truth[channel]));
         }
         count += 1.0;
     }
     let weight = TOWARDS_IDENTITY * f64::max(count, 1.0);
-    for row in 0..4 {
-        gram[row][row] += weight;
-        if row < 3 {
-            moment[row][row] += weight;
-        }
-    }
-    let map = solve(gram, moment);
+    (0..4).for_each(|row| gram[row][row] += weight);
+    (0..3).for_each(|channel| moments[channel][channel] += weight);
+    // Only numbers that are not finite have no solution.
+    let map = moments.map(|moment| solve(gram, moment).unwrap_or([f64::NAN; 4]));
     let mapped = pixels.iter().flat_map(|pixel| {
         let x = [f64::from(pixel[0]), f64::from(pixel[1]), f64::from(pixel[2]), 1.0];
-        [0, 1, 2].map(|channel| (0..4).map(|row| x[row] * map[row][channel]).sum::<f64>() as f32)
+        [0, 1, 2].map(|channel| (0..4).map(|row| x[row] * map[channel][row]).sum::<f64>() as f32)
     });
     mapped.collect()
-}
-
-/// Solves `gram m = moment` for `m`. The matrix is symmetric and, because of the weight on its diagonal, positive definite, so
-/// elimination needs no pivots.
-fn solve(mut gram: [[f64; 4]; 4], mut moment: [[f64; 3]; 4]) -> [[f64; 3]; 4] {
-    for step in 0..4 {
-        for row in step + 1..4 {
-            let factor = gram[row][step] / gram[step][step];
-            (step..4).for_each(|column| gram[row][column] -= factor * gram[step][column]);
-            (0..3).for_each(|channel| moment[row][channel] -= factor * moment[step][channel]);
-        }
-    }
-    for row in (0..4).rev() {
-        for channel in 0..3 {
-            let known: f64 = (row + 1..4).map(|column| gram[row][column] * moment[column][channel]).sum();
-            moment[row][channel] = (moment[row][channel] - known) / gram[row][row];
-        }
-    }
-    moment
 }
 
 #[cfg(test)]

@@ -13,6 +13,13 @@ use super::moments::{Moments, Stored};
 /// bounded by the learning rate either way, because Adam is invariant to the gradient's length.
 const LARGEST_GRADIENT: f64 = 1e17;
 
+pub(crate) struct StepAt<'a> {
+    /// Number of the step, counted from 1.
+    pub step: usize,
+    /// `[2]`: the device's verdict. Nothing may change if it holds a step (see [`splat_op::adam`]).
+    pub verdict: Option<&'a Tensor<1, Int>>,
+}
+
 /// The optimiser's constants; its state is in [`Moments`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Adam {
@@ -60,7 +67,7 @@ impl Adam {
         moments: &mut Moments<D>,
         t: usize,
     ) -> Tensor<D> {
-        self.step_unless(param, grad, lr, moments, (t, None))
+        self.step_unless(param, grad, lr, moments, StepAt { step: t, verdict: None })
     }
 
     /// Computes [`Self::step`] in tensor code on any device. Tests compare all other forms with it.
@@ -75,7 +82,7 @@ impl Adam {
         t: usize,
     ) -> Tensor<D> {
         let Stored::Full { m, v } = moments.take() else { panic!("packed moments have no form in tensors") };
-        let (param, m, v) = step_in_tensors(&self.factors(lr.into(), t), param, grad, (m, v));
+        let Stepped { param, m, v } = step_in_tensors(&self.factors(lr.into(), t), Stepped { param, m, v }, grad);
         *moments = Moments::full(m, v);
         param
     }
@@ -87,39 +94,37 @@ impl Adam {
         grad: Tensor<D>,
         lr: impl Into<Rates>,
         moments: &mut Moments<D>,
-        (t, verdict): (usize, Option<&Tensor<1, Int>>),
+        StepAt { step, verdict }: StepAt,
     ) -> Tensor<D> {
         assert_eq!(param.shape(), grad.shape(), "a gradient has the shape of its parameter");
-        let factors = self.factors(lr.into(), t);
+        let factors = self.factors(lr.into(), step);
         let (m, v) = match moments.take() {
             Stored::Full { m, v } => (m, v),
             Stored::Packed { words, packing } => {
-                let factors = PackedFactors { factors, packing, step: t as u32 };
+                let factors = PackedFactors { factors, packing, step: step as u32 };
                 let (param, words) = packed_step(param, grad, words, &factors, verdict);
                 *moments = Moments::packed(words, packing);
                 return param;
             }
         };
         assert_eq!(param.shape(), m.shape(), "moments have the shape of their parameter");
-        let (param, m, v) = match verdict {
+        let from = Stepped { param, m, v };
+        let Stepped { param, m, v } = match verdict {
             // One operation does the whole step.
-            _ if has_kernel(&param) => {
-                let Stepped { param, m, v } = splat_op::adam::step(Stepped { param, m, v }, &grad, verdict, factors);
-                (param, m, v)
-            }
+            _ if has_kernel(&from.param) => splat_op::adam::step(from, &grad, verdict, factors),
             Some(verdict) => {
-                let (old, of_m, of_v) = (param.clone(), m.clone(), v.clone());
-                let (new, m, v) = step_in_tensors(&factors, param, grad, (m, v));
-                let held = verdict.clone().narrow(0, 0, 1).not_equal_elem(0).reshape([1; D]).expand(old.shape());
+                let old = from.clone();
+                let new = step_in_tensors(&factors, from, grad);
+                let held = verdict.clone().narrow(0, 0, 1).not_equal_elem(0).reshape([1; D]).expand(old.param.shape());
                 let kept = |new: Tensor<D>, old| new.mask_where(held.clone(), old);
-                (kept(new, old), kept(m, of_m), kept(v, of_v))
+                Stepped { param: kept(new.param, old.param), m: kept(new.m, old.m), v: kept(new.v, old.v) }
             }
             // Flex works in host memory and hands it over without a copy. One fused pass over it on all cores takes a third
             // of the time of the tensor operations, which are eleven passes on one core.
-            None if param.device() == Device::flex() && param.dtype() == DType::F32 => {
-                step_in_host_memory(&factors, param, grad, (m, v))
+            None if from.param.device() == Device::flex() && from.param.dtype() == DType::F32 => {
+                step_in_host_memory(&factors, from, grad)
             }
-            None => step_in_tensors(&factors, param, grad, (m, v)),
+            None => step_in_tensors(&factors, from, grad),
         };
         *moments = Moments::full(m, v);
         param
@@ -136,22 +141,16 @@ impl Adam {
     }
 }
 
-/// Returns the parameter and both sums.
-fn step_in_tensors<const D: usize>(
-    factors: &Factors,
-    param: Tensor<D>,
-    grad: Tensor<D>,
-    (m, v): (Tensor<D>, Tensor<D>),
-) -> (Tensor<D>, Tensor<D>, Tensor<D>) {
+fn step_in_tensors<const D: usize>(factors: &Factors, from: Stepped<D>, grad: Tensor<D>) -> Stepped<D> {
+    let Stepped { param, m, v } = from;
     let grad = grad.clamp(-LARGEST_GRADIENT, LARGEST_GRADIENT);
     let m = m * factors.beta1 + grad.clone();
     let v = v * factors.beta2 + grad.square();
     let root = v.clone().sqrt() + factors.floor;
     let ratio = m.clone() / root;
-    (param - rated(factors.rate, ratio), m, v)
+    Stepped { param: param - rated(factors.rate, ratio), m, v }
 }
 
-/// Multiplies each number by its rate.
 fn rated<const D: usize>(rate: Rates, ratio: Tensor<D>) -> Tensor<D> {
     let dims = ratio.dims();
     let Some(Band { period, width }) = rate.band(&dims) else { return ratio * rate.others };
@@ -164,19 +163,15 @@ fn rated<const D: usize>(rate: Rates, ratio: Tensor<D>) -> Tensor<D> {
     Tensor::cat(vec![first, others], 1).reshape(dims)
 }
 
-/// Computes the step for f32 on a device whose tensors are in host memory. Returns the parameter and both sums.
-fn step_in_host_memory<const D: usize>(
-    factors: &Factors,
-    param: Tensor<D>,
-    grad: Tensor<D>,
-    (m, v): (Tensor<D>, Tensor<D>),
-) -> (Tensor<D>, Tensor<D>, Tensor<D>) {
+/// Computes the step for f32 on a device whose tensors are in host memory.
+fn step_in_host_memory<const D: usize>(factors: &Factors, from: Stepped<D>, grad: Tensor<D>) -> Stepped<D> {
+    let Stepped { param, m, v } = from;
     let options = (&param.device(), DType::F32);
     let band = factors.rate.band(&param.dims());
     let [mut param, grad, mut m, mut v] = [param, grad, m, v].map(host_data);
     step_slices(factors, values_mut(&mut param), values(&grad), values_mut(&mut m), values_mut(&mut v), band);
     let [param, m, v] = [param, m, v].map(|data| Tensor::from_data(data, options));
-    (param, m, v)
+    Stepped { param, m, v }
 }
 
 /// Performs the step with packed moments: on a GPU in one operation, elsewhere in host memory. Returns the parameter and the words.

@@ -81,7 +81,6 @@ impl FromStr for MomentBits {
 #[derive(Clone, Debug)]
 pub struct Moments<const D: usize>(Option<Stored<D>>);
 
-/// How moments are stored.
 #[derive(Clone, Debug)]
 #[expect(clippy::large_enum_variant, reason = "handles of tensors, a few for a scene")]
 pub(crate) enum Stored<const D: usize> {
@@ -152,7 +151,6 @@ impl<const D: usize> Moments<D> {
         Self::packed(continued(&words, source, kept), packing)
     }
 
-    /// Some rows, on a device.
     pub(crate) fn rows(&self, first: usize, count: usize, device: &Device) -> Self {
         fn of<const R: usize, K: Basic>(
             all: &Tensor<R, K>,
@@ -181,24 +179,11 @@ impl<const D: usize> Moments<D> {
         }
     }
 
-    /// Loads the moments of a parameter of this shape, in 32 bits.
-    ///
-    /// # Errors
-    /// If they are missing or of another shape.
-    pub fn load(from: &mut State, shape: [usize; D], device: &Device) -> Result<Self, StateError> {
-        Self::load_with_bits(from, shape, MomentBits::ThirtyTwo, device)
-    }
-
     /// Loads the moments of a parameter of this shape.
     ///
     /// # Errors
     /// If they are missing, of another shape, or have another number of bits.
-    pub fn load_with_bits(
-        from: &mut State,
-        shape: [usize; D],
-        bits: MomentBits,
-        device: &Device,
-    ) -> Result<Self, StateError> {
+    pub fn load(from: &mut State, shape: [usize; D], bits: MomentBits, device: &Device) -> Result<Self, StateError> {
         let Some(packing) = bits.packing() else {
             let [m, v] = ["m", "v"].map(|name| from.take_shaped(name, shape, device));
             return Ok(Self::full(m?, v?));
@@ -235,7 +220,6 @@ impl<const D: usize> Stored<D> {
     }
 }
 
-/// The shape of the words of a parameter.
 fn words_shape<const D: usize>(shape: [usize; D], packing: Packing) -> [usize; 2] {
     [shape[0], packing.words_per_row(shape[1..].iter().product())]
 }
@@ -295,23 +279,6 @@ pub(crate) fn grown<const R: usize, K: Basic>(values: Tensor<R, K>, length: usiz
     shape[1] = length - shape[1];
     let zeros = Tensor::zeros(shape, (&values.device(), values.dtype()));
     Tensor::cat(vec![values, zeros], 1)
-}
-
-#[cfg(test)]
-impl<const D: usize> Moments<D> {
-    /// The tensors as numbers, for comparisons: both sums, or the words and nothing.
-    pub(crate) fn numbers(&self) -> [Vec<f32>; 2] {
-        use crate::gaussians::values_of;
-        match self.stored() {
-            Stored::Full { m, v } => [values_of(m.clone()), values_of(v.clone())],
-            Stored::Packed { words, .. } => {
-                let words = words.clone().into_data().try_into_vec::<i32>().expect("words are i32");
-                // Numbers that compare as their bits do.
-                let halves = |shift: u32| words.iter().map(|word| (*word as u32 >> shift & 0xffff) as f32).collect();
-                [halves(0), halves(16)]
-            }
-        }
-    }
 }
 
 #[cfg(test)]

@@ -7,7 +7,7 @@ use ply_rs_bw::ply::Header;
 use serde::{Deserialize, Serialize};
 
 use super::PlyError;
-use super::read::{brief, layout_error};
+use super::read::{brief, content_error};
 use crate::capture::scale::is_scale;
 
 /// Prefix of the comment that holds the origin.
@@ -65,7 +65,7 @@ pub(crate) fn world_frame(path: &Path, header: &Header) -> Result<WorldFrame, Pl
         world.trained =
             read.filter(|trained| trained.background.iter().all(|value| value.is_finite())).ok_or_else(|| {
                 let expected = serde_json::to_string(&TrainedAs::default()).unwrap_or_default();
-                layout_error(
+                content_error(
                     path,
                     format!(
                         "comment `{TRAINED_COMMENT}{}`, expected {expected}; correct or remove that line",
@@ -94,7 +94,7 @@ fn comment<const N: usize>(
     let numbers: Option<Vec<f64>> = text.split_whitespace().map(|word| word.parse().ok()).collect();
     match numbers.and_then(|numbers| numbers.try_into().ok()).filter(valid) {
         Some(numbers) => Ok(Some(numbers)),
-        None => Err(layout_error(
+        None => Err(content_error(
             path,
             format!("comment `{prefix}{}`, expected {expected}; correct or remove that line", brief(text)),
         )),

@@ -30,10 +30,10 @@ fn groups_are_written_and_read() {
     assert_eq!(format!("{:?}", read.groups), format!("{:?}", rows.groups));
     let parts = [rows.part(0..1), rows.part(1..2)];
     let before = std::fs::read(&path).unwrap();
-    write_parts(&path, (2, 1), &parts, DVec3::ZERO).unwrap();
+    write_parts(&path, 2, 1, &parts, DVec3::ZERO).unwrap();
     assert_eq!(std::fs::read(&path).unwrap(), before);
     let unlike = [rows.part(0..1), GaussianRows { groups: Vec::new(), ..rows.part(1..2) }];
-    let error = write_parts(&path, (2, 1), &unlike, DVec3::ZERO).unwrap_err();
+    let error = write_parts(&path, 2, 1, &unlike, DVec3::ZERO).unwrap_err();
     assert!(format!("{error:?}").contains("different groups"), "{error:?}");
 }
 

@@ -57,33 +57,9 @@ pub enum PlyError {
         /// The system's reason.
         source: std::io::Error,
     },
-    /// The file does not begin with a line `ply`.
-    #[error("{path}: not a PLY file: it begins with `{found}`, expected a line `ply`; pass a .ply file", path = path.display())]
-    NotPly {
-        /// The file.
-        path: PathBuf,
-        /// Its first bytes, made printable.
-        found: String,
-    },
-    /// The header breaks the format's grammar.
-    #[error("{path}: broken PLY header: {detail}; export it again", path = path.display())]
-    Header {
-        /// The file.
-        path: PathBuf,
-        /// What was found and what was expected.
-        detail: String,
-    },
-    /// The header declares no Gaussians or points in a layout that is read, or its origin is not three finite numbers.
+    /// The file is no PLY, its header breaks the format's grammar or declares a layout that is not read, or its rows do not match the header.
     #[error("{path}: {detail}", path = path.display())]
-    Layout {
-        /// The file.
-        path: PathBuf,
-        /// What was found, what was expected and what to do.
-        detail: String,
-    },
-    /// The rows do not match the header: too few bytes for them, or a row with other values.
-    #[error("{path}: {detail}", path = path.display())]
-    Data {
+    Content {
         /// The file.
         path: PathBuf,
         /// What was found, what was expected and what to do.

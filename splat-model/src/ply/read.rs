@@ -19,8 +19,12 @@ fn io_error(path: &Path, action: &'static str, source: io::Error) -> PlyError {
     PlyError::Io { path: path.to_path_buf(), action, source }
 }
 
-pub(super) fn layout_error(path: &Path, detail: String) -> PlyError {
-    PlyError::Layout { path: path.to_path_buf(), detail }
+pub(super) fn content_error(path: &Path, detail: String) -> PlyError {
+    PlyError::Content { path: path.to_path_buf(), detail }
+}
+
+fn header_error(path: &Path, detail: &str) -> PlyError {
+    content_error(path, format!("broken PLY header: {detail}; export it again"))
 }
 
 /// The values of a row, in the order of the header. An f64 holds every number of the format exactly.
@@ -97,13 +101,14 @@ impl<'a> PlyReader<'a> {
             // The last line of an ASCII file may lack a line break.
             let slack = u64::from(header.encoding == Encoding::Ascii);
             if needed > self.payload_bytes.saturating_add(slack) {
-                return Err(self.data_error(format!(
+                let detail = format!(
                     "the header claims {} rows of `{}`, at least {needed} bytes of data, but {} bytes follow the header; \
                      the file is truncated or its header wrong: copy or export it again",
                     element.count,
                     brief(&element.name),
                     self.payload_bytes
-                )));
+                );
+                return Err(content_error(self.path, detail));
             }
             if element.name == last {
                 break;
@@ -128,14 +133,15 @@ impl<'a> PlyReader<'a> {
             let line = text[start..].trim_ascii();
             if start == 0 && line != b"ply" {
                 let found = String::from_utf8_lossy(line).escape_debug().to_string();
-                return Err(PlyError::NotPly { path: self.path.to_path_buf(), found });
+                let detail =
+                    format!("not a PLY file: it begins with `{found}`, expected a line `ply`; pass a .ply file");
+                return Err(content_error(self.path, detail));
             }
             if line == b"end_header" {
                 return Ok(text);
             }
             if text.len() == start || text.last() != Some(&b'\n') {
-                let detail = format!("no line `end_header` within {} bytes", text.len());
-                return Err(PlyError::Header { path: self.path.to_path_buf(), detail });
+                return Err(header_error(self.path, &format!("no line `end_header` within {} bytes", text.len())));
             }
         }
     }
@@ -223,19 +229,16 @@ impl<'a> PlyReader<'a> {
     fn row_error(&self, element: &ElementDef, row: usize, error: &ParseError) -> PlyError {
         let name = brief(&element.name);
         match error.kind() {
-            ErrorKind::UnexpectedEof => self.data_error(format!(
-                "the file ends in row {row} of `{name}`, expected {} rows; it is truncated: copy or export it again",
-                element.count
-            )),
+            ErrorKind::UnexpectedEof => {
+                let count = element.count;
+                let end = format!("the file ends in row {row} of `{name}`, expected {count} rows");
+                content_error(self.path, format!("{end}; it is truncated: copy or export it again"))
+            }
             ErrorKind::InvalidInput | ErrorKind::InvalidData => {
                 value_error(self.path, &name, row, &brief(&error.to_string()))
             }
             kind => io_error(self.path, "read the rows", io::Error::new(kind, error.to_string())),
         }
-    }
-
-    fn data_error(&self, detail: String) -> PlyError {
-        PlyError::Data { path: self.path.to_path_buf(), detail }
     }
 }
 
@@ -250,8 +253,7 @@ fn non_finite_row(line: &str, element: &ElementDef) -> Option<RowValues> {
 
 /// The error for a row with a value that it cannot have.
 pub(super) fn value_error(path: &Path, element: &str, row: usize, detail: &str) -> PlyError {
-    let detail = format!("row {row} of `{element}`: {detail}; correct that row or export the scene again");
-    PlyError::Data { path: path.to_path_buf(), detail }
+    content_error(path, format!("row {row} of `{element}`: {detail}; correct that row or export the scene again"))
 }
 
 /// Shortens a message of the parser to one line without control characters, because the parser quotes whole lines, whatever
@@ -277,19 +279,17 @@ fn header_detail(message: &str) -> String {
 }
 
 fn parse_header(path: &Path, text: &[u8]) -> Result<Header, PlyError> {
-    let broken = |detail: String| PlyError::Header { path: path.to_path_buf(), detail };
     // Comments may be in any encoding, and everything else is ascii.
     let text = String::from_utf8_lossy(text);
     let header = Parser::<DefaultElement>::new()
         .read_header(&mut Reader::new(text.as_bytes()))
-        .map_err(|error| broken(header_detail(&error.to_string())))?;
+        .map_err(|error| header_error(path, &header_detail(&error.to_string())))?;
     // The parser keeps the last of two equal names, so every row would be misread.
     let declared = |keyword: &str| text.lines().filter(|line| line.split_whitespace().next() == Some(keyword)).count();
     let properties = header.elements.values().map(|element| element.properties.len()).sum::<usize>();
     if declared("element") != header.elements.len() || declared("property") != properties {
-        return Err(broken(
-            "two elements or two properties of an element have the same name, expected each once".into(),
-        ));
+        let detail = "two elements or two properties of an element have the same name, expected each once";
+        return Err(header_error(path, detail));
     }
     Ok(header)
 }
@@ -297,7 +297,7 @@ fn parse_header(path: &Path, text: &[u8]) -> Result<Header, PlyError> {
 pub(crate) fn vertex<'a>(path: &Path, header: &'a Header) -> Result<&'a ElementDef, PlyError> {
     header.elements.get(VERTEX).ok_or_else(|| {
         let found = quoted(header.elements.keys());
-        layout_error(path, format!("no element `vertex`, found {found}; export a scene as a Gaussian splatting PLY"))
+        content_error(path, format!("no element `vertex`, found {found}; export a scene as a Gaussian splatting PLY"))
     })
 }
 
@@ -318,7 +318,7 @@ pub(crate) fn require(path: &Path, vertex: &ElementDef, properties: &[&str]) -> 
             "property `{}` of `vertex` is a list, expected one number per row; remove it or export it as scalars",
             brief(&list.name)
         );
-        return Err(layout_error(path, detail));
+        return Err(content_error(path, detail));
     }
     match properties.iter().find(|&&name| !vertex.properties.contains_key(name)) {
         Some(property) => Err(missing_property(path, property, vertex.properties.keys())),
@@ -332,7 +332,7 @@ pub(super) fn missing_property<'a>(path: &Path, property: &str, found: impl Iter
          layout, and points with `x`, `y` and `z`",
         quoted(found)
     );
-    layout_error(path, detail)
+    content_error(path, detail)
 }
 
 /// Minimum size of a row, bytes.

@@ -6,7 +6,7 @@ use glam::DVec3;
 use ply_rs_bw::ply::{ElementDef, Header};
 
 use super::frame::world_frame;
-use super::read::{PlyReader, layout_error, missing_property, require, vertex};
+use super::read::{PlyReader, content_error, missing_property, require, vertex};
 use super::row::{REQUIRED, degree_of_rest, further_groups, group_names, push_row, rest_names};
 use super::{PlyError, WorldFrame};
 use crate::gaussians::GaussianRows;
@@ -57,7 +57,7 @@ fn check_properties(path: &Path, vertex: &ElementDef) -> Result<(usize, Vec<Stri
             "{count} properties `f_rest_*`, expected 0, 9, 24, 45 or 72 (degree 0 to 4); export all coefficients of the \
              scene or none"
         );
-        layout_error(path, detail)
+        content_error(path, detail)
     })?;
     let names: Vec<String> = REQUIRED.iter().map(|name| name.to_string()).chain(rest_names(count)).collect();
     match names.iter().find(|name| !vertex.properties.contains_key(*name)) {

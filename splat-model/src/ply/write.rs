@@ -29,7 +29,7 @@ use crate::replace::{WRITE, replace};
 pub fn write(path: &Path, rows: &GaussianRows, world: impl Into<WorldFrame>) -> Result<(), PlyError> {
     let world = world.into();
     check(path, rows, world)?;
-    write_parts(path, (rows.len(), rows.sh_degree), [rows], world)
+    write_parts(path, rows.len(), rows.sh_degree, [rows], world)
 }
 
 /// Writes a scene of `count` Gaussians of degree `sh_degree` that come in parts, as [`write()`] writes it whole.
@@ -38,7 +38,8 @@ pub fn write(path: &Path, rows: &GaussianRows, world: impl Into<WorldFrame>) -> 
 /// Those of [`write()`]; [`PlyError::Io`] if a part does not fit together or has another degree, or if all parts have more or fewer Gaussians.
 pub fn write_parts<R: Borrow<GaussianRows>>(
     path: &Path,
-    (count, sh_degree): (usize, usize),
+    count: usize,
+    sh_degree: usize,
     parts: impl IntoIterator<Item = R>,
     world: impl Into<WorldFrame>,
 ) -> Result<(), PlyError> {
@@ -51,7 +52,7 @@ pub fn write_parts<R: Borrow<GaussianRows>>(
         if let Some(name) = twice(&groups) {
             return Err(io::Error::other(format!("groups give two properties the name `{name}`, expected one each")));
         }
-        write_header(out, count, (sh_degree, &groups), world)?;
+        write_header(out, count, sh_degree, &groups, world)?;
         let (mut left, mut usable) = (count, 0);
         for part in parts {
             let part = part.borrow();
@@ -125,15 +126,15 @@ fn twice(groups: &[GroupRows]) -> Option<String> {
 /// # Errors
 /// If `out` cannot be written to.
 pub fn write_to(out: &mut impl Write, rows: &GaussianRows, world: impl Into<WorldFrame>) -> io::Result<()> {
-    write_header(out, rows.len(), (rows.sh_degree, &rows.groups), world.into())?;
+    write_header(out, rows.len(), rows.sh_degree, &rows.groups, world.into())?;
     write_rows(out, rows)
 }
 
-/// Writes the header of a file with `count` Gaussians.
 pub(super) fn write_header(
     out: &mut impl Write,
     count: usize,
-    (sh_degree, groups): (usize, &[GroupRows]),
+    sh_degree: usize,
+    groups: &[GroupRows],
     world: WorldFrame,
 ) -> io::Result<()> {
     let properties = names(sh_degree).into_iter().chain(group_names(groups));

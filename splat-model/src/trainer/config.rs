@@ -151,12 +151,8 @@ impl TrainConfig {
     /// # Errors
     /// If effects on ellipses are combined with a render that has no ellipses.
     pub fn check(&self) -> Result<(), TrainError> {
-        if self.along_rays() && self.optics.any() { Err(TrainError::Ellipses) } else { Ok(()) }
-    }
-
-    /// Whether pixels are rendered along their rays.
-    fn along_rays(&self) -> bool {
-        self.dials.apply(RenderOptions::standard()).projection != Projection::Affine
+        let along_rays = self.dials.apply(RenderOptions::standard()).projection != Projection::Affine;
+        if along_rays && self.optics.any() { Err(TrainError::Ellipses) } else { Ok(()) }
     }
 }
 

@@ -7,7 +7,7 @@
 use burn::tensor::{Bool, Gradients as Remaining, Int, Tensor};
 use splat_op::{Extras, Rendered};
 
-use super::checked::{Wrong, first_wrong};
+use super::checked::first_wrong;
 use super::{LossInputs, TrainError, Trainer};
 use crate::density::rows::Gradients;
 use crate::density::{Observed, Signals};
@@ -146,8 +146,8 @@ impl Trainer {
         Ok(mean_of(inputs.iter().map(RenderInput::render).collect::<Result<_, _>>()?))
     }
 
-    /// Renders a view once more, stage by stage. Returns the first output that is not valid, if there is one.
-    pub(super) fn diagnose(&mut self, view: usize) -> Option<Wrong> {
+    /// Renders a view once more, stage by stage. Says which output is not finite first, if one is.
+    pub(super) fn first_wrong(&mut self, view: usize) -> Option<String> {
         let prepared = self.prepare(view, None).ok()?;
         self.effects.samples(prepared.input, prepared.at).iter().find_map(first_wrong)
     }

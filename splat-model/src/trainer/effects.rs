@@ -34,7 +34,7 @@ pub(super) fn of(
     }
     if config.optics.any() {
         let cameras: Vec<Intrinsics> = photos.iter().map(|photo| photo.intrinsics).collect();
-        stack.put(Optics::new(config.optics, &cameras, extent, device)?);
+        stack.put(Optics::new(config.optics, &cameras, extent, device).map_err(TrainError::Optics)?);
     }
     if let Backdrop::Learned | Backdrop::Environment { .. } = config.backdrop
         && let Some(photo) = photos.iter().find(|photo| photo.has_alpha)

@@ -1,12 +1,11 @@
 //! Errors of a run.
 
-use splat_op::SplatError;
+use splat_op::{CameraModel, SplatError};
 use thiserror::Error;
 
 use super::Resolution;
 use super::ranks::RankError;
 use crate::capture::{CaptureError, PointsSeen};
-use crate::effects::optics::LensError;
 use crate::gaussians::RowsError;
 use crate::state::StateError;
 
@@ -48,8 +47,11 @@ pub enum TrainError {
     )]
     LearntBackground(String),
     /// A rolling shutter with a lens.
-    #[error("{0}")]
-    Optics(#[from] LensError),
+    #[error(
+        "the camera model is {0:?}, and rolling shutters are simulated for Pinhole only: undistort the photographs, or train \
+         without `rolling-shutter`"
+    )]
+    Optics(CameraModel),
     /// The render operation rejected its inputs.
     #[error(transparent)]
     Op(#[from] SplatError),

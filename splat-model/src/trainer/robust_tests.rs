@@ -107,7 +107,7 @@ fn a_twentieth_of_bad_rows_moves_no_statistic_and_no_decision() {
     for point in 0..clean.points.positions.len() {
         let wrong = |observation: &crate::capture::Observation| {
             let at_px = if point % 20 == 0 { observation.at_px.map(|px| 96.0 - px) } else { observation.at_px };
-            Some(crate::capture::Observation { at_px, ..*observation })
+            crate::capture::Observation { at_px, ..*observation }
         };
         tracks.push(clean.tracks.of(point).iter().map(wrong).collect::<Vec<_>>(), 0.1);
     }

@@ -12,7 +12,6 @@ use crate::effects::Effect;
 use crate::gaussians::{BASE_GROUPS, Group};
 use crate::state::{State, StateError};
 
-/// State of a random number generator.
 #[derive(Serialize, Deserialize)]
 struct RandomState {
     seed: [u8; 32],
@@ -98,7 +97,6 @@ impl Trainer {
         Ok(())
     }
 
-    /// Names and sizes of the photographs.
     fn photographs(&self) -> Vec<(String, [usize; 2])> {
         (0..self.views.len()).map(|view| (self.views.name(view).to_owned(), self.views.full_size(view))).collect()
     }

@@ -17,7 +17,6 @@ use crate::loss::Truth;
 /// Smallest side of reduced pictures, px. The window of SSIM has eleven.
 pub(super) const SMALLEST_SIDE: usize = 32;
 
-/// A training photograph.
 struct TrainingView {
     photograph: Photograph,
     /// The camera at the run's current size, and its given pose.
@@ -31,7 +30,6 @@ struct TrainingView {
     excluded: Option<Tensor<3, Bool>>,
 }
 
-/// All photographs of a run.
 pub(super) struct Views {
     views: Vec<TrainingView>,
     background: [f32; 3],
@@ -94,7 +92,6 @@ impl Views {
         &self.views[view].camera
     }
 
-    /// The given pose of a view.
     pub fn pose(&self, view: usize) -> &DAffine3 {
         &self.views[view].photograph.cam_from_world
     }
@@ -183,7 +180,9 @@ impl Views {
         }
         let excluded = self.excluded(view)?;
         // Photographs over a fixed background are packed only where not all of them fit prepared.
-        let packs = drawn.is_none() && self.packs && self.prepared_bytes() > self.cache;
+        let packs = drawn.is_none()
+            && self.packs
+            && self.views.iter().map(|view| prepared_bytes(&view.camera)).sum::<usize>() > self.cache;
         let background = drawn.unwrap_or(self.background);
         let packed = if packs || drawn.is_some() { self.packed(view)? } else { None };
         let picture = match packed {
@@ -216,11 +215,6 @@ impl Views {
         let fits = bytes <= self.cache_left;
         self.cache_left -= if fits { bytes } else { 0 };
         fits
-    }
-
-    /// Size of all prepared photographs at the run's current size, bytes.
-    fn prepared_bytes(&self) -> usize {
-        self.views.iter().map(|view| prepared_bytes(&view.camera)).sum()
     }
 }
 

@@ -10,6 +10,7 @@ mod depth;
 mod geometry;
 mod grade;
 mod light;
+mod model;
 mod options;
 mod picture;
 mod points;
@@ -27,10 +28,11 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
-use splat_model::capture::{CaptureError, View, write_binary_with_tracks};
+use splat_model::capture::View;
 use thiserror::Error;
 
 use self::light::LitScene;
+pub use self::model::write_model;
 pub use self::options::DemoOptions;
 use self::scene::DemoScene;
 pub use self::shot::gains;
@@ -67,9 +69,6 @@ pub enum DemoError {
         /// The system's reason.
         source: io::Error,
     },
-    /// The COLMAP model could not be stored.
-    #[error(transparent)]
-    Model(#[from] CaptureError),
 }
 
 /// Writes the demo capture into `folder`, which is created; files of the same names are replaced.
@@ -132,7 +131,7 @@ pub fn write(folder: &Path, options: &DemoOptions) -> Result<(), DemoError> {
         store(&folder.join(TRUTH), &truth::json(&views, &shots))?;
     }
     let (points, tracks) = points::sample(&scene, &shots, options);
-    Ok(write_binary_with_tracks(folder, &views, &points, &tracks)?)
+    write_model(folder, &views, &points, &tracks)
 }
 
 const IMAGES: &str = "images";

@@ -1,12 +1,13 @@
 //! Temporary folders for cases that read and write files.
 
+use std::error::Error;
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::process;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use splat_demo::{DemoError, DemoOptions, write};
+use splat_demo::{DemoOptions, write};
 use splat_model::capture::{Capture, CaptureError, Photo, load_all};
 
 /// A folder that is removed when it is dropped.
@@ -43,7 +44,7 @@ impl Drop for TemporaryFolder {
 ///
 /// # Errors
 /// If the capture cannot be written or read.
-pub fn demo(folder: &Path, options: &DemoOptions) -> Result<(Capture, Vec<Photo>), DemoError> {
+pub fn demo(folder: &Path, options: &DemoOptions) -> Result<(Capture, Vec<Photo>), Box<dyn Error>> {
     write(folder, options)?;
     let capture = Capture::load(folder)?;
     let photos = photographs(&capture)?;

@@ -133,7 +133,7 @@ impl FuzzTarget for Scenes {
 
     fn read(&mut self) -> Result<String, String> {
         match formats::read(&self.path()) {
-            Ok((SceneFile { rows, origin, metres_per_unit, antialiased, .. }, format)) => {
+            Ok((SceneFile { rows, origin, metres_per_unit, trained, .. }, format)) => {
                 rows.check().map_err(|error| error.to_string())?;
                 let sized = metres_per_unit.is_none_or(|metres| metres.is_finite() && metres > 0.0);
                 if !sized
@@ -143,7 +143,10 @@ impl FuzzTarget for Scenes {
                     return Err(format!("origin {origin}, {metres_per_unit:?} m, {format}"));
                 }
                 let (count, unusable) = (bucket(rows.len()), rows.unusable() > 0);
-                Ok(format!("accepted: {format}, 2^{count} of degree {}, {unusable}, {antialiased}", rows.sh_degree))
+                Ok(format!(
+                    "accepted: {format}, 2^{count} of degree {}, {unusable}, {}",
+                    rows.sh_degree, trained.antialias
+                ))
             }
             Err(error) => {
                 let message = error.to_string();

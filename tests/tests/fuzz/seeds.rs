@@ -4,7 +4,8 @@ use std::fs;
 use std::path::Path;
 
 use glam::{DAffine3, DQuat, DVec3};
-use splat_model::capture::{PointCloud, View, write_binary};
+use splat_demo::write_model;
+use splat_model::capture::{PointCloud, View};
 use splat_model::gaussians::{GaussianRows, GroupOptions, GroupRows};
 use splat_model::ply;
 use splat_op::{CameraModel, Intrinsics};
@@ -107,9 +108,9 @@ pub fn model(folder: &Path) -> SeedModel {
         positions: (0..4).map(|i| [i as f32, 0.5, -1.0]).collect(),
         colours: (0..4).map(|i| [i, 100, 255]).collect(),
     };
-    write_binary(folder, &[0, 1, 2].map(view), &points).expect("the folder can be written to");
+    write_model(folder, &[0, 1, 2].map(view), &points, &Default::default()).expect("the folder can be written to");
     let read = |name: &str| fs::read(folder.join("sparse/0").join(name)).expect("written above");
-    // The writer does not support tracks: the last photograph gets two keypoints, and the last point gets two observations in it
+    // The last photograph gets two keypoints, and the last point gets two observations in it
     // and one elsewhere.
     let [cameras, mut images, mut points] = ["cameras.bin", "images.bin", "points3D.bin"].map(read);
     images.truncate(images.len() - 8);

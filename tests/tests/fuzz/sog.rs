@@ -4,6 +4,7 @@ use std::fs;
 use std::path::PathBuf;
 
 use splat_model::formats::{self, Format, SceneFile};
+use splat_model::ply::TrainedAs;
 
 use super::engine::{FuzzTarget, folder};
 use super::seeds::rows;
@@ -21,8 +22,8 @@ impl Sog {
     pub fn new(name: &str) -> Self {
         let folder = folder(name);
         let path = folder.join("scene.sog");
-        let scene =
-            SceneFile { rows: rows(3, 3), origin: [1.0, 2.0, 3.0].into(), antialiased: true, ..SceneFile::default() };
+        let trained = TrainedAs { antialias: true, ..TrainedAs::default() };
+        let scene = SceneFile { rows: rows(3, 3), origin: [1.0, 2.0, 3.0].into(), trained, ..SceneFile::default() };
         formats::write(&path, &scene, Format::Sog).expect("the folder can be written to");
         let file = fs::File::open(&path).expect("written above");
         let mut archive = zip::ZipArchive::new(file).expect("written above");

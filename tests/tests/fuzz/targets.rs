@@ -359,11 +359,9 @@ impl FuzzTarget for Colmap {
             Ok(capture) => {
                 Self::judge(&capture)?;
                 let (views, points) = (bucket(capture.views.len()), bucket(capture.points.positions.len()));
-                let (found, lost) = (bucket(capture.tracks.observations()), bucket(capture.tracks.dangling()));
+                let found = bucket(capture.tracks.observations());
                 let far = capture.origin != DVec3::ZERO;
-                Ok(format!(
-                    "accepted: 2^{views} views, 2^{points} points, observations 2^{found} and 2^{lost}, origin {far}"
-                ))
+                Ok(format!("accepted: 2^{views} views, 2^{points} points, 2^{found} observations, origin {far}"))
             }
             Err(error) => {
                 let message = error.to_string();

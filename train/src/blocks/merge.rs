@@ -70,7 +70,6 @@ pub fn merge(args: &MergeArgs) -> Result<()> {
         rows: merged,
         origin: capture.origin,
         metres_per_unit: capture.world_frame().metres_per_unit,
-        antialiased: trained.antialias,
         trained,
     };
     formats::write(&args.out, &scene, format)?;

@@ -163,12 +163,8 @@ fn counts(args: &PlanArgs, total: usize) -> (usize, usize) {
 /// The options that all lines share. What depends on the capture is decided now, on the whole of it, so that all blocks agree.
 fn common_options(args: &PlanArgs, training: &TrainArgs, capture: &Capture, splats: usize) -> Result<Vec<String>> {
     let (split, _) = training.photos.split(capture);
-    let chosen = training.effects.choose(
-        capture,
-        &split.train,
-        training.model.antialias.unwrap_or_default(),
-        training.photos.max_side,
-    )?;
+    let antialias = training.model.antialias.unwrap_or_default();
+    let chosen = training.effects.choose(capture, &split.train, antialias)?;
     let apart = [EffectKind::Environment, EffectKind::PoseRefinement];
     for effect in apart.iter().filter(|effect| chosen.has(**effect)) {
         progress::note(&format!(

@@ -126,7 +126,7 @@ pub fn of_scene(path: &Path) -> Result<SceneInfo> {
         sh_degree: rows.sh_degree,
         groups: rows.groups.iter().map(|group| (group.name.clone(), group.width)).collect(),
         origin: scene.origin.to_array(),
-        trained: TrainedAs { antialias: scene.antialiased, ..scene.trained },
+        trained: scene.trained,
         bounds: bounds(means.iter().map(|mean| mean.map(f64::from))),
         bulk: bulk.map(|bulk| Bounds { low: bulk.low, high: bulk.high }),
         sigma: of(&|row| f64::from(longest(row)).exp()),

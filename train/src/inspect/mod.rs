@@ -6,10 +6,9 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use anyhow::Result;
-use clap::value_parser;
 use serde::Serialize;
 use splat_model::capture::{Capture, PointsSeen, Scale};
-use splat_model::effects::plan::{self, Cost, Decision, EffectVerdict, Plan, slowness};
+use splat_model::effects::plan::{self, Decision, EffectVerdict, Plan};
 use splat_model::effects::survey::{Survey, ViewExposure};
 
 use self::describe::CaptureInfo;
@@ -28,9 +27,6 @@ const CHART_LINES: usize = 60;
 pub struct InspectArgs {
     /// Scene file, or folder of a capture
     pub path: PathBuf,
-    /// Of a capture: predict costs for photographs whose longer side is at most this, px, as `splat train --max-side` has them
-    #[arg(long, value_name = "PX", value_parser = value_parser!(u32).range(1..))]
-    pub max_side: Option<u32>,
     /// Print the report as JSON
     #[arg(long)]
     pub json: bool,
@@ -70,10 +66,7 @@ pub fn run(args: &InspectArgs) -> Result<()> {
     // The description names what is missing.
     let is_whole = capture.check_photographs(&all).is_ok();
     let survey = if is_whole { Some(Survey::of(&capture)?) } else { None };
-    let plan = match &survey {
-        Some(survey) => Some(Plan::of(survey, capture.mean_pixels(&all, args.max_side), slowness()?)),
-        None => None,
-    };
+    let plan = survey.as_ref().map(Plan::from);
     if args.json {
         progress::say(&serde_json::to_string_pretty(&CaptureReport {
             info: &info,
@@ -112,11 +105,7 @@ fn line(decision: &Decision) -> String {
         EffectVerdict::Off => "off",
         EffectVerdict::AsConfigured => "as configured",
     };
-    let cost = decision.predicted.filter(|_| decision.verdict == EffectVerdict::On).map_or(String::new(), |cost| {
-        let Cost { ms_per_step, mib } = cost;
-        format!("\n{:18}  predicted cost: {ms_per_step:.1} ms a step, {mib:.2} MiB", "")
-    });
-    format!("{:18}  {verdict}: {}\n{:18}  ({}){cost}", decision.name, decision.evidence, "", decision.rule)
+    format!("{:18}  {verdict}: {}\n{:18}  ({})", decision.name, decision.evidence, "", decision.rule)
 }
 
 /// Chart of the photographs' exposure. A bar of `#` to the left of the middle means darker than the capture's median,

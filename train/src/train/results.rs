@@ -113,7 +113,7 @@ pub fn write(setup: &Setup, trainer: Trainer, test: &[Photograph], load_s: f64, 
 
 /// Writes the trained scene. Returns the number of its Gaussians that cannot be rendered.
 fn write_scene(trainer: &Trainer, capture: &Capture, path: &Path) -> Result<usize, PlyError> {
-    let scene = (trainer.gaussians().len(), trainer.gaussians().sh_degree());
+    let (count, sh_degree) = (trainer.gaussians().len(), trainer.gaussians().sh_degree());
     let mut unusable = 0;
     let parts = trainer.parts_of_rows().inspect(|part| unusable += part.unusable());
     let config = trainer.config();
@@ -123,7 +123,7 @@ fn write_scene(trainer: &Trainer, capture: &Capture, path: &Path) -> Result<usiz
         background: trainer.background().colour(),
         environment: matches!(config.backdrop, Backdrop::Environment { .. }),
     };
-    ply::write_parts(path, scene, parts, WorldFrame { trained, ..capture.world_frame() })?;
+    ply::write_parts(path, count, sh_degree, parts, WorldFrame { trained, ..capture.world_frame() })?;
     Ok(unusable)
 }
 

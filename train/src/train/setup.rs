@@ -79,7 +79,7 @@ impl Setup {
         args.cameras.scale(&mut capture)?;
 
         let max_side = args.photos.max_side;
-        let effects = args.effects.choose(&capture, &train, args.model.antialias.unwrap_or_default(), max_side)?;
+        let effects = args.effects.choose(&capture, &train, args.model.antialias.unwrap_or_default())?;
         effects.configure(&mut config, args.background, args.sh_degree);
         config.density = config.density.focused(capture.focus.map(Focus::on));
         if args.start.is_none() && is_random(&capture, &train, max_side) {

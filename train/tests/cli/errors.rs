@@ -164,11 +164,12 @@ fn no_views_to_test_or_train_on() {
 
 #[test]
 fn a_single_photograph_cannot_be_split() {
-    use splat_model::capture::{Capture, write_binary};
+    use splat_demo::write_model;
+    use splat_model::capture::Capture;
 
     let capture = copy();
     let read = Capture::load(capture.path()).unwrap();
-    write_binary(capture.path(), &read.views[..1], &read.points).unwrap();
+    write_model(capture.path(), &read.views[..1], &read.points, &Default::default()).unwrap();
     refuse_capture(capture.path(), &["the 1 view is held out", "`--test-every 0`", "add photographs"]);
 }
 

@@ -4,7 +4,8 @@ use std::fs;
 use std::path::Path;
 
 use glam::DVec3;
-use splat_model::capture::{Capture, write_binary};
+use splat_demo::write_model;
+use splat_model::capture::Capture;
 use splat_model::ply;
 
 use crate::run::{DEMO, TRAIN, TRAINED, splat, succeed};
@@ -26,7 +27,7 @@ fn moved_capture(folder: &Path, offset: [f64; 3]) {
         let rotated = view.cam_from_world.matrix3 * offset_world;
         view.cam_from_world.translation -= rotated;
     }
-    write_binary(folder, &capture.views, &Default::default()).unwrap();
+    write_model(folder, &capture.views, &Default::default(), &Default::default()).unwrap();
     fs::create_dir(folder.join("images")).unwrap();
     for view in &capture.views {
         fs::copy(&view.image_path, folder.join("images").join(&view.name)).unwrap();

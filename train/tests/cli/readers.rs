@@ -8,6 +8,7 @@ use std::process::Command;
 use serde_json::Value;
 use splat_model::formats::{self, Format, QuantisationError, SceneFile};
 use splat_model::gaussians::GaussianRows;
+use splat_model::ply::TrainedAs;
 
 use crate::run::{TRAINED, splat, succeed};
 use crate::text;
@@ -78,8 +79,7 @@ fn three_and_the_validator_of_khronos_accept_our_gltf() {
         rows: scene(),
         origin: [1e6, 0.0, 0.0].into(),
         metres_per_unit: Some(0.5),
-        antialiased: true,
-        ..SceneFile::default()
+        trained: TrainedAs { antialias: true, ..TrainedAs::default() },
     };
     formats::write(&path, &scene, Format::Glb).unwrap();
     let found: Value = serde_json::from_str(&node(&folder, &["glb.mjs", text(&path)])).unwrap();

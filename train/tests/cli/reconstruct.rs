@@ -7,7 +7,8 @@ use std::process::{Command, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-use splat_model::capture::{Capture, View, write_binary};
+use splat_demo::write_model;
+use splat_model::capture::{Capture, View};
 use splat_model::formats;
 use tempfile::TempDir;
 
@@ -44,7 +45,7 @@ impl Alone {
         for (i, &size) in sizes.iter().enumerate() {
             let folder = tempfile::tempdir().unwrap();
             let views: Vec<View> = capture.views[..size].to_vec();
-            write_binary(folder.path(), &views, &capture.points).unwrap();
+            write_model(folder.path(), &views, &capture.points, &Default::default()).unwrap();
             copy_model(&folder.path().join("sparse/0"), &alone.path(&format!("models/{i}")));
         }
         alone

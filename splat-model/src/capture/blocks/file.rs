@@ -135,12 +135,10 @@ impl BlockFile {
     }
 }
 
-/// Whether the folder is a block's.
 pub(in crate::capture) fn is_there(folder: &Path) -> bool {
     folder.join(BLOCK).is_file()
 }
 
-/// See [`Capture::load`].
 pub(in crate::capture) fn load(folder: &Path) -> Result<Capture, CaptureError> {
     let block = BlockFile::read(folder)?;
     let (file, whole) = (folder.join(BLOCK), block.capture_folder(folder));

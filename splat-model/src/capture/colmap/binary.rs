@@ -21,7 +21,6 @@ const POINT_BYTES: usize = 8 + 3 * 8 + 3 + 8 + 8;
 /// Bytes of an element of a track: image, keypoint.
 const TRACK_BYTES: usize = 4 + 4;
 
-/// The entries of `cameras.bin`.
 pub(super) fn cameras(file: &Path, bytes: &[u8]) -> Result<Vec<CameraRecord>, CaptureError> {
     let mut reader = BinaryReader { file, kind: "camera", entry: 0, rest: bytes };
     let mut last = None;
@@ -57,7 +56,6 @@ pub(super) fn cameras(file: &Path, bytes: &[u8]) -> Result<Vec<CameraRecord>, Ca
     }
 }
 
-/// The entries of `images.bin`.
 pub(super) fn images(file: &Path, bytes: &[u8]) -> Result<Vec<ImageRecord>, CaptureError> {
     BinaryReader { file, kind: "image", entry: 0, rest: bytes }.entries(IMAGE_BYTES, |input| {
         let id = u32::from_le_bytes(input.take("IMAGE_ID")?);
@@ -76,7 +74,6 @@ pub(super) fn images(file: &Path, bytes: &[u8]) -> Result<Vec<ImageRecord>, Capt
     })
 }
 
-/// The entries of `points3D.bin`.
 pub(super) fn points(file: &Path, bytes: &[u8]) -> Result<Vec<PointRecord>, CaptureError> {
     BinaryReader { file, kind: "point", entry: 0, rest: bytes }.entries(POINT_BYTES, |input| {
         input.take::<8>("POINT3D_ID")?;
@@ -190,6 +187,6 @@ impl<'a> BinaryReader<'a> {
     }
 
     fn damaged(&self, detail: String) -> CaptureError {
-        CaptureError::Damaged { file: self.file.to_owned(), detail }
+        CaptureError::content(self.file, detail)
     }
 }

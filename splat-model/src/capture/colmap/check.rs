@@ -16,8 +16,13 @@ impl Place<'_> {
 
     /// The error for a camera model that cannot be read or written.
     pub(super) fn unsupported(&self, model: &str) -> CaptureError {
-        let model = quoted(model).trim_matches('"').to_owned();
-        CaptureError::Model { file: self.file.to_owned(), place: self.to_string(), model }
+        let detail = format!(
+            "{self}: the camera model is {}, which is not supported, while the pinhole, radial, OPENCV and fisheye models are. Remove the lens \
+             distortion with `colmap image_undistorter` and use the folder that it writes, or reconstruct with another \
+             `--ImageReader.camera_model`",
+            quoted(model).trim_matches('"')
+        );
+        CaptureError::content(self.file, detail)
     }
 
     /// Checks and converts a camera; `parameters` are in the model's order.

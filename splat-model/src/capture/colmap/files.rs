@@ -5,7 +5,6 @@ use std::path::{Path, PathBuf};
 
 use super::{CaptureError, binary, parse, text};
 
-/// The folder of the models.
 pub(in crate::capture) const SPARSE: &str = "sparse";
 
 /// The paths of a model's files, each binary or text by its extension.

@@ -62,12 +62,4 @@ impl ColmapCameraModel {
     pub fn by_name(name: &str) -> Option<Self> {
         MODELS.iter().find(|(known, _)| *known == name)?.1
     }
-
-    /// The COLMAP model and id that can express any of our models' coefficients.
-    pub fn full(ours: CameraModel) -> Option<(i32, Self)> {
-        let complete = |model: &ColmapCameraModel| {
-            model.ours == ours && model.focals == 2 && model.coefficients == ours.coefficients()
-        };
-        (0..).zip(MODELS).find_map(|(number, (_, model))| Some((number, model.filter(complete)?)))
-    }
 }

@@ -7,7 +7,6 @@ use super::{CameraRecord, ImageRecord, PointRecord, TrackElement};
 use crate::capture::CaptureError;
 use crate::capture::read::{Place, PlaceInFile, quoted};
 
-/// The entries of `cameras.txt`.
 pub(super) fn cameras(file: &Path, bytes: &[u8]) -> Result<Vec<CameraRecord>, CaptureError> {
     let entries = lines(file, "camera", bytes)?.filter(is_entry);
     entries
@@ -26,7 +25,6 @@ pub(super) fn cameras(file: &Path, bytes: &[u8]) -> Result<Vec<CameraRecord>, Ca
         .collect()
 }
 
-/// The entries of `images.txt`.
 pub(super) fn images(file: &Path, bytes: &[u8]) -> Result<Vec<ImageRecord>, CaptureError> {
     let mut lines = lines(file, "image", bytes)?;
     let mut images = Vec::new();
@@ -45,7 +43,6 @@ pub(super) fn images(file: &Path, bytes: &[u8]) -> Result<Vec<ImageRecord>, Capt
     Ok(images)
 }
 
-/// The entries of `points3D.txt`.
 pub(super) fn points(file: &Path, bytes: &[u8]) -> Result<Vec<PointRecord>, CaptureError> {
     let entries = lines(file, "point", bytes)?.filter(is_entry);
     entries

@@ -204,19 +204,12 @@ fn tensors_are_in_the_unit_range() {
     let pixels = [Rgba([0, 255, 51, 255]), Rgba([1, 2, 3, 51]), Rgba([0; 4]), Rgba([102; 4])];
     let picture = RgbaImage::from_fn(1, 4, |_, y| pixels[y as usize]);
     let (_folder, view) = saved(&picture.into(), ImageFormat::Png);
-    let photo = load(&view, None).unwrap();
     let device = Device::flex();
-    let (rgb, alpha) = (photo.rgb_tensor(&device), photo.alpha_tensor(&device).unwrap());
-    assert_eq!((rgb.dims(), alpha.dims()), ([4, 1, 3], [4, 1, 1]));
-    assert_eq!(rgb.dtype(), DType::F32);
-    assert_eq!(rgb.into_data().try_to_vec::<f32>().unwrap()[..4], [0.0, 1.0, 0.2, 1.0 / 255.0]);
-    assert_eq!(alpha.into_data().try_to_vec::<f32>().unwrap(), [1.0, 0.2, 0.0, 0.4]);
-}
-
-#[test]
-fn an_opaque_photo_has_no_alpha_tensor() {
-    let (_folder, view) = saved(&gradient(4, 4).into(), ImageFormat::Png);
-    assert!(load(&view, None).unwrap().alpha_tensor(&Device::flex()).is_none());
+    let rgb = load(&view, None).unwrap().rgb_over([0.0, 1.0, 0.0], &device);
+    assert_eq!((rgb.dims(), rgb.dtype()), ([4, 1, 3], DType::F32));
+    let found = rgb.into_data().try_to_vec::<f32>().unwrap();
+    assert_eq!(found[..4], [0.0, 1.0, 0.2, 1.0 / 255.0 * 0.2]);
+    assert_eq!(found[6..9], [0.0, 1.0, 0.0], "the background");
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! Scale from GPS: the similarity that maps camera centres to positions on Earth.
 
-use glam::{DMat3, DQuat, DVec3};
+use glam::{DMat3, DMat4, DQuat, DVec3, DVec4};
 use rand::SeedableRng;
 use rand::seq::index::sample;
 use rand_chacha::ChaCha8Rng;
@@ -25,6 +25,9 @@ const OUTLIER: f64 = 3.0;
 /// three degrees of freedom).
 const MEDIAN_3D: f64 = 1.538_17;
 
+/// Squarings of a matrix, after which eigenvalues that differ by a part in a billion differ by all digits of f64.
+const SQUARINGS: usize = 40;
+
 /// The scale at which the cameras' centres fit the GPS positions of the photographs' EXIF.
 ///
 /// The similarity with the least sum of squares (Horn 1987) is fitted to triples of photographs; the one with the least median of distances
@@ -46,7 +49,10 @@ pub fn from_gps(capture: &Capture) -> Result<Result<Scale, ScaleError>, CaptureE
 fn fitted(pairs: &[(DVec3, Gps)], placed: usize) -> Result<Scale, ScaleError> {
     let found = pairs.len();
     if found < MIN_PHOTOGRAPHS {
-        return Err(ScaleError::TooFewPositions { found, placed, expected: MIN_PHOTOGRAPHS });
+        return Err(ScaleError(format!(
+            "{found} of {placed} placed photographs have a GPS position in EXIF, expected at least {MIN_PHOTOGRAPHS}: switch on the location \
+             in the camera"
+        )));
     }
     // Heights only if all have one: a missing height is not zero.
     let heights = pairs.iter().all(|(_, gps)| gps.altitude_m.is_some());
@@ -63,13 +69,14 @@ fn fitted(pairs: &[(DVec3, Gps)], placed: usize) -> Result<Scale, ScaleError> {
     let variance = sum_squares / (3.0 * n - 7.0);
     let deviation = variance.sqrt() / (similarity.scale * spread.sqrt());
     if !(deviation <= MAX_DEVIATION && super::is_scale(similarity.scale)) {
-        return Err(ScaleError::Noise {
-            photographs: found,
-            percent: (100.0 * deviation).min(1e3),
-            expected_percent: 100.0 * MAX_DEVIATION,
-            residual_m: (sum_squares / n).sqrt(),
-            spread_m: similarity.scale * (spread / n).sqrt(),
-        });
+        return Err(ScaleError(format!(
+            "the GPS positions of {found} photographs determine the scale to ±{:.0}%, expected ±{:.0}% or better: they differ by {:.1} m from \
+             the cameras, which are {:.1} m from their mean; cover more ground",
+            (100.0 * deviation).min(1e3),
+            100.0 * MAX_DEVIATION,
+            (sum_squares / n).sqrt(),
+            similarity.scale * (spread / n).sqrt()
+        )));
     }
     let source = format!("the GPS positions of {} photographs, {} of which fit", found, inliers.len());
     Ok(Scale { metres_per_unit: similarity.scale, relative_deviation: Some(deviation), source })
@@ -151,40 +158,29 @@ impl Similarity {
 }
 
 /// The rotation `R` with the largest `Σ b · R a`, from `Σ b aᵀ`: the eigenvector of the largest eigenvalue of Horn's symmetric 4 × 4
-/// matrix (1987, section 4.A), by Jacobi's rotations.
+/// matrix (1987, section 4.A).
 fn best_rotation(products: DMat3) -> DQuat {
     // `s[a][b]` is the sum of products of the coordinate `a` of the centre and `b` of the place.
     let s = products.to_cols_array_2d();
-    let mut n = [
-        [s[0][0] + s[1][1] + s[2][2], s[1][2] - s[2][1], s[2][0] - s[0][2], s[0][1] - s[1][0]],
-        [0.0, s[0][0] - s[1][1] - s[2][2], s[0][1] + s[1][0], s[2][0] + s[0][2]],
-        [0.0, 0.0, s[1][1] - s[0][0] - s[2][2], s[1][2] + s[2][1]],
-        [0.0, 0.0, 0.0, s[2][2] - s[0][0] - s[1][1]],
-    ];
-    for row in 0..4 {
-        for column in 0..row {
-            n[row][column] = n[column][row];
-        }
-    }
-    let mut vectors = [[0.0; 4]; 4];
-    (0..4).for_each(|i| vectors[i][i] = 1.0);
-    // Ten sweeps reach f64's precision for any 4 × 4 matrix.
-    for (p, q) in (0..10).flat_map(|_| [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)]) {
-        let angle = 0.5 * (2.0 * n[p][q]).atan2(n[q][q] - n[p][p]);
-        let (sin, cos) = angle.sin_cos();
-        let turn = |a: f64, b: f64| (cos * a - sin * b, sin * a + cos * b);
-        for row in &mut n {
-            (row[p], row[q]) = turn(row[p], row[q]);
-        }
-        for column in 0..4 {
-            (n[p][column], n[q][column]) = turn(n[p][column], n[q][column]);
-        }
-        for row in &mut vectors {
-            (row[p], row[q]) = turn(row[p], row[q]);
-        }
-    }
-    let largest = (0..4).max_by(|&a, &b| n[a][a].total_cmp(&n[b][b])).unwrap_or(0);
-    let [w, x, y, z] = vectors.map(|row| row[largest]);
+    let (yz, zx, xy) = (s[1][2] - s[2][1], s[2][0] - s[0][2], s[0][1] - s[1][0]);
+    let (xy_sum, zx_sum, yz_sum) = (s[0][1] + s[1][0], s[2][0] + s[0][2], s[1][2] + s[2][1]);
+    let matrix = DMat4::from_cols_array_2d(&[
+        [s[0][0] + s[1][1] + s[2][2], yz, zx, xy],
+        [yz, s[0][0] - s[1][1] - s[2][2], xy_sum, zx_sum],
+        [zx, xy_sum, s[1][1] - s[0][0] - s[2][2], yz_sum],
+        [xy, zx_sum, yz_sum, s[2][2] - s[0][0] - s[1][1]],
+    ]);
+    let length =
+        |matrix: DMat4| DVec4::from_array(matrix.to_cols_array_2d().map(|c| DVec4::from_array(c).length())).length();
+    // With no eigenvalue below zero, the largest one outgrows the others in a power of the matrix, whose columns are then its eigenvector.
+    let shifted = matrix + DMat4::IDENTITY * length(matrix).max(f64::MIN_POSITIVE);
+    let power = (0..SQUARINGS).fold(shifted, |power, _| {
+        let power = power * length(power).recip();
+        power * power
+    });
+    let columns = power.to_cols_array_2d().map(DVec4::from_array);
+    let [w, x, y, z] =
+        columns.into_iter().max_by(|a, b| a.length().total_cmp(&b.length())).unwrap_or(DVec4::X).to_array();
     DQuat::from_xyzw(x, y, z, w).normalize()
 }
 

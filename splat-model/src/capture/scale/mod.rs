@@ -34,42 +34,10 @@ pub struct Scale {
     pub source: String,
 }
 
-/// A scale that cannot be determined. Each message says what was found and what helps.
+/// A scale that cannot be determined: what was found, and what helps.
 #[derive(Debug, Error)]
-#[non_exhaustive]
-pub enum ScaleError {
-    /// Too few photographs with a known camera have GPS.
-    #[error(
-        "{found} of {placed} placed photographs have a GPS position in EXIF, expected at least {expected}: switch on the \
-         location in the camera, or measure a distance and write {{\"metres_per_unit\": M}} to scale.json in the capture's folder"
-    )]
-    TooFewPositions {
-        /// Photographs with both.
-        found: usize,
-        /// Photographs with a camera.
-        placed: usize,
-        /// The least that is accepted.
-        expected: usize,
-    },
-    /// The GPS positions do not determine the scale.
-    #[error(
-        "the GPS positions of {photographs} photographs determine the scale to ±{percent:.0}%, expected ±{expected_percent:.0}% \
-         or better: they differ by {residual_m:.1} m from the cameras, which are {spread_m:.1} m from their mean; cover more ground, \
-         or measure a distance and write {{\"metres_per_unit\": M}} to scale.json in the capture's folder"
-    )]
-    Noise {
-        /// Photographs with GPS and a camera.
-        photographs: usize,
-        /// Standard deviation of the scale, %.
-        percent: f64,
-        /// The largest that is accepted, %.
-        expected_percent: f64,
-        /// Root mean square distance between positions and cameras, m.
-        residual_m: f64,
-        /// Root mean square distance of the cameras from their mean, m.
-        spread_m: f64,
-    },
-}
+#[error("{0}, or measure a distance and write {{\"metres_per_unit\": M}} to scale.json in the capture's folder")]
+pub struct ScaleError(String);
 
 impl Scale {
     /// Reads `scale.json` in a capture's folder, `None` if there is none.
@@ -81,12 +49,11 @@ impl Scale {
         if !file.exists() {
             return Ok(None);
         }
-        let damaged = |found: String| CaptureError::Damaged {
-            file: file.clone(),
-            detail: format!(
-                "{found}, expected {{\"metres_per_unit\": M}} with a positive number; correct the file, or remove it and give \
-                 the scale again"
-            ),
+        let damaged = |found: String| {
+            let expected = "{\"metres_per_unit\": M} with a positive number";
+            let detail =
+                format!("{found}, expected {expected}; correct the file, or remove it and give the scale again");
+            CaptureError::content(&file, detail)
         };
         let scale: Self = serde_json::from_slice(&read(&file)?).map_err(|error| damaged(error.to_string()))?;
         match is_scale(scale.metres_per_unit) {

@@ -36,7 +36,7 @@ fn capture(offset: DVec3, points: usize, tracked: bool, change: impl Fn(&mut [Vi
     for point in positions.iter().filter(|_| tracked) {
         let seen = |(view, of): (usize, &View)| {
             let at_px = of.intrinsics.px_from_cam(of.cam_from_world.transform_point3(*point))?.as_vec2().to_array();
-            Some(Some(Observation { view, at_px }))
+            Some(Observation { view, at_px })
         };
         tracks.push(views.iter().enumerate().filter_map(seen).collect::<Vec<_>>(), 0.5);
     }

@@ -63,6 +63,17 @@ fn nearest_rotation(matrix: DMat3) -> DMat3 {
 /// Reads a field of a file or a frame.
 type Field = fn(&Fields) -> Option<f64>;
 
+/// The names and fields of a focal length in px and of the angle of view along the same side.
+struct FocalFields {
+    length: (&'static str, Field),
+    angle: (&'static str, Field),
+}
+
+const FOCAL_X: FocalFields =
+    FocalFields { length: ("fl_x", |of| of.fl_x), angle: ("camera_angle_x", |of| of.camera_angle_x) };
+const FOCAL_Y: FocalFields =
+    FocalFields { length: ("fl_y", |of| of.fl_y), angle: ("camera_angle_y", |of| of.camera_angle_y) };
+
 /// The lens fields of a frame: the frame's own, then the file's.
 pub(super) struct Lenses<'a> {
     pub place: Place<'a>,
@@ -80,9 +91,7 @@ impl<'a> Lenses<'a> {
                 (width.unwrap_or(of_width), height.unwrap_or(of_height))
             }
         };
-        let focal_x = self.focal(("fl_x", |of| of.fl_x), ("camera_angle_x", |of| of.camera_angle_x), width)?;
-        let focal_y = self.focal(("fl_y", |of| of.fl_y), ("camera_angle_y", |of| of.camera_angle_y), height)?;
-        let [fx, fy] = match (focal_x, focal_y) {
+        let [fx, fy] = match (self.focal(&FOCAL_X, width)?, self.focal(&FOCAL_Y, height)?) {
             (Some(fx), Some(fy)) => [fx, fy],
             (Some(f), None) | (None, Some(f)) => [f, f],
             (None, None) => {
@@ -115,12 +124,8 @@ impl<'a> Lenses<'a> {
 
     /// A focal length in px, or from the field of view over `side` px, `f = side / (2 tan(angle/2))`. The length takes precedence over
     /// the angle, and the frame over the file.
-    fn focal(
-        &self,
-        (length, length_of): (&'static str, Field),
-        (angle, angle_of): (&'static str, Field),
-        side: usize,
-    ) -> Result<Option<f64>, CaptureError> {
+    fn focal(&self, from: &FocalFields, side: usize) -> Result<Option<f64>, CaptureError> {
+        let FocalFields { length: (length, length_of), angle: (angle, angle_of) } = *from;
         for fields in [self.frame, self.file] {
             if let Some(focal) = length_of(fields) {
                 let right = focal > 0.0 && focal <= MAX_MAGNITUDE;
@@ -178,7 +183,6 @@ impl<'a> Lenses<'a> {
         Ok((model, all))
     }
 
-    /// The name of a supported model.
     fn model(&self) -> Result<&'a str, CaptureError> {
         for fields in [self.frame, self.file] {
             if let Some(name) = fields.camera_model.as_deref() {

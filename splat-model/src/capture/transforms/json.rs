@@ -61,7 +61,6 @@ impl Fields {
     }
 }
 
-/// Reads a file.
 pub(super) fn parse(file: &Path, bytes: &[u8]) -> Result<Fields, CaptureError> {
     let mut input = serde_json::Deserializer::from_slice(bytes);
     let read = serde_path_to_error::deserialize(&mut input);
@@ -74,13 +73,10 @@ pub(super) fn parse(file: &Path, bytes: &[u8]) -> Result<Fields, CaptureError> {
             (Category::Data, Some((found, expected))) => ("value", found, expected),
             _ => ("text", reason, "JSON with numbers that are finite"),
         };
-        CaptureError::Entry {
-            file: file.to_owned(),
-            place: format!("{} on line {line}, column {column}", brief(&path.escape_debug().to_string())),
-            field,
-            found: quoted(found.trim_start_matches("invalid type: ")).into(),
-            expected: expected.into(),
-            fix: "Correct the file, or export it again",
-        }
+        let (path, found) = (brief(&path.escape_debug().to_string()), quoted(found.trim_start_matches("invalid type: ")));
+        let detail = format!(
+            "{path} on line {line}, column {column}: `{field}` is {found}, expected {expected}. Correct the file, or export it again"
+        );
+        CaptureError::content(file, detail)
     })
 }

@@ -1,3 +1,5 @@
+use std::fs;
+
 use image::RgbImage;
 
 use super::super::View;

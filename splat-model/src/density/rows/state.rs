@@ -2,8 +2,9 @@
 
 use burn::tensor::{Device, Tensor};
 
+use super::Trained;
 use super::step::on;
-use super::{Trained, all_rows};
+use crate::density::pick::all_rows;
 use crate::gaussians::{BASE_GROUPS, Gaussians, Group, GroupOptions, SH, joined, parameter, row_blocks};
 use crate::optim::{MomentBits, Moments};
 use crate::state::{State, StateError};
@@ -54,7 +55,7 @@ impl Trained {
         let (mut groups, mut moments) = (Vec::new(), Vec::new());
         let mut count = None;
         for (name, options) in own.into_iter().chain(further) {
-            let (mut group, of_group) = load_group(from, &name, count, (bits, device))?;
+            let (mut group, of_group) = load_group(from, &name, count, bits, device)?;
             count = Some(group.rows());
             group.set_options(options);
             groups.push(group);
@@ -69,7 +70,8 @@ fn load_group(
     from: &mut State,
     name: &str,
     count: Option<usize>,
-    (bits, device): (MomentBits, &Device),
+    bits: MomentBits,
+    device: &Device,
 ) -> Result<(Group, Vec<Moments<2>>), StateError> {
     let plain = device.clone().inner();
     // One array may be too large for the device.
@@ -80,7 +82,7 @@ fn load_group(
         if count.is_some_and(|count| count != rows) || !fits(name, width) {
             return Err(part.shape_error("values", shape.to_vec(), "one that fits the other arrays"));
         }
-        Ok((values, Moments::load_with_bits(part, shape, bits, &at_first)?))
+        Ok((values, Moments::load(part, shape, bits, &at_first)?))
     })?;
     let [count, width] = values.dims();
     let block = |rows: std::ops::Range<usize>| {

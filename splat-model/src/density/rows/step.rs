@@ -6,6 +6,7 @@ use splat_op::adam::{GroupStep, Stepped, has_kernel, step_groups};
 
 use super::{Gradients, Trained};
 use crate::gaussians::{BASE_GROUPS, Group, GroupOptions, SH, parameter};
+use crate::optim::adam::StepAt;
 use crate::optim::moments::{Moments, Stored};
 use crate::optim::{Adam, LearningRates, MomentBits, Rates};
 
@@ -74,7 +75,7 @@ impl Trained {
                 let (param, moments) = (&mut group.blocks[block], &mut moments[block]);
                 let device = param.val().device();
                 if !has_kernel(&grad) || moments.bits() != MomentBits::ThirtyTwo {
-                    let values = adam.step_unless(take(param), grad, rate, moments, (step, verdict));
+                    let values = adam.step_unless(take(param), grad, rate, moments, StepAt { step, verdict });
                     *param = parameter(on(&device, values));
                     continue;
                 }
@@ -107,7 +108,6 @@ pub(super) fn on<const D: usize>(device: &Device, values: Tensor<D>) -> Tensor<D
     if device.is_autodiff() { Tensor::from_inner(values) } else { values }
 }
 
-/// Replaces the values of a parameter.
 pub(super) fn replace<const D: usize>(param: &mut Param<Tensor<D>>, values: Tensor<D>) {
     let device = param.val().device();
     *param = parameter(on(&device, values));

@@ -116,3 +116,10 @@ fn tracks_tell_depths() {
         assert!(nearest < 1e-3, "{nearest}");
     }
 }
+
+impl Depths {
+    /// The least of all known depths.
+    pub(crate) fn least(&self) -> f64 {
+        self.samples.iter().flatten().map(|sample| f64::from(sample.depth)).fold(f64::INFINITY, f64::min)
+    }
+}

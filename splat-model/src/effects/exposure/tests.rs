@@ -1,6 +1,7 @@
 use burn::tensor::{Distribution, Int, TensorData};
 
 use super::*;
+use crate::effects::{Effect, EffectContext};
 use crate::gaussians::values_of;
 
 fn picture(device: &Device) -> Tensor<3> {
@@ -28,9 +29,9 @@ fn identities_change_nothing_and_cost_nothing() {
     let device = Device::flex();
     let mut exposure = Exposure::new(ExposureConfig::default(), 2, &device);
     let image = picture(&device);
-    let shown = apply(&Tensor::from_inner(image.clone()), &exposure.maps.tracked(1)).inner();
+    let shown = apply(&Tensor::from_inner(image.clone()), &exposure.tracked(1)).inner();
     assert_eq!(values_of(shown), values_of(image));
-    assert_eq!(exposure.pull(0).into_scalar::<f32>(), 0.0);
+    assert_eq!(exposure.pulled(0).into_scalar::<f32>(), 0.0);
 }
 
 /// Two photographs of opposite exposures: the mean of their maps is the identity.
@@ -39,7 +40,7 @@ fn the_maps_of_photographs_are_found_around_the_identity() {
     let device = Device::flex();
     let mut exposure = Exposure::new(ExposureConfig { weight: 0.0, ..ExposureConfig::default() }, 2, &device);
     let image = picture(&device);
-    let identity = exposure.maps.neutral();
+    let identity = exposure.neutral();
     let first = Tensor::<2>::from_floats(AFFINE, &device);
     let maps = [first.clone(), identity.clone() * 2.0 - first];
     let truths = maps.clone().map(|map| apply(&image, &map));
@@ -47,15 +48,15 @@ fn the_maps_of_photographs_are_found_around_the_identity() {
     let steps = 1200;
     for step in 1..=steps {
         let view = step % 2;
-        let shown = apply(&tracked, &exposure.maps.tracked(view));
-        let loss = (shown - Tensor::from_inner(truths[view].clone())).square().mean() + exposure.pull(view);
+        let shown = apply(&tracked, &exposure.tracked(view));
+        let loss = (shown - Tensor::from_inner(truths[view].clone())).square().mean() + exposure.pulled(view);
         exposure.step(&mut loss.backward(), EffectContext { view, step, steps, verdict: None });
     }
     let error = |found: Tensor<2>, expected: Tensor<2>| (found - expected).abs().max().into_scalar::<f32>();
     for (view, map) in maps.into_iter().enumerate() {
-        assert!(error(exposure.maps.value(view), map) < 0.01, "{}", exposure.maps.value(view));
+        assert!(error(exposure.value(view), map) < 0.01, "{}", exposure.value(view));
     }
-    let mean = (exposure.maps.value(0) + exposure.maps.value(1)) / 2.0;
+    let mean = (exposure.value(0) + exposure.value(1)) / 2.0;
     assert!(error(mean, identity) < 1e-6);
 }
 
@@ -65,11 +66,11 @@ fn maps_that_move_together_are_set_back() {
     let device = Device::flex();
     let mut exposure = Exposure::new(ExposureConfig::default(), 3, &device);
     for step in 1..=3 {
-        let mut gradients = exposure.maps.tracked(step - 1).sum().backward();
+        let mut gradients = exposure.tracked(step - 1).sum().backward();
         exposure.step(&mut gradients, EffectContext { view: step - 1, step, steps: 10, verdict: None });
     }
     for view in 0..3 {
-        let strayed = (exposure.maps.value(view) - exposure.maps.neutral()).abs().max().into_scalar::<f32>();
+        let strayed = (exposure.value(view) - exposure.neutral()).abs().max().into_scalar::<f32>();
         assert!(strayed < 0.005, "{strayed}: a step is 0.01 to 0.006 long");
     }
 }
@@ -79,7 +80,7 @@ fn a_verdict_holds_a_map_back() {
     let device = Device::flex();
     let mut exposure = Exposure::new(ExposureConfig::default(), 2, &device);
     let verdict = Tensor::<1, Int>::from_data(TensorData::from([4, 1]), &device);
-    let mut gradients = exposure.maps.tracked(0).sum().backward();
+    let mut gradients = exposure.tracked(0).sum().backward();
     exposure.step(&mut gradients, EffectContext { view: 0, step: 5, steps: 10, verdict: Some(&verdict) });
-    assert_eq!(values_of(exposure.maps.value(0)), values_of(exposure.maps.neutral()));
+    assert_eq!(values_of(exposure.value(0)), values_of(exposure.neutral()));
 }

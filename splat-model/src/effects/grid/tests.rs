@@ -1,6 +1,7 @@
 use burn::tensor::{Distribution, TensorData};
 
 use super::*;
+use crate::effects::{Effect, EffectContext};
 use crate::gaussians::values_of;
 
 fn picture(height: usize, width: usize, device: &Device) -> Tensor<3> {
@@ -20,11 +21,11 @@ fn identities_change_nothing_and_cost_nothing() {
     let device = Device::flex();
     let mut grids = Grids::new(GridConfig::default(), 2, &device);
     let image = picture(7, 5, &device);
-    let shown = values_of(apply(&Tensor::from_inner(image.clone()), &grids.grids.tracked(1)).inner());
+    let shown = values_of(apply(&Tensor::from_inner(image.clone()), &grids.tracked(1)).inner());
     for (shown, image) in shown.into_iter().zip(values_of(image)) {
         assert!((shown - image).abs() < 1e-6, "{shown} instead of {image}");
     }
-    assert_eq!(grids.pull(0).into_scalar::<f32>(), 0.0);
+    assert_eq!(grids.pulled(0).into_scalar::<f32>(), 0.0);
 }
 
 /// A vignette, which no single colour map represents.
@@ -49,14 +50,14 @@ fn a_vignette_is_found() {
     let steps = 400;
     for step in 1..=steps {
         let view = step % 2;
-        let shown = apply(&tracked, &grids.grids.tracked(view));
+        let shown = apply(&tracked, &grids.tracked(view));
         let error = (shown - Tensor::from_inner(truths[view].clone())).square().mean();
         errors.push(error.clone().inner().into_scalar::<f32>());
-        let mut gradients = (error + grids.pull(view)).backward();
+        let mut gradients = (error + grids.pulled(view)).backward();
         grids.step(&mut gradients, EffectContext { view, step, steps, verdict: None });
     }
     assert!(errors[steps - 1] < 0.02 * errors[0], "from {} to {}", errors[0], errors[steps - 1]);
-    let mean = (grids.grids.value(0) + grids.grids.value(1)) / 2.0 - grids.grids.neutral();
+    let mean = (grids.value(0) + grids.value(1)) / 2.0 - grids.neutral();
     assert!(mean.abs().max().into_scalar::<f32>() < 1e-5);
 }
 
@@ -102,13 +103,13 @@ fn a_step_is_as_long_as_its_rate_and_rough_grids_cost() {
         let mut up = vec![0.0; MAP * LEVELS * SIDE * SIDE];
         up[5] = 1.0;
         let up = Tensor::<4>::from_data(TensorData::new(up, [MAP, LEVELS, SIDE, SIDE]), &device);
-        let mut gradients = (grids.grids.tracked(1) * Tensor::from_inner(up)).sum().backward();
+        let mut gradients = (grids.tracked(1) * Tensor::from_inner(up)).sum().backward();
         grids.step(&mut gradients, EffectContext { view: 1, step, steps: 10, verdict: None });
-        let moved = values_of(grids.grids.value(1) - grids.grids.neutral());
+        let moved = values_of(grids.value(1) - grids.neutral());
         assert!((moved[5] + rate).abs() < 1e-6 && moved.iter().filter(|moved| **moved != 0.0).count() == 1);
-        let expected = 10.0 * roughness(grids.grids.value(1)).into_scalar::<f32>();
-        let found = grids.pull(1).into_scalar::<f32>();
+        let expected = 10.0 * roughness(grids.value(1)).into_scalar::<f32>();
+        let found = grids.pulled(1).into_scalar::<f32>();
         assert!(expected > 0.0 && (found - expected).abs() < 1e-3 * expected, "{found} instead of {expected}");
-        assert_eq!(grids.pull(0).into_scalar::<f32>(), 0.0);
+        assert_eq!(grids.pulled(0).into_scalar::<f32>(), 0.0);
     }
 }

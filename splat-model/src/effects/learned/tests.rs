@@ -22,7 +22,7 @@ fn a_reach_is_the_unit_of_steps() {
     assert_eq!(values_of(learned.value()), values_of(tensor(start)));
     let loss = (learned.tracked() * Tensor::from_inner(tensor([[1.0, -1.0], [100.0, 0.01]]))).sum();
     // With 4 visits the rate is limited to the largest step.
-    learned.step_within(&mut loss.backward(), (0.5, 1), EffectContext { view: 0, step: 1, steps: 4, verdict: None });
+    learned.step_within(&mut loss.backward(), 0.5, 1, EffectContext { view: 0, step: 1, steps: 4, verdict: None });
     let moved = values_of(learned.value() - tensor(start));
     let expected = [-1.0, 1.0, -1.0, -1.0].into_iter().zip([0.5, 2.0, 0.25, 1.0]);
     for (moved, (sign, reach)) in moved.into_iter().zip(expected) {

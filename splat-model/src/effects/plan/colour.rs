@@ -2,7 +2,7 @@
 
 use super::super::EffectKind;
 use super::super::survey::{GradingEvidence, Survey, ViewDependenceEvidence};
-use super::{Conditions, Cost, Decision, EffectVerdict, MIB, VIEW_DEPENDENCE, decide, known, percent};
+use super::{Decision, EffectVerdict, VIEW_DEPENDENCE, decide, known, percent};
 
 /// Threshold of the brightness differences between photographs, stops of stored values (deviation). Surfaces also look
 /// brighter from some sides than from others, so a smaller difference may belong to the scene.
@@ -27,12 +27,7 @@ pub const VIEW_DEPENDENT_SHARE: f64 = 0.005;
 /// Smallest number of points for a decision on shares of half a percent.
 const FEWEST_COMPARED: usize = 500;
 
-/// The reason for a missing comparison of colours.
 const FEW_POINTS: &str = "too few points are visible in several photographs";
-
-/// Times per step: a constant part, ms, and a part per megapixel, ms.
-const EXPOSURE_MS: (f64, f64) = (0.11, 1.6);
-const GRID_MS: (f64, f64) = (0.3, 5.8);
 
 /// Decides on the degree of the spherical harmonics instead of an effect. Missing harmonics cost more than idle ones, so
 /// the threshold is close above the share that scenes without view-dependent colour show (`docs/EFFECTS.md`).
@@ -54,10 +49,10 @@ pub(super) fn view_dependence(survey: &Survey) -> Decision {
         "harmonics if more than {} of the points differ, else one colour for all directions; `--sh-degree` overrides this",
         percent(VIEW_DEPENDENT_SHARE)
     );
-    Decision { name: VIEW_DEPENDENCE, effect: None, verdict, evidence, rule, predicted: None }
+    Decision { name: VIEW_DEPENDENCE, effect: None, verdict, evidence, rule }
 }
 
-pub(super) fn exposure(survey: &Survey, at: Conditions) -> Decision {
+pub(super) fn exposure(survey: &Survey) -> Decision {
     let rule = format!(
         "on if brightness differs by more than {BRIGHTNESS_STOPS} stops or white balance by more than {WHITE_BALANCE_STOPS}, \
          unless `bilateral-grid` is on"
@@ -70,10 +65,7 @@ pub(super) fn exposure(survey: &Survey, at: Conditions) -> Decision {
         );
         (brightness > BRIGHTNESS_STOPS || white_balance > WHITE_BALANCE_STOPS, evidence)
     });
-    // Parameters, two moments and a gradient of twelve numbers for each photograph.
-    let mib = survey.views as f64 * 4.0 * 12.0 * 4.0 / MIB;
-    let cost = Cost { ms_per_step: at.ms(EXPOSURE_MS), mib };
-    decide(EffectKind::Exposure, on && !is_graded(survey), evidence, rule, Some(cost))
+    decide(EffectKind::Exposure, on && !is_graded(survey), evidence, rule)
 }
 
 /// Whether colours vary within photographs and varying maps explain enough of the differences.
@@ -85,7 +77,7 @@ fn is_graded(survey: &Survey) -> bool {
 }
 
 /// Decides on bilateral grids, which are the stronger form of exposures and replace them.
-pub(super) fn bilateral_grid(survey: &Survey, at: Conditions) -> Decision {
+pub(super) fn bilateral_grid(survey: &Survey) -> Decision {
     let (on, evidence) = known(&survey.grading, FEW_POINTS, |found| {
         let evidence = format!(
             "one colour map for each photograph leaves a median difference of {:.4} (of 1), maps that vary within the \
@@ -100,8 +92,5 @@ pub(super) fn bilateral_grid(survey: &Survey, at: Conditions) -> Decision {
          {} of that",
         percent(PLACES_LEAVE)
     );
-    // Parameters and two moments of 12 x 8 x 16 x 16 numbers for each photograph.
-    let mib = survey.views as f64 * 3.0 * 24_576.0 * 4.0 / MIB;
-    let cost = Cost { ms_per_step: at.ms(GRID_MS), mib };
-    decide(EffectKind::BilateralGrid, on, evidence, rule, Some(cost))
+    decide(EffectKind::BilateralGrid, on, evidence, rule)
 }

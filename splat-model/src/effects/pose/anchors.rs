@@ -10,6 +10,7 @@ use glam::{DAffine3, DMat3, DVec3, Vec2};
 use splat_op::pose::miss;
 
 use crate::capture::Capture;
+use crate::solve::solve;
 
 /// Scale of the robust loss, rad: errors well below it count by their square, larger errors linearly. About a pixel.
 pub(in crate::effects) const ROBUST_RAD: f64 = 2e-3;
@@ -137,26 +138,6 @@ pub(super) fn rotation(omega: DVec3) -> DMat3 {
         DVec3::new(half.y, -half.x, 0.0),
     );
     DMat3::IDENTITY + (cross + cross * cross) * (2.0 / (1.0 + half.length_squared()))
-}
-
-/// Solves `gram x = moment` for a symmetric positive definite matrix by elimination. `None` if the matrix is singular.
-pub(in crate::effects) fn solve<const N: usize>(mut gram: [[f64; N]; N], mut moment: [f64; N]) -> Option<[f64; N]> {
-    let largest = (0..N).map(|i| gram[i][i]).fold(0.0, f64::max);
-    for step in 0..N {
-        if !(gram[step][step] > 1e-14 * largest) {
-            return None;
-        }
-        for row in step + 1..N {
-            let factor = gram[row][step] / gram[step][step];
-            (step..N).for_each(|column| gram[row][column] -= factor * gram[step][column]);
-            moment[row] -= factor * moment[step];
-        }
-    }
-    for row in (0..N).rev() {
-        let known: f64 = (row + 1..N).map(|column| gram[row][column] * moment[column]).sum();
-        moment[row] = (moment[row] - known) / gram[row][row];
-    }
-    Some(moment)
 }
 
 #[cfg(test)]

@@ -13,7 +13,7 @@ use serde::Serialize;
 use super::exposure::USABLE;
 use super::observations::PointObservations;
 use super::{Capture, ViewDependenceEvidence, quantile};
-use crate::effects::pose::anchors::solve;
+use crate::solve::solve;
 
 /// Iterations between maps and colours, which converge within a few.
 const ROUNDS: usize = 8;

@@ -6,6 +6,7 @@
 
 mod blur;
 mod depth;
+mod detail;
 mod exposure;
 mod files;
 mod footprint;
@@ -26,8 +27,9 @@ use serde::Serialize;
 use crate::capture::{Capture, CaptureError};
 use crate::quantile::quantile;
 
-pub use self::blur::{BlurEvidence, sharpness_of_grey};
+pub use self::blur::BlurEvidence;
 pub use self::depth::DepthEvidence;
+pub use self::detail::sharpness_of_grey;
 pub use self::exposure::{ExposureEvidence, ViewExposure};
 pub use self::files::{FileEvidence, input_files};
 pub use self::footprint::FootprintEvidence;

@@ -4,7 +4,7 @@ use glam::DVec3;
 use serde::Serialize;
 use splat_op::Projector;
 
-use super::blur::Detail;
+use super::detail::Detail;
 use crate::capture::{Capture, Observation, View, seen};
 
 /// Largest number of compared points. More points do not change medians.
@@ -31,7 +31,6 @@ pub enum ObservationSource {
     None,
 }
 
-/// The observation of a point in a photograph.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PointObservation {
     pub view: usize,
@@ -56,7 +55,6 @@ pub(super) struct ColourSample {
     pub detail: Option<Detail>,
 }
 
-/// Compared points and their observations.
 pub(super) struct PointObservations {
     pub source: ObservationSource,
     pub points: Vec<Vec<PointObservation>>,

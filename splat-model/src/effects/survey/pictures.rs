@@ -2,13 +2,12 @@
 
 use rayon::prelude::*;
 
-use super::blur::Detail;
+use super::detail::Detail;
 use super::observations::{ColourSample, PointObservations};
 use crate::capture::image::load;
 use crate::capture::{Capture, CaptureError, Photo};
 use crate::effects::masks;
 
-/// Evidence from one photograph.
 pub(super) struct Glance {
     /// Index of the photograph.
     pub view: usize,
@@ -41,7 +40,7 @@ pub(super) fn look(
         let samples: Vec<(usize, usize, Option<ColourSample>)> = places[view].iter().map(sample).collect();
         let glance = Glance {
             view,
-            sharpness: super::blur::sharpness(&photo),
+            sharpness: super::detail::sharpness(&photo),
             transparent: photo.alpha.as_deref().map_or(0.0, transparent),
             masked: photo.mask.as_deref().map(masks::excluded_share),
         };

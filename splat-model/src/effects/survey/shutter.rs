@@ -10,7 +10,8 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use super::{Capture, quantile};
-use crate::effects::pose::anchors::{FEWEST, ROBUST_RAD, columns, solve};
+use crate::effects::pose::anchors::{FEWEST, ROBUST_RAD, columns};
+use crate::solve::solve;
 
 /// Iterations of the robust weights.
 const ROUNDS: usize = 10;
@@ -24,7 +25,6 @@ pub struct ShutterEvidence {
     pub left_by_rows: f64,
 }
 
-/// The observation of a point in a photograph.
 struct ShutterObservation {
     /// Derivative of the direction with respect to the camera's `ω` and `τ`.
     columns: [DVec3; 6],

@@ -199,7 +199,7 @@ fn keypoints_far_outside_are_passed_over() {
     let mut tracks = crate::capture::Tracks::default();
     for point in 0..60 {
         let at_px = [f32::MAX, -f32::MAX, 1e19, -0.5][point % 4];
-        let observations = (0..4).map(|view| Some(crate::capture::Observation { view, at_px: [at_px, 30.0] }));
+        let observations = (0..4).map(|view| crate::capture::Observation { view, at_px: [at_px, 30.0] });
         tracks.push(observations, 0.5);
     }
     capture.tracks = tracks;

@@ -10,7 +10,6 @@ use super::quantile;
 /// occluder could cause.
 const FEWEST_OBSERVATIONS: usize = 9;
 
-/// The quantile over a point's photographs.
 const MOST_OBSERVATIONS: f64 = 2.0 / 3.0;
 
 /// Largest usable value. Brighter values are close to clipping, where exposure does not scale them.

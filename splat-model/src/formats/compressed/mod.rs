@@ -17,7 +17,6 @@
 mod groups;
 mod pack;
 mod read;
-mod row;
 #[cfg(test)]
 mod tests;
 mod write;
@@ -30,13 +29,31 @@ pub(super) use write::write;
 
 use crate::ply::VERTEX;
 
-/// The highest degree of the spherical harmonics.
 pub(super) const DEGREE_MAX: usize = 3;
 
 /// Number of Gaussians that share a range.
 const CHUNK: usize = 256;
 
+/// The element that holds ranges.
+const CHUNKS: &str = "chunk";
+
+/// The element that holds higher coefficients.
+const HARMONICS: &str = "sh";
+
+/// Properties of a chunk: for each quantity the smallest values, then the largest. Old files lack those of colours.
+const RANGES: [[&str; 6]; 3] = [
+    ["min_x", "min_y", "min_z", "max_x", "max_y", "max_z"],
+    ["min_scale_x", "min_scale_y", "min_scale_z", "max_scale_x", "max_scale_y", "max_scale_z"],
+    ["min_r", "min_g", "min_b", "max_r", "max_g", "max_b"],
+];
+
+const PACKED: [&str; 4] = ["packed_position", "packed_rotation", "packed_scale", "packed_color"];
+
+/// The ranges of a chunk, in the order of [`RANGES`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Ranges([f32; 18]);
+
 /// Whether a PLY file's header has this layout.
 pub(super) fn is_compressed(header: &Header) -> bool {
-    header.elements.get(VERTEX).is_some_and(|vertex| vertex.properties.contains_key(row::PACKED[0]))
+    header.elements.get(VERTEX).is_some_and(|vertex| vertex.properties.contains_key(PACKED[0]))
 }

@@ -2,7 +2,7 @@
 
 use std::f64::consts::{FRAC_1_SQRT_2, SQRT_2};
 
-use super::row::Ranges;
+use super::Ranges;
 use crate::formats::{DC, limits, opacity, quaternion};
 use crate::gaussians::GaussianRows;
 

@@ -5,8 +5,7 @@ use std::path::Path;
 use ply_rs_bw::ply::{ElementDef, Header, PropertyType, ScalarType};
 
 use super::pack::unpack_rest;
-use super::row::{CHUNKS, HARMONICS, PACKED, RANGES, Ranges};
-use super::{CHUNK, DEGREE_MAX};
+use super::{CHUNK, CHUNKS, DEGREE_MAX, HARMONICS, PACKED, RANGES, Ranges};
 use crate::formats::{Format, FormatError};
 use crate::gaussians::GaussianRows;
 use crate::ply::{PlyReader, VERTEX, WorldFrame, brief, degree_of_rest, require, rest_names, vertex, world_frame};
@@ -27,7 +26,7 @@ pub fn read(path: &Path, mut input: PlyReader, header: &Header) -> Result<(Gauss
     let mut levels = Vec::with_capacity(rest.len() * vertex.count);
     for element in header.elements.values() {
         match element.name.as_str() {
-            CHUNKS => input.each_row(element, header.encoding, &RANGES[..ranges], |_, values| {
+            CHUNKS => input.each_row(element, header.encoding, &RANGES.as_flattened()[..ranges], |_, values| {
                 // Colours without ranges range from 0 to 1.
                 let mut chunk = std::array::from_fn(|i| if i < 15 { 0.0 } else { 1.0 });
                 chunk.iter_mut().zip(values).for_each(|(range, &value)| *range = value as f32);
@@ -75,8 +74,8 @@ fn check(
         .get(CHUNKS)
         .ok_or_else(|| broken(format!("no element `{CHUNKS}`, expected a row for each {CHUNK} of `{VERTEX}`")))?;
     // Either all channels of the colours have ranges or none.
-    let ranges = if RANGES[12..].iter().any(|name| chunks.properties.contains_key(*name)) { 18 } else { 12 };
-    require(path, chunks, &RANGES[..ranges])?;
+    let ranges = if RANGES[2].iter().any(|name| chunks.properties.contains_key(*name)) { 18 } else { 12 };
+    require(path, chunks, &RANGES.as_flattened()[..ranges])?;
     require(path, vertex, &PACKED)?;
     of_type(vertex, |name| PACKED.contains(&name), &ScalarType::UInt, "uint").map_err(broken)?;
     let needed = vertex.count.div_ceil(CHUNK);

@@ -5,7 +5,6 @@ use proptest::prelude::*;
 use proptest::strategy::ValueTree;
 use tempfile::TempDir;
 
-use super::row::Ranges;
 use super::*;
 use crate::formats::testing::{fixture, rows};
 use crate::formats::{self, Format, QuantisationError, SceneFile};
@@ -131,8 +130,8 @@ fn an_infinite_end_of_a_range_spoils_nothing_else() {
 fn what_is_missing_is_named() {
     let folder = TempDir::new().unwrap();
     let path = folder.path().join("scene.ply");
-    let chunk: String = row::RANGES.iter().map(|name| format!("property float {name}\n")).collect();
-    let packed: String = row::PACKED.iter().map(|name| format!("property uint {name}\n")).collect();
+    let chunk: String = RANGES.as_flattened().iter().map(|name| format!("property float {name}\n")).collect();
+    let packed: String = PACKED.iter().map(|name| format!("property uint {name}\n")).collect();
     let levels = |count: usize| (0..count).map(|i| format!("property uchar f_rest_{i}\n")).collect::<String>();
     let head = "ply\nformat binary_little_endian 1.0\n";
     let whole =

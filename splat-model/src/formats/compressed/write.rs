@@ -7,9 +7,8 @@ use std::path::Path;
 use ply_rs_bw::ply::{DefaultElement, ScalarType};
 use ply_rs_bw::writer::Writer;
 
-use super::CHUNK;
 use super::pack::pack_rest;
-use super::row::{CHUNKS, HARMONICS, PACKED, RANGES, Ranges};
+use super::{CHUNK, CHUNKS, HARMONICS, PACKED, RANGES, Ranges};
 use crate::formats::FormatError;
 use crate::gaussians::GaussianRows;
 use crate::ply::{VERTEX, WorldFrame, element, file_header, rest_names};
@@ -24,7 +23,7 @@ pub fn write(path: &Path, rows: &GaussianRows, world: WorldFrame) -> Result<(), 
     let levels: Vec<u8> = rows.sh_rest.chunks_exact(rest.max(1)).flat_map(pack_rest).collect();
     let to_file = |out: &mut BufWriter<File>| -> io::Result<()> {
         let mut elements = vec![
-            element(CHUNKS, ranges.len(), ScalarType::Float, RANGES),
+            element(CHUNKS, ranges.len(), ScalarType::Float, RANGES.as_flattened().iter().copied()),
             element(VERTEX, count, ScalarType::UInt, PACKED),
         ];
         if rest > 0 {

@@ -1,8 +1,6 @@
 use std::fs;
 use std::path::Path;
 
-use base64::Engine;
-use base64::engine::general_purpose::STANDARD;
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
@@ -11,9 +9,9 @@ use crate::formats::testing::fixture;
 use crate::formats::{self, Format, SceneFile};
 use crate::gaussians::GaussianRows;
 
-fn write(path: &Path, rows: &GaussianRows, format: Format) {
+fn write(path: &Path, rows: &GaussianRows) {
     let scene = SceneFile { rows: rows.clone(), ..SceneFile::default() };
-    formats::write(path, &scene, format).unwrap();
+    formats::write(path, &scene, Format::Glb).unwrap();
 }
 
 /// The document of a binary container and its data.
@@ -31,7 +29,7 @@ fn files_are_as_the_extension_says() {
     let mut given = formats::read(&fixture("given.ply")).unwrap().0.rows;
     given.log_scales[1][0] = -1e30;
     given.logit_opacities[1] = 90.0;
-    write(&path, &given, Format::Glb);
+    write(&path, &given);
     let (document, data) = parts(&path);
     let primitive = &document["meshes"][0]["primitives"][0];
     assert_eq!((&primitive["mode"], &document["extensionsUsed"]), (&json!(0), &json!([EXTENSION])));
@@ -63,13 +61,7 @@ fn files_are_as_the_extension_says() {
     // Degree 2, order 1: the fourth of the second degree, which half a turn about z negates.
     let coefficient = floats("KHR_gaussian_splatting:SH_DEGREE_2_COEF_3", 3);
     assert_eq!(coefficient[..3], [18, 19, 20].map(|i| -given.sh_rest[i]));
-    // The container's lengths, and the same content as JSON.
+    // The container's lengths.
     let length = |at: usize| u32::from_le_bytes(fs::read(&path).unwrap()[at..at + 4].try_into().unwrap()) as usize;
     assert_eq!((length(8), length(20 + length(12))), (fs::read(&path).unwrap().len(), data.len()));
-    let text_path = folder.path().join("scene.gltf");
-    write(&text_path, &given, Format::Gltf);
-    let text: Value = serde_json::from_slice(&fs::read(&text_path).unwrap()).unwrap();
-    assert_eq!((&text["meshes"], &text["accessors"]), (&document["meshes"], &document["accessors"]));
-    let uri = text["buffers"][0]["uri"].as_str().unwrap();
-    assert!(STANDARD.decode(uri.strip_prefix("data:application/octet-stream;base64,").unwrap()).unwrap() == data);
 }

@@ -32,7 +32,6 @@ pub fn quantise(values: &[f32]) -> Quantised {
     Quantised { codebook, indices }
 }
 
-/// Some of the sorted values.
 #[derive(Clone, Copy)]
 struct ValueCell {
     begin: usize,

@@ -34,7 +34,6 @@ pub(super) use read::{read_archive, read_folder};
 pub use write::SogOptions;
 pub(super) use write::write;
 
-/// The highest degree of the spherical harmonics.
 pub(super) const DEGREE_MAX: usize = 3;
 
 /// First bytes of a zip archive.
@@ -43,7 +42,6 @@ pub(super) const MAGIC: [u8; 4] = *b"PK\x03\x04";
 /// The document's name in an archive.
 const META: &str = "meta.json";
 
-/// Number of values of a codebook.
 const LEVELS: usize = 256;
 
 /// Number of palette entries in a row of its picture.

@@ -120,7 +120,6 @@ impl Vectors<'_> {
         direction
     }
 
-    /// Sum of the squared differences from the mean.
     fn error(&self, members: &[u32]) -> f64 {
         let mean = self.mean(members);
         members.iter().map(|&member| f64::from(distance(self.of(member), &mean))).sum()

@@ -12,7 +12,7 @@ use super::meta::{Harmonics, Meta};
 use super::{DEGREE_MAX, LARGEST, LEVELS, META, PER_ROW, PLACES, expanded};
 use crate::formats::{Format, FormatError, SceneFile, extras, opacity, quaternion};
 use crate::gaussians::GaussianRows;
-use crate::ply::{WorldFrame, brief};
+use crate::ply::{TrainedAs, WorldFrame, brief};
 
 /// Largest number of Gaussians for each byte of a scene's files. Scenes have one for ten bytes; the limit keeps a small file from asking for any
 /// amount of memory.
@@ -113,26 +113,23 @@ fn scene(json: &[u8], bytes: u64, load: &mut dyn FnMut(&str) -> Result<Vec<u8>, 
 
     let levels = codebook("scales", &meta.scales.codebook)?;
     let pixels = picture(&meta.scales.files[0], count)?.pixels;
-    rows.log_scales =
-        pixels[..count].iter().map(|&[r, g, b, _]| [r, g, b].map(|index| levels[usize::from(index)])).collect();
+    rows.log_scales = of_codebook(&pixels[..count], levels).collect();
 
     let pixels = picture(&meta.quats.files[0], count)?.pixels;
     rows.rotations = pixels[..count].iter().map(rotation).collect();
 
     let levels = codebook("sh0", &meta.sh0.codebook)?;
     let pixels = picture(&meta.sh0.files[0], count)?.pixels;
-    rows.sh_dc =
-        pixels[..count].iter().map(|&[r, g, b, _]| [r, g, b].map(|index| levels[usize::from(index)])).collect();
+    rows.sh_dc = of_codebook(&pixels[..count], levels).collect();
     rows.logit_opacities = pixels[..count].iter().map(|&[.., a]| opacity::logit(a)).collect();
 
     if let Some(harmonics) = &meta.sh_n {
         higher(harmonics, &mut rows, &mut picture)?;
     }
     let WorldFrame { origin, metres_per_unit, trained } = extras::world(&meta.extras.into());
-    Ok(SceneFile { rows, origin, metres_per_unit, antialiased: meta.antialias, trained })
+    Ok(SceneFile { rows, origin, metres_per_unit, trained: TrainedAs { antialias: meta.antialias, ..trained } })
 }
 
-/// Reads the higher harmonics.
 fn higher(
     harmonics: &Harmonics,
     rows: &mut GaussianRows,
@@ -163,7 +160,7 @@ fn higher(
         }
         // Rows of the picture are rows of whole entries, so that entries follow each other.
         let entry = &palette.pixels[coefficients * label..coefficients * (label + 1)];
-        rows.sh_rest.extend(entry.iter().flat_map(|&[r, g, b, _]| [r, g, b].map(|index| levels[usize::from(index)])));
+        rows.sh_rest.extend(of_codebook(entry, levels).flatten());
     }
     Ok(())
 }
@@ -173,6 +170,11 @@ fn codebook<'a>(name: &str, levels: &'a [f32]) -> Result<&'a [f32], String> {
         LEVELS => Ok(levels),
         found => Err(format!("`{name}.codebook` has {found} values, expected {LEVELS}")),
     }
+}
+
+/// The values of three channels.
+fn of_codebook(pixels: &[[u8; 4]], levels: &[f32]) -> impl Iterator<Item = [f32; 3]> {
+    pixels.iter().map(|&[r, g, b, _]| [r, g, b].map(|index| levels[usize::from(index)]))
 }
 
 fn rotation(&[r, g, b, a]: &[u8; 4]) -> [f32; 4] {

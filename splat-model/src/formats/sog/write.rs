@@ -36,9 +36,9 @@ pub struct SogOptions {
 
 /// Writes rows that fit the format ([`crate::formats::fit`]). `scene` gives the origin and the mark of antialiasing.
 pub fn write(path: &Path, rows: &GaussianRows, scene: &SceneFile, options: SogOptions) -> Result<(), FormatError> {
-    let written = pack(rows, scene, options)
-        .and_then(|archive| replace(path, |out| out.write_all(&archive)).map_err(|source| (WRITE, source)));
-    written.map_err(|(action, source)| FormatError::io(path, action)(source))
+    let archive = pack(rows, scene, options);
+    let archive = archive.map_err(FormatError::io(path, "code the pictures of the scene (write another format)"))?;
+    replace(path, |out| out.write_all(&archive)).map_err(FormatError::io(path, WRITE))
 }
 
 /// A picture of four channels, row by row.
@@ -67,7 +67,7 @@ impl WebpPicture {
     }
 }
 
-fn pack(rows: &GaussianRows, scene: &SceneFile, options: SogOptions) -> Result<Vec<u8>, (&'static str, io::Error)> {
+fn pack(rows: &GaussianRows, scene: &SceneFile, options: SogOptions) -> io::Result<Vec<u8>> {
     let count = rows.len();
     let ((means, scales), (colours, harmonics)) = rayon::join(
         || rayon::join(|| Places::of(rows), || quantise(rows.log_scales.as_flattened())),
@@ -93,7 +93,7 @@ fn pack(rows: &GaussianRows, scene: &SceneFile, options: SogOptions) -> Result<V
         version: 2,
         asset: Asset { generator: concat!("splat ", env!("CARGO_PKG_VERSION")).into() },
         count,
-        antialias: scene.antialiased,
+        antialias: scene.trained.antialias,
         means: Means { mins: means.mins, maxs: means.maxs, files: ["means_l.webp", "means_u.webp"].map(name) },
         scales: ValueCodes { codebook: scales.codebook, files: [name("scales.webp")] },
         quats: PictureFiles { files: [name("quats.webp")] },
@@ -102,11 +102,9 @@ fn pack(rows: &GaussianRows, scene: &SceneFile, options: SogOptions) -> Result<V
         extras: extras::of(scene.world()),
     };
     let encoded = pictures.par_iter().map(|picture| Ok((picture.name, picture.encoded()?)));
-    let archive = encoded.collect::<io::Result<Vec<_>>>().and_then(|mut files| {
-        files.insert(0, (META, serde_json::to_vec(&meta)?));
-        archive(&files)
-    });
-    archive.map_err(|error| ("code the pictures of the scene (write another format)", error))
+    let mut files = encoded.collect::<io::Result<Vec<_>>>()?;
+    files.insert(0, (META, serde_json::to_vec(&meta)?));
+    archive(&files)
 }
 
 /// An archive of files as they are: WebP is compressed already.

@@ -50,7 +50,6 @@ pub use write::{SpzOptions, SpzVersion};
 /// First bytes of version 4, and of the decompressed stream of the other versions.
 pub(super) const MAGIC: [u8; 4] = *b"NGSP";
 
-/// First bytes of a gzip stream.
 const GZIP: [u8; 2] = [0x1f, 0x8b];
 
 /// Bytes of the header of version 4; the other versions have the first 16 of them.

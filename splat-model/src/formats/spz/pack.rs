@@ -36,7 +36,6 @@ pub(super) struct Layout {
     pub fraction: u32,
 }
 
-/// Number of sections.
 pub(super) const SECTIONS: usize = 6;
 
 impl Layout {
@@ -48,7 +47,6 @@ impl Layout {
     }
 }
 
-/// The largest magnitude of a coordinate.
 pub(in crate::formats) fn farthest<'a>(means: impl IntoIterator<Item = &'a [f32; 3]>) -> f64 {
     means.into_iter().flatten().fold(0.0, |far, x| far.max(f64::from(x.abs())))
 }

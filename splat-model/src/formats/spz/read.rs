@@ -12,6 +12,7 @@ use splat_op::sh::SH_DEGREE_MAX;
 use super::pack::{Layout, SECTIONS, unpack};
 use super::{ANTIALIASED, GZIP, HEADER, MAGIC};
 use crate::formats::{Format, FormatError, SceneFile};
+use crate::ply::TrainedAs;
 
 /// Maximum number of bytes that one byte of a file can expand to: the limit of deflate (zlib's documentation), and more than
 /// any scene needs with zstd.
@@ -40,13 +41,13 @@ pub fn read(path: &Path) -> Result<SceneFile, FormatError> {
     let of = Of { path, bytes };
     let (layout, flags, sections) = if is_gzip { of.gzip(file)? } else { of.zstd(file)? };
     let rows = unpack(&layout, sections.each_ref().map(Vec::as_slice));
-    Ok(SceneFile { rows, antialiased: flags & ANTIALIASED != 0, ..SceneFile::default() })
+    let trained = TrainedAs { antialias: flags & ANTIALIASED != 0, ..TrainedAs::default() };
+    Ok(SceneFile { rows, trained, ..SceneFile::default() })
 }
 
 /// The layout, flags and sections of a file.
 type SpzSections = (Layout, u8, [Vec<u8>; SECTIONS]);
 
-/// The file that is read.
 #[derive(Clone, Copy)]
 struct Of<'a> {
     path: &'a Path,
@@ -161,7 +162,6 @@ impl Of<'_> {
     }
 }
 
-/// Names of the sections, for messages.
 const NAMES: [&str; SECTIONS] = ["positions", "opacities", "colours", "scales", "rotations", "harmonics"];
 
 /// Parses a little-endian number.

@@ -13,6 +13,7 @@ use super::{GZIP, HEADER, MAGIC};
 use crate::formats::testing::{fixture, rows, spoil};
 use crate::formats::{self, Format, QuantisationError, SceneFile, SpzOptions, SpzVersion};
 use crate::gaussians::GaussianRows;
+use crate::ply::TrainedAs;
 
 fn written(rows: &GaussianRows, path: &Path) -> GaussianRows {
     let scene = SceneFile { rows: rows.clone(), ..SceneFile::default() };
@@ -312,8 +313,9 @@ fn versions_three_and_four_hold_the_same() {
     let folder = TempDir::new().unwrap();
     let [three, four] = ["3.spz", "4.spz"].map(|name| folder.path().join(name));
     let given = read(&fixture("given.ply"));
+    let trained = TrainedAs { antialias: true, ..TrainedAs::default() };
     for sh_degree in [0, 3] {
-        let scene = SceneFile { rows: given.clone(), antialiased: true, ..SceneFile::default() };
+        let scene = SceneFile { rows: given.clone(), trained, ..SceneFile::default() };
         let scene = SceneFile { rows: formats::fit(&scene.rows, Format::Spz).into_owned(), ..scene };
         let mut rows = GaussianRows { sh_degree, ..GaussianRows::default() };
         (0..scene.rows.len()).for_each(|row| rows.push(&scene.rows, row));
@@ -322,7 +324,7 @@ fn versions_three_and_four_hold_the_same() {
             formats::write_spz(path, &scene, SpzOptions { version, ..SpzOptions::default() }).unwrap();
         }
         assert_eq!(formats::read(&three).unwrap(), formats::read(&four).unwrap());
-        assert!(formats::read(&four).unwrap().0.antialiased);
+        assert!(formats::read(&four).unwrap().0.trained.antialias);
         let (ours, theirs) = (fs::read(&four).unwrap(), fs::read(fixture("splat-transform.v4.spz")).unwrap());
         assert_eq!((&ours[..12], &ours[16..HEADER]), (&theirs[..12], &theirs[16..HEADER]));
         assert_eq!(

@@ -42,21 +42,9 @@ const MOST_ON_CPU: usize = 1088;
 const MOST_ON_GPU: usize = 720;
 
 /// A picture that is too small for the network.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-#[error(
-    "the picture is {width} x {height} px, and the network {} of LPIPS needs at least {least} px in each direction",
-    net.name()
-)]
-pub struct TooSmall {
-    /// Width of the picture, px.
-    pub width: usize,
-    /// Height of the picture, px.
-    pub height: usize,
-    /// Minimum length of each side, px.
-    pub least: usize,
-    /// The network.
-    pub net: Net,
-}
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[error("{0}")]
+pub struct TooSmall(String);
 
 /// A convolution's weights `[out, in, side, side]` and biases `[out]`.
 #[derive(Clone, Debug)]
@@ -97,7 +85,9 @@ impl Lpips {
         assert_eq!(image.dims(), truth.dims(), "LPIPS compares pictures of one size");
         let features = [height, width].map(|side| self.net.features(side));
         let [Some(rows), Some(columns)] = features else {
-            return Err(TooSmall { width, height, least: self.net.least_side(), net: self.net });
+            let (net, least) = (self.net.name(), self.net.least_side());
+            let expected = format!("the network {net} of LPIPS needs at least {least} px in each direction");
+            return Err(TooSmall(format!("the picture is {width} x {height} px, and {expected}")));
         };
         // A ReLU would turn NaN into black.
         let sum: f64 = (image.clone() + truth.clone()).sum().into_scalar();

@@ -11,15 +11,13 @@ use thiserror::Error;
 
 use super::layers::{Net, NetworkLayer};
 use super::{Convolution, Lpips, MOST_ON_CPU, MOST_ON_GPU};
+use crate::ply::brief;
 
 /// Largest size of a file, bytes. Torchvision's complete VGG16, including the layers that LPIPS does not use, is 553 MB.
 const MOST_BYTES: u64 = 600_000_000;
 
 /// The tensor whose shape identifies the network.
 const FIRST: &str = "net.slice1.0.weight";
-
-/// Number of tensor names that a message lists.
-const NAMES_TOLD: usize = 6;
 
 /// Weights that cannot be read. Each message names the file.
 #[derive(Debug, Error)]
@@ -33,43 +31,13 @@ pub enum WeightsError {
         /// The system's reason.
         source: io::Error,
     },
-    /// The file is not a safetensors file, or is damaged.
-    #[error(
-        "{path}: not a safetensors file: {detail}; expected the weights of LPIPS, docs/METRICS.md has the \
-         command that exports them",
-        path = path.display()
-    )]
+    /// The file is not a safetensors file, is damaged, or holds other tensors than those of a supported network.
+    #[error("{path}: {detail}; docs/METRICS.md describes the tensors and has the command that exports them", path = path.display())]
     Format {
         /// The file.
         path: PathBuf,
-        /// The reason.
+        /// What was found and what was expected.
         detail: String,
-    },
-    /// The tensors do not belong to a supported network.
-    #[error(
-        "{path}: {found}, expected the weights of LPIPS with the network alex (AlexNet) or vgg (VGG16), as docs/METRICS.md \
-         describes them",
-        path = path.display()
-    )]
-    Network {
-        /// The file.
-        path: PathBuf,
-        /// The tensors that were found, in words.
-        found: String,
-    },
-    /// A tensor of the network is missing or wrong.
-    #[error("{path}: `{name}` of the network {} {found}, expected {expected}; docs/METRICS.md lists all names", net.name(), path = path.display())]
-    Tensor {
-        /// The file.
-        path: PathBuf,
-        /// The tensor's name.
-        name: String,
-        /// The network, identified by its first layer.
-        net: Net,
-        /// What was found.
-        found: String,
-        /// What was expected.
-        expected: String,
     },
 }
 
@@ -86,17 +54,19 @@ impl Lpips {
         let mut bytes = Vec::new();
         File::open(path).map_err(io)?.take(MOST_BYTES + 1).read_to_end(&mut bytes).map_err(io)?;
         if bytes.len() as u64 > MOST_BYTES {
-            return Err(format(format!("it is larger than {} MB, more than any network", MOST_BYTES / 1_000_000)));
+            return Err(format(format!("larger than {} MB, more than any network", MOST_BYTES / 1_000_000)));
         }
-        let tensors = SafeTensors::deserialize(&bytes).map_err(|error| format(error.to_string()))?;
-        let net = network(&tensors).map_err(|found| WeightsError::Network { path: path.to_owned(), found })?;
+        let tensors = SafeTensors::deserialize(&bytes);
+        let tensors = tensors.map_err(|error| format(format!("not a safetensors file: {error}")))?;
+        let net = network(&tensors).map_err(|found| {
+            format(format!("{found}, expected the weights of LPIPS with the network alex (AlexNet) or vgg (VGG16)"))
+        })?;
         let device = device.clone().inner();
         let read = |name: &str, shape: &[usize], is_weight| {
             let values = values(&tensors, name, shape, is_weight);
-            values.map(|values| TensorData::new(values, shape)).map_err(|(found, expected)| {
-                let (path, name) = (path.to_owned(), name.to_owned());
-                WeightsError::Tensor { path, name, net, found, expected }
-            })
+            values
+                .map(|values| TensorData::new(values, shape))
+                .map_err(|wrong| format(format!("`{name}` of the network {} {wrong}", net.name())))
         };
         let mut convolutions = Vec::new();
         let mut linear = Vec::new();
@@ -122,12 +92,8 @@ impl Lpips {
 /// The network that the tensors belong to, or a description of the tensors.
 fn network(tensors: &SafeTensors) -> Result<Net, String> {
     let Ok(first) = tensors.tensor(FIRST) else {
-        let mut names: Vec<&str> = tensors.names();
-        names.sort_unstable();
-        let told: Vec<String> = names.iter().take(NAMES_TOLD).map(|name| format!("`{}`", printable(name))).collect();
-        let more = if names.len() > NAMES_TOLD { ", …" } else { "" };
-        let has = if told.is_empty() { "no tensors".into() } else { format!("{}{more}", told.join(", ")) };
-        return Err(format!("there is no `{FIRST}`, found {has}"));
+        let found = tensors.names().into_iter().min().map_or("no tensors".into(), |name| format!("`{}`", brief(name)));
+        return Err(format!("there is no `{FIRST}`, found {found}"));
     };
     if tensors.tensor("lin5.model.1.weight").is_ok() {
         return Err("the network is squeeze (SqueezeNet), which is not supported".into());
@@ -139,25 +105,23 @@ fn network(tensors: &SafeTensors) -> Result<Net, String> {
     }
 }
 
-/// A name without control characters, because files may hold any name and messages go to terminals.
-fn printable(name: &str) -> String {
-    name.chars().take(60).map(|letter| if letter.is_control() { char::REPLACEMENT_CHARACTER } else { letter }).collect()
-}
-
-/// The values of a tensor, or what was found and what was expected. They have to be finite and, if `is_weight`, not negative.
-fn values(tensors: &SafeTensors, name: &str, shape: &[usize], is_weight: bool) -> Result<Vec<f32>, (String, String)> {
-    let shaped = format!("F32 of the shape {shape:?}");
-    let Ok(view) = tensors.tensor(name) else { return Err(("is missing".into(), shaped)) };
+/// The values of a tensor, or what is wrong with it. They have to be finite and, if `is_weight`, not negative.
+fn values(tensors: &SafeTensors, name: &str, shape: &[usize], is_weight: bool) -> Result<Vec<f32>, String> {
+    let Ok(view) = tensors.tensor(name) else { return Err(format!("is missing, expected F32 of the shape {shape:?}")) };
     if view.dtype() != Dtype::F32 || view.shape() != shape {
-        return Err((format!("is {} of the shape {:?}", view.dtype(), view.shape()), shaped));
+        return Err(format!(
+            "is {} of the shape {:?}, expected F32 of the shape {shape:?}",
+            view.dtype(),
+            view.shape()
+        ));
     }
     let values: Vec<f32> = view.data().as_chunks::<4>().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect();
     let holds = |at: usize| format!("holds {} as value {at}", values[at]);
     if let Some(at) = values.iter().position(|value| !value.is_finite()) {
-        return Err((holds(at), "finite numbers".into()));
+        return Err(format!("{}, expected finite numbers", holds(at)));
     }
     if is_weight && let Some(at) = values.iter().position(|value| *value < 0.0) {
-        return Err((holds(at), "no negative numbers, as in version 0.1 of LPIPS".into()));
+        return Err(format!("{}, expected no negative numbers, as in version 0.1 of LPIPS", holds(at)));
     }
     Ok(values)
 }

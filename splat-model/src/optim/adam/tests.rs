@@ -67,20 +67,15 @@ fn host_memory_and_tensors_agree() {
     let mut random = || -> Vec<f64> { (0..count).map(|_| rng.random_range(-1.0..1.0)).collect() };
     for rate in [Rates::from(0.03), Rates { first: 0.3, others: 0.01, width: 1 }] {
         let start = tensor(&random(), &device, DType::F32);
-        let none = || (start.zeros_like(), start.zeros_like());
-        let mut moments = [none(), none()];
-        let mut params = [start.clone(), start.clone()];
+        let first = Stepped { param: start.clone(), m: start.zeros_like(), v: start.zeros_like() };
+        let mut both = [first.clone(), first];
         let factors = Factors { beta1: 0.9, beta2: 0.999, rate, floor: 1e-8, largest: LARGEST_GRADIENT };
         for _ in 0..3 {
             let grad = tensor(&random(), &device, DType::F32);
-            let [host, tensors] = params;
-            let [of_host, of_tensors] = moments;
-            let host = step_in_host_memory(&factors, host, grad.clone(), of_host);
-            let tensors = step_in_tensors(&factors, tensors, grad, of_tensors);
-            moments = [(host.1, host.2), (tensors.1, tensors.2)];
-            params = [host.0, tensors.0];
+            let [host, tensors] = both;
+            both = [step_in_host_memory(&factors, host, grad.clone()), step_in_tensors(&factors, tensors, grad)];
         }
-        let [host_memory, tensors] = params.map(host);
+        let [host_memory, tensors] = both.map(|stepped| host(stepped.param));
         for (a, b) in host_memory.iter().zip(&tensors) {
             assert!((a - b).abs() <= 1e-6 * b.abs().max(1.0), "{a} in host memory, {b} in tensors, {rate:?}");
         }

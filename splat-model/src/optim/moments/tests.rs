@@ -1,4 +1,5 @@
 use super::*;
+use crate::gaussians::values_of;
 
 #[test]
 fn bits_have_names_and_sizes() {
@@ -24,5 +25,20 @@ fn moments_hold_as_many_bytes_as_they_say() {
             Stored::Packed { words, .. } => 4 * words.shape().num_elements(),
         };
         assert_eq!((bytes, moments.bits()), (7 * bits.bytes(27), bits));
+    }
+}
+
+impl<const D: usize> Moments<D> {
+    /// The tensors as numbers, for comparisons: both sums, or the words and nothing.
+    pub(crate) fn numbers(&self) -> [Vec<f32>; 2] {
+        match self.stored() {
+            Stored::Full { m, v } => [values_of(m.clone()), values_of(v.clone())],
+            Stored::Packed { words, .. } => {
+                let words = words.clone().into_data().try_into_vec::<i32>().expect("words are i32");
+                // Numbers that compare as their bits do.
+                let halves = |shift: u32| words.iter().map(|word| (*word as u32 >> shift & 0xffff) as f32).collect();
+                [halves(0), halves(16)]
+            }
+        }
     }
 }

@@ -65,23 +65,12 @@ impl Ranks for Threads {
         Ok(())
     }
 
-    /// The first rank with a part begins, each of the next ones adds its parts, and the last one has the sum.
-    fn sum(&self, mut parts: Vec<Vec<f32>>, parts_of: &[usize], count: usize) -> Result<Vec<f32>, RankError> {
+    fn sum(&self, parts: Vec<Vec<f32>>, parts_of: &[usize], count: usize) -> Result<Vec<f32>, RankError> {
         assert_eq!(parts.len(), parts_of[self.rank], "all ranks know the number of parts");
-        let adding: Vec<usize> = (0..self.count()).filter(|rank| parts_of[*rank] > 0).collect();
-        let last = adding[adding.len() - 1];
-        let mut sum = vec![0.0; count];
-        if let Some(at) = adding.iter().position(|rank| *rank == self.rank) {
-            match at {
-                0 => sum = parts.remove(0),
-                _ => bytemuck::cast_slice_mut(&mut sum).copy_from_slice(&self.receive(adding[at - 1])?),
-            }
-            parts.iter().for_each(|part| add(&mut sum, part));
-            if let Some(&next) = adding.get(at + 1) {
-                self.send(next, bytemuck::cast_slice(&sum))?;
-            }
-        }
-        self.copy(last, &mut sum)?;
+        let all = self.gather(bytemuck::cast_slice(&parts.concat()))?;
+        let all = bytemuck::pod_collect_to_vec::<u8, f32>(&all.concat());
+        let mut sum = all[..count].to_vec();
+        all[count..].chunks_exact(count).for_each(|part| add(&mut sum, part));
         Ok(sum)
     }
 }

@@ -20,7 +20,7 @@ use std::path::Path;
 use rayon::prelude::*;
 
 use self::light::LitTown;
-use super::{DemoError, DemoOptions, IMAGES, View, create, name, write_binary_with_tracks};
+use super::{DemoError, DemoOptions, IMAGES, View, create, name, write_model};
 
 /// Half of the town's side, m.
 const HALF: f64 = 200.0;
@@ -50,5 +50,5 @@ pub(super) fn write(folder: &Path, options: &DemoOptions) -> Result<(), DemoErro
         saved.map_err(|error| DemoError::Io { path: view.image_path.clone(), source: io::Error::other(error) })
     })?;
     let (points, tracks) = photographs::sample(&town, &cameras, options);
-    Ok(write_binary_with_tracks(folder, &views, &points, &tracks)?)
+    write_model(folder, &views, &points, &tracks)
 }

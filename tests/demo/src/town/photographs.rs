@@ -122,7 +122,7 @@ pub(super) fn sample(town: &LitTown, cameras: &[DemoCamera], options: &DemoOptio
         let observations: Vec<Observation> = cameras.par_iter().enumerate().filter_map(observation).collect();
         if observations.len() >= 2 {
             // The error is unmeasured.
-            tracks.push(observations.into_iter().map(Some), -1.0);
+            tracks.push(observations, -1.0);
             cloud.positions.push(point.position_world.as_vec3().to_array());
             cloud.colours.push(to_bytes(display(town.matte(&point))));
         }

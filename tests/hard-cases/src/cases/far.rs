@@ -9,7 +9,8 @@ use std::path::Path;
 use burn::tensor::{Device, Tensor};
 use glam::DVec3;
 use splat_demo::DemoOptions;
-use splat_model::capture::{Capture, write_binary};
+use splat_demo::write_model;
+use splat_model::capture::Capture;
 use splat_model::gaussians::Gaussians;
 use splat_model::loss::{DEFAULT_LAMBDA, Truth, photometric};
 use splat_model::optim::{near_plane, scene_extent};
@@ -95,7 +96,7 @@ fn judge(place: &TestDevice, offset: DVec3, scale: f64) -> CaseOutcome {
 fn seen(place: &TestDevice, offset: DVec3, scale: f64) -> Result<CaptureResult, String> {
     let text = |error: &dyn std::error::Error| error.to_string();
     let scratch = TemporaryFolder::new().map_err(|error| text(&error))?;
-    demo(scratch.path(), &DEMO).map_err(|error| text(&error))?;
+    demo(scratch.path(), &DEMO).map_err(|error| text(&*error))?;
     move_model(scratch.path(), offset, scale)?;
 
     let capture = Capture::load(scratch.path()).map_err(|error| text(&error))?;
@@ -152,7 +153,7 @@ fn move_model(folder: &Path, offset: DVec3, scale: f64) -> Result<(), String> {
         pose.translation = pose.translation * scale - pose.matrix3 * offset;
     }
     // The writer takes points in f32, so the points are written separately as text, in f64.
-    write_binary(folder, &capture.views, &Default::default()).map_err(|error| error.to_string())?;
+    write_model(folder, &capture.views, &Default::default(), &Default::default()).map_err(|error| error.to_string())?;
     let points = capture.points.positions.iter().zip(&capture.points.colours).enumerate();
     let line = |(i, (position, [r, g, b])): (usize, (&[f32; 3], &[u8; 3]))| {
         let [x, y, z] = (DVec3::from_array(position.map(f64::from)) * scale + offset).to_array();

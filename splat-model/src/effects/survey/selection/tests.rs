@@ -25,7 +25,7 @@ fn street(tracked: bool) -> Capture {
     let mut tracks = Tracks::default();
     for point in points.iter().filter(|_| tracked) {
         let first = (point[0] as usize).saturating_sub(SHOWN_BY / 2);
-        let seen = (first..(first + SHOWN_BY).min(VIEWS)).map(|view| Some(Observation { view, at_px: [0.0; 2] }));
+        let seen = (first..(first + SHOWN_BY).min(VIEWS)).map(|view| Observation { view, at_px: [0.0; 2] });
         tracks.push(seen, 0.1);
     }
     Capture {

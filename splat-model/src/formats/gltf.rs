@@ -1,17 +1,52 @@
-//! Writing of both containers.
+//! glTF 2.0 with the extension `KHR_gaussian_splatting`, as ratified by Khronos
+//! (<https://github.com/KhronosGroup/glTF/tree/main/extensions/2.0/Khronos/KHR_gaussian_splatting>; glTF 2.0, §3.6 to §3.7 for buffers and
+//! meshes, §4.4 for the binary container).
+//!
+//! A scene is a mesh primitive of points whose attributes have one element per Gaussian:
+//!
+//! | attribute | written as | holds |
+//! |---|---|---|
+//! | `POSITION` | 3 floats | the centre |
+//! | `COLOR_0` | 4 normalised bytes | colour and opacity for programs that draw points |
+//! | `KHR_gaussian_splatting:ROTATION` | 4 floats | a unit quaternion, `x y z w` |
+//! | `KHR_gaussian_splatting:SCALE` | 3 floats | standard deviations, not their logarithms |
+//! | `KHR_gaussian_splatting:OPACITY` | 1 float | the opacity, 0 to 1 |
+//! | `KHR_gaussian_splatting:SH_DEGREE_l_COEF_n` | 3 floats each | the harmonic of degree `l`, order `n − l`, of the three channels; `l` to 3 |
+//!
+//! Attributes are written as floats, so that conversion loses nothing but the rounding of `exp` and the logistic function. The format is
+//! written for other programs, and not read.
+//!
+//! **Frame.** glTF is left-up-front: half a turn about `z` from the frame of scenes here. `asset.extras` stores the origin, in the frame of
+//! scenes here, and the mark of antialiasing; the format itself has no place for them.
+//!
+//! The binary container is written; its JSON twin would be a third larger.
+//!
+//! **Crates.** `gltf` 1.4 refuses attributes whose names have a colon, as those of the extension do.
 
 use std::io::{self, Write};
 use std::path::Path;
 
-use base64::Engine;
-use base64::engine::general_purpose::STANDARD;
 use serde_json::{Map, Value, json};
 
-use super::{CHUNKS, COLOUR_SPACE, EXTENSION, KERNEL, MAGIC, OPACITY, POSITION, ROTATION, SCALE, VERSION, harmonic};
-use crate::formats::frame::HalfTurn;
-use crate::formats::{DC, Format, FormatError, SceneFile, extras, opacity};
+use super::frame::HalfTurn;
+use super::{DC, FormatError, SceneFile, extras, opacity};
 use crate::gaussians::{GaussianRows, sigmoid};
 use crate::replace::{WRITE, replace};
+
+#[cfg(test)]
+mod tests;
+
+pub(super) const DEGREE_MAX: usize = 3;
+
+const EXTENSION: &str = "KHR_gaussian_splatting";
+
+const POSITION: &str = "POSITION";
+
+/// Name of the attribute of harmonic `k` in the order of the coefficients, `k = l² + n`.
+fn harmonic(k: usize) -> String {
+    let l = k.isqrt();
+    format!("{EXTENSION}:SH_DEGREE_{l}_COEF_{}", k - l * l)
+}
 
 /// Codes of component types and of buffers for vertices.
 const UNSIGNED_BYTE: u32 = 5121;
@@ -21,29 +56,15 @@ const ARRAY_BUFFER: u32 = 34_962;
 /// Range of the logarithms of standard deviations that are positive, finite floats.
 const LOG_SCALES: (f32, f32) = (-87.0, 88.0);
 
-/// Bytes that are encoded as base64 at once; a multiple of three, so that the pieces join.
-const PIECE: usize = 3 << 18;
+/// Writes rows that fit the format ([`super::fit`]). `scene` gives the origin and the mark of antialiasing.
+pub(super) fn write(path: &Path, rows: &GaussianRows, scene: &SceneFile) -> Result<(), FormatError> {
+    replace(path, |out| write_to(out, rows, scene)).map_err(FormatError::io(path, WRITE))
+}
 
-/// Writes rows that fit the format ([`crate::formats::fit`]), in the binary container or, for [`Format::Gltf`], as JSON that holds the data as base64.
-/// `scene` gives the origin and the mark of antialiasing.
-pub fn write(path: &Path, rows: &GaussianRows, scene: &SceneFile, format: Format) -> Result<(), FormatError> {
+fn write_to(out: &mut impl Write, rows: &GaussianRows, scene: &SceneFile) -> io::Result<()> {
     let attributes = attributes(rows);
-    let document = document(rows, &attributes, scene);
-    replace(path, |out| match format {
-        Format::Glb => binary(out, document, &attributes),
-        _ => text(out, &document, &attributes),
-    })
-    .map_err(FormatError::io(path, WRITE))
-}
-
-fn bytes_of(attributes: &[Attribute]) -> usize {
-    attributes.iter().map(|attribute| attribute.bytes.len()).sum()
-}
-
-fn binary(out: &mut impl Write, mut document: Map<String, Value>, attributes: &[Attribute]) -> io::Result<()> {
-    let bytes = bytes_of(attributes);
-    document.insert("buffers".into(), json!([{ "byteLength": bytes }]));
-    let mut json = serde_json::to_vec(&document)?;
+    let bytes: usize = attributes.iter().map(|attribute| attribute.bytes.len()).sum();
+    let mut json = serde_json::to_vec(&document(rows, &attributes, scene))?;
     // Chunks end at multiples of four bytes.
     json.resize(json.len().next_multiple_of(4), b' ');
     let word = |bytes: usize| {
@@ -52,21 +73,21 @@ fn binary(out: &mut impl Write, mut document: Map<String, Value>, attributes: &[
         word.map(u32::to_le_bytes)
     };
     let length = 20 + json.len() + 8 + bytes;
-    out.write_all(&[MAGIC, VERSION.to_le_bytes(), word(length)?, word(json.len())?, CHUNKS[0]].concat())?;
+    // The second word is the version of the container.
+    out.write_all(&[*b"glTF", 2_u32.to_le_bytes(), word(length)?, word(json.len())?, *b"JSON"].concat())?;
     out.write_all(&json)?;
-    out.write_all(&[word(bytes)?, CHUNKS[1]].concat())?;
+    out.write_all(&[word(bytes)?, *b"BIN\0"].concat())?;
     attributes.iter().try_for_each(|attribute| out.write_all(&attribute.bytes))
 }
 
-/// The document without its buffer.
-fn document(rows: &GaussianRows, attributes: &[Attribute], scene: &SceneFile) -> Map<String, Value> {
-    let mut asset = object(json!({ "version": "2.0", "generator": concat!("splat ", env!("CARGO_PKG_VERSION")) }));
+fn document(rows: &GaussianRows, attributes: &[Attribute], scene: &SceneFile) -> Value {
+    let mut asset = json!({ "version": "2.0", "generator": concat!("splat ", env!("CARGO_PKG_VERSION")) });
     let mut extras = extras::of(scene.world());
-    if scene.antialiased {
+    if scene.trained.antialias {
         extras.insert("antialiased".into(), json!(true));
     }
     if !extras.is_empty() {
-        asset.insert("extras".into(), extras.into());
+        asset["extras"] = extras.into();
     }
     let (mut low, mut high) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
     for mean in turned(rows) {
@@ -79,19 +100,20 @@ fn document(rows: &GaussianRows, attributes: &[Attribute], scene: &SceneFile) ->
         let (name, mut accessor, bytes) = (attribute.name.clone(), attribute.accessor.clone(), attribute.bytes.len());
         views.push(json!({ "buffer": 0, "byteOffset": at, "byteLength": bytes, "target": ARRAY_BUFFER }));
         at += bytes;
-        accessor.insert("count".into(), json!(rows.len()));
-        accessor.insert("bufferView".into(), json!(i));
+        accessor["count"] = json!(rows.len());
+        accessor["bufferView"] = json!(i);
         if name == POSITION {
-            accessor.extend([("min".into(), json!(low.map(f64::from))), ("max".into(), json!(high.map(f64::from)))]);
+            accessor["min"] = json!(low.map(f64::from));
+            accessor["max"] = json!(high.map(f64::from));
         }
         accessors.push(accessor);
         names.insert(name, json!(i));
     }
     let splatting = json!({
-        "kernel": KERNEL, "colorSpace": COLOUR_SPACE, "projection": "perspective", "sortingMethod": "cameraDistance"
+        "kernel": "ellipse", "colorSpace": "srgb_rec709_display", "projection": "perspective", "sortingMethod": "cameraDistance"
     });
     let primitive = json!({ "mode": 0, "attributes": names, "extensions": { EXTENSION: splatting } });
-    object(json!({
+    json!({
         "asset": asset,
         "extensionsUsed": [EXTENSION],
         "scene": 0,
@@ -100,48 +122,25 @@ fn document(rows: &GaussianRows, attributes: &[Attribute], scene: &SceneFile) ->
         "meshes": [{ "primitives": [primitive] }],
         "accessors": accessors,
         "bufferViews": views,
-    }))
-}
-
-fn text(out: &mut impl Write, document: &Map<String, Value>, attributes: &[Attribute]) -> io::Result<()> {
-    let (json, bytes) = (serde_json::to_string(document)?, bytes_of(attributes));
-    // The data is too long for a string in memory: the document is left open, and closed behind it.
-    write!(
-        out,
-        "{},\"buffers\":[{{\"byteLength\":{bytes},\"uri\":\"data:application/octet-stream;base64,",
-        &json[..json.len() - 1]
-    )?;
-    let mut rest: Vec<u8> = Vec::new();
-    for attribute in attributes {
-        rest.extend(&attribute.bytes);
-        let whole = rest.len() / PIECE * PIECE;
-        rest[..whole].chunks(PIECE).try_for_each(|piece| out.write_all(STANDARD.encode(piece).as_bytes()))?;
-        rest.drain(..whole);
-    }
-    out.write_all(STANDARD.encode(&rest).as_bytes())?;
-    out.write_all(b"\"}]}")
+        "buffers": [{ "byteLength": at }],
+    })
 }
 
 /// An attribute, and its accessor without the place of its bytes.
 struct Attribute {
     name: String,
-    accessor: Map<String, Value>,
+    accessor: Value,
     bytes: Vec<u8>,
 }
 
 fn floats<const N: usize>(name: impl Into<String>, values: impl ExactSizeIterator<Item = [f32; N]>) -> Attribute {
     let shape = if N == 1 { "SCALAR".to_owned() } else { format!("VEC{N}") };
-    let accessor = object(json!({ "componentType": FLOAT, "type": shape }));
+    let accessor = json!({ "componentType": FLOAT, "type": shape });
     let mut bytes = Vec::with_capacity(4 * N * values.len());
     values.for_each(|value| value.iter().for_each(|number| bytes.extend(number.to_le_bytes())));
     Attribute { name: name.into(), accessor, bytes }
 }
 
-fn object(value: Value) -> Map<String, Value> {
-    value.as_object().cloned().unwrap_or_default()
-}
-
-/// Centres in glTF's frame.
 fn turned(rows: &GaussianRows) -> impl ExactSizeIterator<Item = [f32; 3]> {
     let axes = HalfTurn::Z.axes();
     rows.means.iter().map(move |mean| [0, 1, 2].map(|axis| axes[axis] * mean[axis]))
@@ -157,7 +156,7 @@ fn attributes(rows: &GaussianRows) -> Vec<Attribute> {
     };
     let colours = Attribute {
         name: "COLOR_0".into(),
-        accessor: object(json!({ "componentType": UNSIGNED_BYTE, "normalized": true, "type": "VEC4" })),
+        accessor: json!({ "componentType": UNSIGNED_BYTE, "normalized": true, "type": "VEC4" }),
         bytes: (0..rows.len()).flat_map(colour).collect(),
     };
     let rotations = rows.rotations.iter().map(|rotation| {
@@ -174,9 +173,9 @@ fn attributes(rows: &GaussianRows) -> Vec<Attribute> {
     let mut attributes = vec![
         floats(POSITION, turned(rows)),
         colours,
-        floats(ROTATION, rotations),
-        floats(SCALE, scales),
-        floats(OPACITY, opacities),
+        floats(format!("{EXTENSION}:ROTATION"), rotations),
+        floats(format!("{EXTENSION}:SCALE"), scales),
+        floats(format!("{EXTENSION}:OPACITY"), opacities),
         floats(harmonic(0), rows.sh_dc.iter().copied()),
     ];
     let per_row = rows.rest_per_row();
