@@ -59,43 +59,6 @@
 //! # Ok::<(), splat_op::SplatError>(())
 //! ```
 //!
-//! # Learn from a picture
-//!
-//! Gradient descent moves a Gaussian to its place. Any optimiser of Burn works; `splat-model` has the usual one.
-//!
-//! ```
-//! use burn::tensor::{Device, Tensor};
-//! use splat_op::{Camera, Colour, Extras, Intrinsics, RenderOptions, SplatError, Splats, render_view};
-//!
-//! let device = Device::flex();
-//! let camera = Camera::new(Intrinsics::centred(32, 32, 30.0), &glam::DAffine3::IDENTITY, &device);
-//! let picture_of = |means: Tensor<2>| -> Result<Tensor<3>, SplatError> {
-//!     let splats = Splats {
-//!         means,
-//!         rotations: Tensor::from_floats([[1.0, 0.0, 0.0, 0.0]], &device),
-//!         scales: Tensor::from_floats([[0.3, 0.3, 0.3]], &device),
-//!         opacities: Tensor::from_floats([0.9], &device),
-//!         colour: Colour::Features(Tensor::from_floats([[1.0, 0.5, 0.1]], &device)),
-//!     };
-//!     // Constants and tracked tensors may be mixed.
-//!     Ok(render_view(&splats, &camera, &Extras::default(), &RenderOptions::standard())?.colour)
-//! };
-//! let photograph = picture_of(Tensor::from_floats([[0.2, 0.0, 2.0]], &device))?;
-//!
-//! let mut means = Tensor::<2>::from_floats([[0.0, 0.0, 2.0]], &device);
-//! let mut losses = Vec::new();
-//! for _ in 0..15 {
-//!     let tracked = Tensor::from_inner(means.clone()).require_grad();
-//!     let loss = (picture_of(tracked.clone())? - Tensor::from_inner(photograph.clone())).square().mean();
-//!     losses.push(loss.clone().into_scalar::<f32>());
-//!     let gradient = tracked.grad(&loss.backward()).expect("tracked");
-//!     let length = gradient.clone().square().sum().sqrt().into_scalar::<f32>();
-//!     means = means - gradient * (0.01 / length);
-//! }
-//! assert!(losses[14] < 0.5 * losses[0], "{losses:?}");
-//! # Ok::<(), SplatError>(())
-//! ```
-//!
 //! `docs/IN_YOUR_MODEL.md` lists the inputs that have gradients, the device that each stage runs on, and the limits.
 
 #![cfg_attr(docsrs, feature(doc_cfg))]

@@ -65,12 +65,15 @@ const fn model(name: &'static str, what: &'static str, values: &'static [DialVal
 /// Root mean square error that f32 itself may cause, with every dial at its most accurate value.
 pub(super) const ROUNDING_RMS: f64 = 1e-3;
 
+/// Root mean square error that `alpha_max` may cause, which is no dial: it lets a hundredth of the light behind a layer through.
+pub(super) const ALPHA_MAX_RMS: f64 = 0.02;
+
 /// All dials. Values of numerical dials are listed from accurate to coarse.
 ///
 /// Reasons for the bounds: a contribution skipped by `alpha_min` has at most that weight, and about ten such layers show in a
 /// pixel. The layers cut off by `transmittance_min` have at most that weight over `1 − alpha_max`, because the layer that would
 /// cross the threshold is left out together with the layers behind it; where that ratio reaches one, anything may be left out,
-/// and pixels of opaque surfaces are. `alpha_max` lets `1 − alpha_max` of the light behind a layer through.
+/// and pixels of opaque surfaces are.
 pub const DIALS: &[Dial] = &[
     Dial {
         // A hundred thousand contributions below this value change a picture by less than the precision of f32.
@@ -98,16 +101,6 @@ pub const DIALS: &[Dial] = &[
             value("1e-4", 0.01, |o| RenderOptions { transmittance_min: 1e-4, ..o }),
             value("1e-3", 0.1, |o| RenderOptions { transmittance_min: 1e-3, ..o }),
             value("1e-2", 0.5, |o| RenderOptions { transmittance_min: 1e-2, ..o }),
-        ],
-    ),
-    numerical(
-        "alpha_max",
-        "upper limit of the alpha of a contribution",
-        &[
-            // Together with a transmittance threshold, this value drops opaque layers, hence the bound.
-            value("1", 0.5, |o| RenderOptions { alpha_max: 1.0, ..o }),
-            value("0.999", 0.1, |o| RenderOptions { alpha_max: 0.999, ..o }),
-            value("0.99", 0.02, |o| RenderOptions { alpha_max: 0.99, ..o }),
         ],
     ),
     Dial {
@@ -164,14 +157,15 @@ impl Dial {
 
     /// `options` with every numerical dial at its value without approximation, for the exact render in f64.
     pub fn all_exact(options: RenderOptions) -> RenderOptions {
-        DIALS.iter().filter(|dial| dial.judge == Judge::Exact).fold(options, |options, dial| (dial.exact)(options))
+        let base = RenderOptions { alpha_max: 1.0, ..options };
+        DIALS.iter().filter(|dial| dial.judge == Judge::Exact).fold(base, |options, dial| (dial.exact)(options))
     }
 
     /// Root mean square error of colours above which a render with `options` counts as broken: the sum over the numerical
     /// dials, as errors add up in the worst case, plus the error of f32. A dial whose value is not listed adds nothing.
     pub fn rms_bound(options: &RenderOptions) -> f64 {
         let bound = |dial: &Dial| dial.value_in(options).map_or(0.0, |value| value.rms_bound);
-        ROUNDING_RMS + DIALS.iter().map(bound).sum::<f64>()
+        ROUNDING_RMS + ALPHA_MAX_RMS + DIALS.iter().map(bound).sum::<f64>()
     }
 }
 

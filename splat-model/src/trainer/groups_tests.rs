@@ -1,6 +1,6 @@
 //! Groups of one's own in a run: features that a loss renders and compares.
 
-use super::ranks::threads::together;
+use super::ranks::testing::together;
 use super::testing::{photos, points};
 use super::*;
 use crate::density::{AdaptiveConfig, DensityConfig, Mcmc, McmcConfig};

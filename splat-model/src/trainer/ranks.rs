@@ -143,6 +143,6 @@ pub(super) fn first_difference(
 }
 
 #[cfg(test)]
-mod tests;
+pub(super) mod testing;
 #[cfg(test)]
-pub(super) mod threads;
+mod tests;

@@ -15,7 +15,7 @@ use bytemuck::Pod;
 
 use super::list::{List, Slot, Tensors};
 use super::operation::{Args, Call, OperationBackend, Spec};
-use crate::counters::count_twin_call;
+use crate::counters::count_twin_calls;
 use crate::simd::real::Real;
 
 /// A tensor in host memory.
@@ -269,7 +269,7 @@ fn operate<B: HostBackend>(inputs: Tensors<B>, call: &Call) -> Tensors<B> {
     let spec = |tensor: &HostTensor| Spec { shape: tensor.shape(), dtype: tensor.dtype() };
     let specs = call.outputs(&given.iter().map(|tensor| tensor.as_ref().map(spec)).collect::<Vec<_>>());
     let args = Args::new(call, given);
-    count_twin_call();
+    count_twin_calls(1);
     let found = call.operation.run(&args, call.backward.is_some());
     assert_eq!(found.len(), specs.len(), "an operation has the outputs that it specified");
     let Args { mut inputs, mut outputs, mut grads, .. } = args;

@@ -8,7 +8,7 @@ use cubecl::prelude::*;
 use cubecl::server::Handle;
 
 use super::{Gpu, elementwise, given};
-use crate::counters::{count_allocation, count_binding, count_idle_wait};
+use crate::counters::{count_allocation, count_binding, count_idle_waits};
 use crate::limits::Need;
 
 static POISON: AtomicBool = AtomicBool::new(false);
@@ -157,7 +157,7 @@ impl<T: Pod> Buffer<T> {
 
     /// Waits for the device and copies the elements back.
     pub fn read(&self, gpu: &Gpu) -> Vec<T> {
-        count_idle_wait();
+        count_idle_waits(1);
         let bytes = gpu.client.read_one(self.handle.clone()).unwrap_or_else(|error| panic!("{error}"));
         bytemuck::pod_collect_to_vec(&bytes[..self.len * size_of::<T>()])
     }

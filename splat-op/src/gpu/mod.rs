@@ -16,7 +16,7 @@ use cubecl::prelude::{CubeCount, CubeDim};
 pub use buffer::poison;
 pub(crate) use buffer::{Buffer, PART_BYTES, launch_scale, roomy};
 
-use crate::counters::count_dispatch;
+use crate::counters::count_dispatches;
 use crate::limits::lowered_limit;
 
 /// Returns a bit for each buffer that there is. A kernel with several optional buffers takes the bits as a comptime argument that it does
@@ -89,7 +89,7 @@ fn plane_units(properties: &DeviceProperties) -> Option<u32> {
 /// Returns a dispatch of at least `cubes` cubes, within the limits of every device. Kernels number their cubes by `CUBE_POS` and
 /// skip the surplus cubes.
 pub(crate) fn cubes(cubes: usize) -> CubeCount {
-    count_dispatch();
+    count_dispatches(1);
     let cubes = cubes.max(1);
     match cubes <= CUBES_X {
         true => CubeCount::Static(cubes as u32, 1, 1),

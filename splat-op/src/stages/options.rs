@@ -88,10 +88,7 @@ impl RenderOptions {
     /// (`alpha_max = 0.99`), and splats behind a transmittance of `transmittance_min = 1e-4` are skipped. All other dials have the
     /// fastest values whose error is within the rounding of f32: atomic accumulation.
     ///
-    /// Expected error: 42 to 46 dB against the reference render, 0.05 to 0.13 at the worst pixel, nearly all of it from `alpha_min`.
-    /// Gradients of the scales are 46% to 63% off in relative L2 (cosine 0.78 to 0.89), others less. (These figures and those of the
-    /// other presets: three trained scenes of 20,694 to 150,000 Gaussians, f32 on two CPU cores, in `docs/pareto/`; `splat pareto`
-    /// measures other scenes and devices.)
+    /// `docs/ACCURACY.md` has the error and the time of each preset.
     pub const fn standard() -> Self {
         Self {
             blur: 0.3,
@@ -115,10 +112,6 @@ impl RenderOptions {
     /// `alpha_min` is four times as large, so that a tile lists fewer Gaussians, and `transmittance_min` is 1e-3, so that a pixel is
     /// finished after fewer. All other fields are equal. (At 1e-2 a layer with an alpha of `alpha_max`, 0.99, would itself be
     /// skipped: surfaces had holes.)
-    ///
-    /// Expected error: 31 to 36 dB, 0.16 to 0.31 at the worst pixel; gradients of the scales 74% to 88% off (cosine 0.47 to 0.67). Time
-    /// saved over the standard: a twelfth to a quarter of a render, and a seventh to a third of a backward pass. Runs of 500 steps took
-    /// 12% less time and lost 0.2 dB.
     pub const fn fast() -> Self {
         Self { alpha_min: 4.0 / 255.0, transmittance_min: 1e-3, ..Self::standard() }
     }
@@ -128,9 +121,6 @@ impl RenderOptions {
     /// `alpha_min` is 2⁻²⁶ and no pixel is finished early (`transmittance_min = 0`), so that nothing is skipped that an 8-bit or
     /// 16-bit picture could show. `alpha_max` is unchanged, because scenes were trained with it; so are the dials whose error is
     /// within rounding.
-    ///
-    /// Expected error: 109 to 119 dB, 0.002 at the worst pixel; gradients at most 0.04% off. Cost over the standard: 2.2 to 3.1 times the
-    /// time of a render, 2.8 to 3.5 times that of a backward pass, and 1.2 to 2.6 times the memory.
     pub const fn exact() -> Self {
         // 2⁻²⁶: a thousand such contributions stay below half a level of a 16-bit picture.
         Self { alpha_min: 1.0 / 67_108_864.0, transmittance_min: 0.0, ..Self::standard() }

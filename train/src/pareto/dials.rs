@@ -28,8 +28,7 @@ pub struct Candidate {
 /// and every dial at its coarsest, follow from the table.
 const COMBINATIONS: &[(&str, &[(&str, &str)])] = &[
     ("half-way to fast", &[("alpha_min", "2/255"), ("transmittance_min", "1e-3")]),
-    ("open layers", &[("alpha_max", "0.999"), ("transmittance_min", "1e-5")]),
-    ("half-way to exact", &[("alpha_min", "1/1024"), ("transmittance_min", "1e-5"), ("alpha_max", "0.999")]),
+    ("half-way to exact", &[("alpha_min", "1/1024"), ("transmittance_min", "1e-5")]),
 ];
 
 impl Candidate {

@@ -26,13 +26,13 @@ fn a_setting_survives_a_file_and_nonsense_does_not() {
 #[test]
 fn what_is_turned_is_turned_and_nothing_else() {
     let base = RenderOptions::standard().with_near(0.5).with_antialias(true);
-    let setting = Setting::new([("transmittance_min", "0"), ("alpha_max", "1")]).unwrap();
+    let setting = Setting::new([("transmittance_min", "0"), ("alpha_min", "1/1024")]).unwrap();
     let turned = setting.apply(base);
-    assert_eq!(turned, RenderOptions { transmittance_min: 0.0, alpha_max: 1.0, ..base });
+    assert_eq!(turned, RenderOptions { transmittance_min: 0.0, alpha_min: 1.0 / 1024.0, ..base });
     assert_eq!(Setting::between(&base, &turned), setting);
     assert_eq!(setting.judge(), Judge::Exact);
     let choice = Setting::new([("sh_degree", "1")]).unwrap();
     assert_eq!(choice.judge(), Judge::Photographs);
-    let coarser = Setting::new([("alpha_max", "0.99")]).unwrap();
-    assert_eq!(choice.and(&setting).and(&coarser).to_string(), "alpha_max 0.99, sh_degree 1, transmittance_min 0");
+    let coarser = Setting::new([("alpha_min", "1/255")]).unwrap();
+    assert_eq!(choice.and(&setting).and(&coarser).to_string(), "alpha_min 1/255, sh_degree 1, transmittance_min 0");
 }

@@ -5,7 +5,7 @@ use burn::tensor::{Device, Gradients as Remaining, Tensor};
 use glam::DVec3;
 use splat_op::Rendered;
 
-use super::threads::together;
+use super::testing::together;
 use super::*;
 use crate::capture::{CaptureError, Photo, Photograph};
 use crate::density::rows::Trained;

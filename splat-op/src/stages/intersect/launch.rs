@@ -8,7 +8,7 @@ use super::forward::{COVER, TileListsLaunch, cover_kernel};
 use super::sort::{Sorted, launch_sort};
 use super::{Cut, tile_grid};
 use crate::camera::Intrinsics;
-use crate::counters::{count_idle_wait, count_read, count_repeated_lists, forced_capacity};
+use crate::counters::{count_idle_waits, count_read, count_repeated_lists, forced_capacity};
 use crate::gpu::{Buffer, Gpu, UNITS, cubes, elementwise};
 use crate::limits::Need;
 
@@ -81,7 +81,7 @@ pub(super) fn launch_intersect_within(
     let early = capacity.map(|capacity| counted.lists(gpu, Room::new(gpu, capacity)));
     match early {
         Some(_) => gpu.begin(),
-        None => count_idle_wait(),
+        None => count_idle_waits(1),
     }
     let read = cubecl::future::block_on(sizes).unwrap_or_else(|error| panic!("{error}"));
     count_read(read.iter().map(|part| part.len() as u64).sum());
@@ -94,7 +94,7 @@ pub(super) fn launch_intersect_within(
     let intersections = intersections as usize;
     let lists = early.filter(|lists| intersections <= lists.capacity).unwrap_or_else(|| {
         if capacity.is_some() {
-            count_repeated_lists();
+            count_repeated_lists(1);
         }
         counted.lists(gpu, Room::new(gpu, intersections))
     });

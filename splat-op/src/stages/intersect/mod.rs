@@ -27,6 +27,8 @@ pub(crate) mod sort;
 #[cfg(all(test, feature = "cube"))]
 mod sort_kernel_tests;
 #[cfg(test)]
+mod testing;
+#[cfg(test)]
 mod tests;
 
 use std::sync::{Arc, OnceLock};
@@ -58,14 +60,6 @@ impl Cut {
     }
 }
 
-/// Tests keep boxes.
-#[cfg(test)]
-impl From<f64> for Cut {
-    fn from(alpha_min: f64) -> Self {
-        Self { alpha_min, boxes: true }
-    }
-}
-
 /// Box around the pixels that may see a Gaussian, px.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct PixelBox {
@@ -94,14 +88,6 @@ pub(crate) struct IntersectionLists {
     pub intersection_of_visible: Vec<u32>,
     /// `[N]`, or empty: the boxes of all Gaussians, see [`Cut`].
     pub boxes: Vec<PixelBox>,
-}
-
-#[cfg(test)]
-impl IntersectionLists {
-    /// Returns the number of Gaussians that each tile lists.
-    pub fn counts(&self) -> Vec<u32> {
-        self.tile_start.windows(2).map(|ends| (ends[1] - ends[0]) as u32).collect()
-    }
 }
 
 /// Lists of one view, on the host or on the device where the view's stages run.

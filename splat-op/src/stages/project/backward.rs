@@ -13,7 +13,7 @@
 use cubecl::prelude::*;
 
 use super::axis::{CameraAxis, JacobianRow};
-use super::forward::{Gaussian, PackedEllipse, ProjectCamera, ProjectionTerms, project_one};
+use super::forward::{Gaussian, GeometryInputs, PackedEllipse, ProjectCamera, ProjectionTerms, project_one};
 use super::lens_backward::bent_backward;
 use super::lens_forward::SeenGrad;
 use crate::gpu::UNITS;
@@ -203,11 +203,7 @@ pub(crate) fn gaussian_backward(
 
 #[cube(launch_unchecked)]
 pub(super) fn project_backward_kernel(
-    means: &[f32],
-    rotations: &[Vector<f32, Const<4>>],
-    scales: &[f32],
-    opacities: &[f32],
-    cam_from_world: &[f32],
+    inputs: GeometryInputs,
     grad: &[f32],
     grad_means: ComptimeOption<&mut [f32]>,
     grad_rotations: ComptimeOption<&mut [Vector<f32, Const<4>>]>,
@@ -231,8 +227,7 @@ pub(super) fn project_backward_kernel(
         let grad = PackedEllipse::load(grad, gaussian);
         // Most Gaussians of a large scene are out of view and have a gradient of exactly zero.
         if any(&grad) {
-            let g = Gaussian::load(means, rotations, scales, opacities, gaussian);
-            of = gaussian_backward(&g, &Pose::load(cam_from_world), &camera, &grad, wanted);
+            of = gaussian_backward(&inputs.gaussian(gaussian), &inputs.pose(), &camera, &grad, wanted);
         }
         #[comptime]
         if let ComptimeOption::Some(out) = grad_means {

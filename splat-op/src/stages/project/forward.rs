@@ -1,8 +1,5 @@
 //! Kernel of `project`, forward: one unit per Gaussian. The projection of one Gaussian is a separate function, because the
 //! backward kernel recomputes it instead of reading stored values.
-//!
-//! Shapes as in `project`: means `[N, 3]`, rotations `[N, 4]`, scales `[N, 3]`, opacities `[N]`, pose `[3, 4]` →
-//! `[N, 7]`.
 
 use cubecl::prelude::*;
 
@@ -32,6 +29,32 @@ pub(crate) struct ProjectCamera {
     pub clips: bool,
 }
 
+/// What the kernels read of Gaussians, and the pose of the camera.
+#[derive(CubeType, CubeLaunch)]
+pub(crate) struct GeometryInputs {
+    means: Box<[f32]>,
+    rotations: Box<[Vector<f32, Const<4>>]>,
+    scales: Box<[f32]>,
+    opacities: Box<[f32]>,
+    cam_from_world: Box<[f32]>,
+}
+
+#[cube]
+impl GeometryInputs {
+    pub fn gaussian(&self, at: usize) -> Gaussian {
+        Gaussian {
+            mean: Vec3::load(&self.means, 3 * at),
+            rotation: Quaternion::load(&self.rotations, at),
+            scale: Vec3::load(&self.scales, 3 * at),
+            opacity: self.opacities[at],
+        }
+    }
+
+    pub fn pose(&self) -> Pose {
+        Pose::load(&self.cam_from_world)
+    }
+}
+
 /// One Gaussian's parameters.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
@@ -44,21 +67,6 @@ pub(crate) struct Gaussian {
 
 #[cube]
 impl Gaussian {
-    pub fn load(
-        means: &[f32],
-        rotations: &[Vector<f32, Const<4>>],
-        scales: &[f32],
-        opacities: &[f32],
-        gaussian: usize,
-    ) -> Gaussian {
-        Gaussian {
-            mean: Vec3::load(means, 3 * gaussian),
-            rotation: Quaternion::load(rotations, gaussian),
-            scale: Vec3::load(scales, 3 * gaussian),
-            opacity: opacities[gaussian],
-        }
-    }
-
     fn finite(&self) -> bool {
         let (m, q, s) = (self.mean, self.rotation, self.scale);
         let mean = finite(m.x) && finite(m.y) && finite(m.z);
@@ -243,19 +251,10 @@ pub(crate) fn packed_of(gaussian: &Gaussian, p: &ProjectionTerms, camera: &Proje
 }
 
 #[cube(launch_unchecked)]
-pub(super) fn project_forward_kernel(
-    means: &[f32],
-    rotations: &[Vector<f32, Const<4>>],
-    scales: &[f32],
-    opacities: &[f32],
-    cam_from_world: &[f32],
-    projected: &mut [f32],
-    camera: ProjectCamera,
-    count: u32,
-) {
+pub(super) fn project_forward_kernel(inputs: GeometryInputs, projected: &mut [f32], camera: ProjectCamera, count: u32) {
     if ABSOLUTE_POS < count as usize {
-        let gaussian = Gaussian::load(means, rotations, scales, opacities, ABSOLUTE_POS);
-        let p = project_one(&gaussian, &Pose::load(cam_from_world), &camera);
+        let gaussian = inputs.gaussian(ABSOLUTE_POS);
+        let p = project_one(&gaussian, &inputs.pose(), &camera);
         packed_of(&gaussian, &p, &camera).store(projected, ABSOLUTE_POS);
     }
 }

@@ -1,13 +1,11 @@
 //! The kernels of `project` against the twin in f64.
 
-mod scene;
-
 use cubecl::prelude::{ComptimeOptionArgs, CubeCount, CubeDim};
 
-use self::scene::*;
 use super::backward::project_backward_kernel;
 use super::cpu::{project_backward_cpu, project_cpu};
-use super::launch::{launch_project, launch_project_backward, project_camera};
+use super::launch::{geometry_arg, launch_project, launch_project_backward, project_camera};
+use super::testing::*;
 use super::{COLUMNS, Geometry};
 use crate::gpu::{Buffer, UNITS};
 use crate::testing::ceiling::{PerturbedReference, to_f32};
@@ -186,11 +184,7 @@ fn surplus_cubes_write_nothing() {
                 &gpu.client,
                 CubeCount::Static(3, 2, 1),
                 CubeDim::new_1d(UNITS as u32),
-                inputs.means.arg(),
-                inputs.rotations.vectors(4),
-                inputs.scales.arg(),
-                inputs.opacities.arg(),
-                inputs.cam_from_world.arg(),
+                geometry_arg(&inputs),
                 grad.arg(),
                 nothing(),
                 ComptimeOptionArgs::None,

@@ -2,7 +2,7 @@
 
 use super::axis::CameraAxisLaunch;
 use super::backward::project_backward_kernel;
-use super::forward::{ProjectCameraLaunch, project_forward_kernel};
+use super::forward::{GeometryInputsLaunch, ProjectCameraLaunch, project_forward_kernel};
 use super::lens_forward::DistortionLaunch;
 use super::{COLUMNS, Geometry, ProjectSpec, RADIUS_SIGMAS, WIDTHS};
 use crate::camera::{CameraModel, Intrinsics};
@@ -29,6 +29,12 @@ pub(crate) fn project_camera(spec: &ProjectSpec) -> ProjectCameraLaunch {
         options.antialias,
         options.radius_clip > 0.0,
     )
+}
+
+/// Gaussians and pose as an argument of the kernels.
+pub(crate) fn geometry_arg(inputs: &Geometry<Buffer<f32>>) -> GeometryInputsLaunch {
+    let [means, scales, opacities] = [&inputs.means, &inputs.scales, &inputs.opacities].map(Buffer::arg);
+    GeometryInputsLaunch::new(means, inputs.rotations.vectors(4), scales, opacities, inputs.cam_from_world.arg())
 }
 
 /// Lens as an argument of the kernels; `None` for a pinhole.
@@ -59,11 +65,7 @@ pub(crate) fn launch_project(gpu: &Gpu, inputs: &Geometry<Buffer<f32>>, spec: &P
             &gpu.client,
             grid,
             dim,
-            inputs.means.arg(),
-            inputs.rotations.vectors(4),
-            inputs.scales.arg(),
-            inputs.opacities.arg(),
-            inputs.cam_from_world.arg(),
+            geometry_arg(inputs),
             projected.arg(),
             project_camera(spec),
             count as u32,
@@ -110,11 +112,7 @@ pub(crate) fn launch_project_backward(
                 &gpu.client,
                 grid,
                 dim,
-                inputs.means.arg(),
-                inputs.rotations.vectors(4),
-                inputs.scales.arg(),
-                inputs.opacities.arg(),
-                inputs.cam_from_world.arg(),
+                geometry_arg(inputs),
                 grad.arg(),
                 output(&grads.means),
                 grads.rotations.as_ref().map(|grads| grads.vectors(4)).into(),

@@ -39,6 +39,8 @@ pub(crate) mod lens_simd;
 pub(crate) mod operation;
 pub(crate) mod simd;
 pub(crate) mod simd_backward;
+#[cfg(all(test, feature = "cube"))]
+mod testing;
 #[cfg(test)]
 mod tests;
 

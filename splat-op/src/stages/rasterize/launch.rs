@@ -99,11 +99,6 @@ impl DevicePlanes {
     pub fn parts(&self) -> impl Iterator<Item = Buffer<f32>> {
         self.lens.iter().enumerate().map(|(i, len)| self.all.part(start(&self.lens[..i]), *len))
     }
-
-    #[cfg(test)]
-    pub fn read(&self, gpu: &Gpu) -> Vec<f32> {
-        self.parts().flat_map(|part| part.read(gpu)).collect()
-    }
 }
 
 /// Number of floats up to the part behind some.

@@ -56,6 +56,8 @@ pub(crate) mod splat_cpu;
 #[cfg(feature = "cube")]
 mod suffix;
 #[cfg(test)]
+mod testing;
+#[cfg(test)]
 mod tests;
 mod tile;
 mod tile_backward;
@@ -115,17 +117,6 @@ impl RasterizeSpec {
     /// Number of output planes for `features` channels.
     pub(crate) fn planes(&self, features: usize) -> usize {
         features + 1 + usize::from(self.options.depth)
-    }
-}
-
-#[cfg(test)]
-impl<'a, F> PlaneParts<&'a [F]> {
-    /// Splits the gradient of all planes, `[C + 1 (+ 1), H, W]`, of a render of `features` features.
-    pub(crate) fn split(grad: &'a [F], spec: &RasterizeSpec, features: usize) -> Self {
-        let pixels = spec.intrinsics.width * spec.intrinsics.height;
-        let (colour, rest) = grad.split_at(features * pixels);
-        let (alpha, depth) = rest.split_at(pixels);
-        Self { colour, alpha, depth }
     }
 }
 

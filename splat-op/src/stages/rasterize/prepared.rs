@@ -36,18 +36,6 @@ pub(crate) struct SplatTrace<F, P> {
     pub(super) tiles: Vec<TileTrace<F>>,
 }
 
-#[cfg(test)]
-impl<F> Trace<F> {
-    /// For each Gaussian of each tile, a bit for each block that the backward pass evaluates.
-    pub fn reached(&mut self) -> impl Iterator<Item = &mut u16> {
-        let tiles = match self {
-            Self::Ellipses(trace) => &mut trace.tiles,
-            Self::Rays(trace) => &mut trace.tiles,
-        };
-        tiles.iter_mut().flat_map(|tile| &mut tile.reached)
-    }
-}
-
 /// Inputs in the form that the loops over the tiles read.
 pub(super) struct Prepared<'a, F: Real, P: Footprint<F>> {
     pub footprints: Cow<'a, [P]>,

@@ -42,14 +42,6 @@ pub(crate) struct DeviceTrace {
     pub(super) pairs: Option<Buffer<u32>>,
 }
 
-#[cfg(test)]
-impl DeviceTrace {
-    /// Number of runs.
-    pub fn runs(&self) -> usize {
-        self.runs.len()
-    }
-}
-
 /// Values of a run of tiles. Pixels are counted by unit, block by block.
 #[derive(Clone, Debug)]
 pub(super) struct TraceRun {

@@ -6,9 +6,9 @@ use cubecl::prelude::*;
 use super::forward::{RaySpaceTerms, lean};
 use super::lens_bounds_kernel::jacobian_at;
 use super::{LENS_FRAME, RAY_SPACE};
-use crate::gpu::math::{Mat3, Pose, Vec2, Vec3};
+use crate::gpu::math::{Mat3, Vec2, Vec3};
 use crate::project::backward::{GeometryGradMask, no_gradient, store_pose, world_backward};
-use crate::project::forward::{Gaussian, PackedEllipse, ProjectCamera, ProjectionTerms, project_one};
+use crate::project::forward::{GeometryInputs, PackedEllipse, ProjectCamera, ProjectionTerms, project_one};
 use crate::project::lens_backward::bent_backward;
 use crate::project::lens_forward::{Distortion, SeenGrad};
 
@@ -162,11 +162,7 @@ fn map_backward(map: &LinearMap, mean: Vec3, grad: &RowsGrad, camera: &ProjectCa
 
 #[cube(launch_unchecked)]
 pub(super) fn ray_space_backward_kernel(
-    means: &[f32],
-    rotations: &[Vector<f32, Const<4>>],
-    scales: &[f32],
-    opacities: &[f32],
-    cam_from_world: &[f32],
+    inputs: GeometryInputs,
     grad: &[f32],
     grad_means: ComptimeOption<&mut [f32]>,
     grad_rotations: ComptimeOption<&mut [Vector<f32, Const<4>>]>,
@@ -190,8 +186,7 @@ pub(super) fn ray_space_backward_kernel(
         let of_row = RayGrad::load(grad, gaussian * columns);
         // Most Gaussians of a large scene are out of view, with a gradient of exactly zero.
         if of_row.any {
-            let pose = Pose::load(cam_from_world);
-            let g = Gaussian::load(means, rotations, scales, opacities, gaussian);
+            let (pose, g) = (inputs.pose(), inputs.gaussian(gaussian));
             let f = project_one(&g, &pose, &camera);
             let l = lean(&f, &g, &camera);
             if f.visible {

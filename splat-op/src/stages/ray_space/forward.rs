@@ -4,8 +4,8 @@ use cubecl::prelude::*;
 
 use super::lens_bounds_kernel::{LensFrame, jacobian_at};
 use super::{LENS_FRAME, RAY_SPACE, THICKNESS_MAX};
-use crate::gpu::math::{Pose, Vec2, Vec3, finite};
-use crate::project::forward::{Gaussian, ProjectCamera, ProjectionTerms, project_one};
+use crate::gpu::math::{Vec2, Vec3, finite};
+use crate::project::forward::{Gaussian, GeometryInputs, ProjectCamera, ProjectionTerms, project_one};
 
 /// Intermediate results of the forward pass that the backward pass needs again, with the names of the module's documentation.
 #[derive(CubeType, Clone, Copy)]
@@ -76,18 +76,13 @@ fn away(projection: &ProjectionTerms, camera: &ProjectCamera) -> (f32, f32) {
 /// Writes the rows, `[N, 9]`, with a lens `[N, 15]`.
 #[cube(launch_unchecked)]
 pub(super) fn ray_space_forward_kernel(
-    means: &[f32],
-    rotations: &[Vector<f32, Const<4>>],
-    scales: &[f32],
-    opacities: &[f32],
-    cam_from_world: &[f32],
+    inputs: GeometryInputs,
     ray_rows: &mut [f32],
     camera: ProjectCamera,
     count: u32,
 ) {
     if ABSOLUTE_POS < count as usize {
-        let gaussian = Gaussian::load(means, rotations, scales, opacities, ABSOLUTE_POS);
-        let pose = Pose::load(cam_from_world);
+        let (gaussian, pose) = (inputs.gaussian(ABSOLUTE_POS), inputs.pose());
         let projection = project_one(&gaussian, &pose, &camera);
         let found = lean(&projection, &gaussian, &camera);
         let at = ABSOLUTE_POS * comptime!(RAY_SPACE + if camera.distortion.is_some() { LENS_FRAME } else { 0 });

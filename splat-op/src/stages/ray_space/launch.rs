@@ -6,7 +6,7 @@ use super::columns;
 use super::forward::ray_space_forward_kernel;
 use super::lens_bounds_kernel::lens_limits;
 use crate::gpu::{Buffer, Gpu, elementwise, given};
-use crate::project::launch::{geometry_grads, project_camera};
+use crate::project::launch::{geometry_arg, geometry_grads, project_camera};
 use crate::project::{COLUMNS, Geometry, ProjectSpec};
 use crate::rasterize::RasterizeSpec;
 
@@ -24,11 +24,7 @@ pub(crate) fn launch_ray_space(gpu: &Gpu, inputs: &Geometry<Buffer<f32>>, spec: 
             &gpu.client,
             grid,
             dim,
-            inputs.means.arg(),
-            inputs.rotations.vectors(4),
-            inputs.scales.arg(),
-            inputs.opacities.arg(),
-            inputs.cam_from_world.arg(),
+            geometry_arg(inputs),
             ray_rows.arg(),
             project_camera(spec),
             count as u32,
@@ -87,11 +83,7 @@ pub(crate) fn launch_ray_space_backward(
                 &gpu.client,
                 grid,
                 dim,
-                inputs.means.arg(),
-                inputs.rotations.vectors(4),
-                inputs.scales.arg(),
-                inputs.opacities.arg(),
-                inputs.cam_from_world.arg(),
+                geometry_arg(inputs),
                 grad.arg(),
                 output(&grads.means),
                 grads.rotations.as_ref().map(|grads| grads.vectors(4)).into(),

@@ -1,7 +1,5 @@
 //! Kernel of `evaluate_sh`, forward: one unit per Gaussian. The backward kernel shares the camera's position, the direction from it
 //! and the spherical harmonics. Their degree is a compile-time constant of a kernel.
-//!
-//! Shapes as in `evaluate_sh`: coefficients `[N, (degree+1)², 3]`, means `[N, 3]`, pose `[3, 4]` → `[N, 3]`.
 
 use cubecl::prelude::*;
 

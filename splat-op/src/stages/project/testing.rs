@@ -2,8 +2,8 @@
 
 use glam::{DAffine3, DMat3, DQuat, DVec3};
 
-use super::super::cpu::project_cpu;
-use super::super::{COLUMNS, COMPENSATION_MIN, Geometry, ProjectSpec};
+use super::cpu::project_cpu;
+use super::{COLUMNS, COMPENSATION_MIN, Geometry, ProjectSpec};
 use crate::camera::{CameraModel, Intrinsics};
 use crate::gpu::{Buffer, Gpu};
 use crate::options::RenderOptions;
