@@ -340,7 +340,7 @@ impl Trainer {
     /// The error of a step that was not taken, with the stage that goes wrong first.
     fn non_finite(&mut self, fault: Fault) -> TrainError {
         let Fault { step, view, what } = fault;
-        let sound = "every stage of the render is sound, so it is the loss or a backward pass that goes wrong: usual causes are a root or a \
+        let sound = "every stage of the render is finite, so it is the loss or a backward pass that goes wrong: usual causes are a root or a \
                      logarithm at zero, and a mean over an empty mask";
         let stage = self.first_wrong(view).unwrap_or(sound.into());
         TrainError::NonFinite { step, view: self.views.name(view).to_owned(), what, stage }

@@ -1,9 +1,9 @@
 //! Reference renderer: float64, without cut-offs, tiles or any other approximation, and simple enough to verify by reading.
 //!
 //! It follows the model choices of [`RenderOptions`] (`blur`, `near`, `far`, `radius_clip`, `jacobian_margin`, `antialias`,
-//! `projection`) and ignores its numerical dials. It alone can order each pixel by itself ([`ExactView::sorted_per_pixel`]), which says what the order of the
-//! centres costs. It shares no arithmetic with the stages except a camera's limits (the domain of a lens and the
-//! slopes at which the Jacobian is clamped). Covariances are formed and inverted as the papers write them, which in float64 loses
+//! `projection`) and ignores its numerical dials. It alone can order each pixel by itself ([`ExactView::sorted_per_pixel`]), which
+//! says what the order of the centres costs. It shares no arithmetic with the stages except a camera's limits (the domain of a lens
+//! and the slopes at which the Jacobian is clamped). Covariances are formed and inverted as the papers write them, which in float64 loses
 //! digits only for Gaussians some 1e6 times longer than wide. Every pixel visits every Gaussian, so it is for tests, not for
 //! pictures.
 

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
-use clap::builder::{PossibleValuesParser, TypedValueParser};
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::value_parser;
 use splat_model::formats::{
     self, Deviation, Format, QuantisationError, SceneFile, SogOptions, SpzOptions, SpzVersion, Written,
@@ -52,18 +52,18 @@ pub struct ConvertArgs {
     pub antialias: bool,
 }
 
-/// The formats on the command line.
-const FORMATS: [(&str, Format); 5] = [
-    ("ply", Format::Ply),
-    ("compressed-ply", Format::CompressedPly),
-    ("spz", Format::Spz),
-    ("glb", Format::Glb),
-    ("sog", Format::Sog),
+const FORMATS: [(&str, &str, Format); 5] = [
+    ("ply", "all parameters, in 32-bit floats", Format::Ply),
+    ("compressed-ply", "SuperSplat's: 16 bytes a splat, and one for each higher coefficient", Format::CompressedPly),
+    ("spz", "Niantic's: 20 bytes a splat and one for each higher coefficient, then zstd", Format::Spz),
+    ("glb", "glTF: all parameters to degree 3, in 32-bit floats; written, not read", Format::Glb),
+    ("sog", "PlayCanvas': pictures of 8 bits and a palette of harmonics, to degree 3", Format::Sog),
 ];
 
 fn formats_by_name() -> impl TypedValueParser<Value = Format> {
-    let found = |name: String| FORMATS.into_iter().find(|(known, _)| *known == name).ok_or("no format");
-    PossibleValuesParser::new(FORMATS.map(|(name, _)| name)).try_map(move |name| found(name).map(|(_, format)| format))
+    let found = |name: String| FORMATS.into_iter().find(|(known, ..)| *known == name).ok_or("no format");
+    let values = FORMATS.map(|(name, help, _)| PossibleValue::new(name).help(help));
+    PossibleValuesParser::new(values).try_map(move |name| found(name).map(|(.., format)| format))
 }
 
 /// Writes the scene in the other format, reads it back, and prints the differences.

@@ -167,7 +167,7 @@ fn made_opaque(photo: Photo, opaque: bool) -> Photo {
 pub fn rows(option: &str, path: &Path, capture: Option<&Capture>) -> Result<(GaussianRows, TrainedAs)> {
     let (scene, _) = formats::read(path).with_context(|| format!("cannot read the scene that `{option}` names"))?;
     let formats::SceneFile { mut rows, origin, trained, .. } = scene;
-    ensure!(!rows.is_empty(), "{} holds no Gaussian: name a scene that was trained with `{option}`", path.display());
+    ensure!(!rows.is_empty(), "{} holds no Gaussian: name another scene as `{option}`", path.display());
     if let Some(capture) = capture {
         move_means(&mut rows, (origin - capture.origin).to_array());
     }

@@ -1,7 +1,7 @@
 //! Decoding of photographs.
 
 use std::fs::File;
-use std::io::{self, BufReader};
+use std::io::{self, BufRead, BufReader, Cursor, Seek};
 use std::ops::{Add, Div, Mul, Sub};
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -188,11 +188,23 @@ pub fn load_all<'a>(
 /// The size of the file is compared with the camera's before any pixel is decoded, so that a picture allocates no more
 /// than its camera implies.
 pub(crate) fn decode(file: &Path, camera: &Intrinsics) -> Result<DynamicImage, CaptureError> {
-    let fail = |error: ImageError| undecodable(file, error.to_string());
-    let mut reader = reader(file)?;
-    if reader.format() == Some(ImageFormat::Jpeg) && !jpeg::has_end(&read(file)?) {
+    let reader = reader(file)?;
+    if reader.format() != Some(ImageFormat::Jpeg) {
+        return decoded(file, reader, camera);
+    }
+    let bytes = read(file)?;
+    if !jpeg::has_end(&bytes) {
         return Err(undecodable(file, "it is cut short or damaged: the marker of its end is missing".into()));
     }
+    decoded(file, ImageReader::with_format(Cursor::new(&bytes), ImageFormat::Jpeg), camera)
+}
+
+fn decoded<R: BufRead + Seek>(
+    file: &Path,
+    mut reader: ImageReader<R>,
+    camera: &Intrinsics,
+) -> Result<DynamicImage, CaptureError> {
+    let fail = |error: ImageError| undecodable(file, error.to_string());
     reader.limits(limits(camera));
     let decoder = reader.into_decoder().map_err(fail)?;
     let (width, height) = decoder.dimensions();

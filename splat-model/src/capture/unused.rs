@@ -42,7 +42,10 @@ pub(super) fn remarks(capture: &Capture) -> Vec<String> {
 
 /// A note on a folder of masks or depth maps that does not fit the photographs.
 fn unmatched(capture: &Capture, folder: &Path, found: &HashSet<PathBuf>) -> Option<String> {
-    let files: Vec<String> = files_below(folder, &[]).ok()?.into_iter().filter(|name| name != depth::SCALE).collect();
+    let files: Vec<String> = match files_below(folder, &[]) {
+        Ok(files) => files.into_iter().filter(|name| name != depth::SCALE).collect(),
+        Err(error) => return Some(error.to_string()),
+    };
     let left: Vec<&String> = files.iter().filter(|name| !found.contains(&folder.join(name))).collect();
     let (first, view) = (left.first()?, capture.views.first()?);
     let [whole, short] = masks::names(&view.name).map(|name| named(&capture.folder, &folder.join(name)));

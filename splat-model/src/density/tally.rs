@@ -5,9 +5,7 @@ use burn::tensor::Tensor;
 /// Sums of gradient norms and numbers of steps with a gradient, `[N]` each.
 #[derive(Clone, Debug)]
 pub struct Tally {
-    /// Sums of norms.
     pub sums: Tensor<1>,
-    /// Numbers of steps with a gradient.
     pub counts: Tensor<1>,
 }
 

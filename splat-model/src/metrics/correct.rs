@@ -34,7 +34,7 @@ pub fn colour_corrected(image: &[f32], truth: &[f32], counts: Option<&[bool]>) -
     let weight = TOWARDS_IDENTITY * f64::max(count, 1.0);
     (0..4).for_each(|row| gram[row][row] += weight);
     (0..3).for_each(|channel| moments[channel][channel] += weight);
-    // Only numbers that are not finite have no solution.
+    // Of pictures in 0..1, only those with numbers that are not finite have no solution.
     let map = moments.map(|moment| solve(gram, moment).unwrap_or([f64::NAN; 4]));
     let mapped = pixels.iter().flat_map(|pixel| {
         let x = [f64::from(pixel[0]), f64::from(pixel[1]), f64::from(pixel[2]), 1.0];

@@ -56,3 +56,8 @@ pub fn with_gradient<const D: usize>(variable: Tensor<D>, value: Tensor<1>, grad
 pub(crate) fn constant<const D: usize>(values: &Tensor<D>, beside_tracked: bool) -> Tensor<D> {
     if beside_tracked && !values.is_autodiff() { Tensor::from_inner(values.clone()) } else { values.clone() }
 }
+
+/// Returns the values of a tensor, on a device without autodiff.
+pub(crate) fn plain<const D: usize>(tensor: &Tensor<D>) -> Tensor<D> {
+    if tensor.is_autodiff() { tensor.clone().inner() } else { tensor.clone() }
+}

@@ -167,7 +167,6 @@ impl Call {
     /// Returns the specification of each output, from those of the tensors that the call is given.
     pub(super) fn outputs(&self, given: &[Option<Spec>]) -> Vec<Option<Spec>> {
         let Some(Backwards { needs, .. }) = &self.backward else { return self.operation.outputs(given) };
-        // Harmonics of half precision have gradients of the other inputs' type.
         let grads = given.iter().skip(needs.len()).flatten();
         let dtype = grads.map(|spec| spec.dtype).find(|dtype| dtype.is_float()).expect("a gradient is given");
         let of_input = |(spec, &needed): (&Option<Spec>, &bool)| {

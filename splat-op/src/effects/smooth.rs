@@ -14,7 +14,7 @@
 
 use burn::tensor::Tensor;
 
-use crate::backend::custom_grad::constant;
+use crate::backend::custom_grad::{constant, plain};
 use crate::check::Reference;
 use crate::error::SplatError;
 
@@ -56,10 +56,6 @@ pub fn smoothed(
     let of_opacities = (constant(opacities, true) - Tensor::from_inner(o)) * Tensor::from_inner(product);
     let of_scales: Tensor<1> = (step.clone() * tracked(slope)).sum_dim(1).squeeze_dim(1);
     Ok((tracked(wide) + step * tracked(share), Tensor::from_inner(fainter) + of_opacities + of_scales))
-}
-
-fn plain<const D: usize>(tensor: &Tensor<D>) -> Tensor<D> {
-    if tensor.is_autodiff() { tensor.clone().inner() } else { tensor.clone() }
 }
 
 #[cfg(test)]

@@ -103,9 +103,9 @@ impl Intersections {
 /// `mean2d_probe` is read.
 ///
 /// A Gaussian is culled if one of its values is not finite, if its quaternion is zero, if the camera z of its centre is at most
-/// `options.near`, or if its centre lies outside the domain of the camera's lens ([`Intrinsics::max_radius`]). The opacity, the
-/// depth and the gradients of a culled Gaussian are zero. `near` is a depth for every camera model, so a fisheye sees nothing at
-/// 90° or more from its axis.
+/// `options.near` or at least `options.far`, if it reaches at most `options.radius_clip`, or if its centre lies outside the domain of the
+/// camera's lens ([`Intrinsics::max_radius`]). The opacity, the depth and the gradients of a culled Gaussian are zero. Both planes are depths
+/// for every camera model, so a fisheye sees nothing at 90° or more from its axis.
 ///
 /// # Errors
 /// If a tensor's shape, type or device does not fit, or if the camera or an option is out of range.

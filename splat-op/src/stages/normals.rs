@@ -1,9 +1,10 @@
 //! Normals of Gaussians, as tensor code on every device.
 
-use burn::tensor::Tensor;
+use burn::tensor::{Bool, Tensor};
 
 use super::check_geometry;
 use super::splats::Splats;
+use crate::backend::custom_grad::{constant, plain};
 use crate::camera::Camera;
 use crate::error::SplatError;
 use crate::options::RenderOptions;
@@ -23,12 +24,18 @@ pub fn normals(splats: &Splats, camera: &Camera) -> Result<Tensor<2>, SplatError
     if count == 0 {
         return Ok(splats.means.clone());
     }
-    // Scaled first, so that no length overflows. A zero quaternion, which is culled, has a normal without NaN.
-    let q = splats.rotations.clone();
-    let largest = q.clone().detach().abs().max_dim(1).clamp_min(f32::MIN_POSITIVE);
-    let q = q / largest;
-    let length = q.clone().square().sum_dim(1).sqrt().clamp_min(f32::MIN_POSITIVE);
-    let q = q / length;
+    // A zero quaternion, which is culled, counts as that of no rotation: its normal has no NaN, and no gradient.
+    let tracked = splats.rotations.is_autodiff();
+    let lifted = |mask: Tensor<2, Bool>| if tracked { Tensor::from_inner(mask) } else { mask };
+    let values = plain(&splats.rotations);
+    let largest = values.clone().abs().max_dim(1);
+    let none = largest.clone().equal_elem(0.0);
+    let unit =
+        Tensor::<2>::from_floats([[1.0, 0.0, 0.0, 0.0]], &values.device()).cast(values.dtype()).expand([count, 4]);
+    let given = splats.rotations.clone().mask_where(lifted(none.clone().expand([count, 4])), constant(&unit, tracked));
+    // Scaled first, so that no length overflows.
+    let q = given / constant(&largest.mask_fill(none, 1.0), tracked);
+    let q = q.clone() / q.square().sum_dim(1).sqrt();
     let [w, x, y, z] = [0, 1, 2, 3].map(|i| q.clone().narrow(1, i, 1));
     let twice = |a: &Tensor<2>, b: &Tensor<2>| (a.clone() * b.clone()).mul_scalar(2.0);
     let one_less = |a: Tensor<2>| a.neg().add_scalar(1.0);
@@ -37,21 +44,21 @@ pub fn normals(splats: &Splats, camera: &Camera) -> Result<Tensor<2>, SplatError
         vec![twice(&x, &y) - twice(&w, &z), one_less(twice(&x, &x) + twice(&z, &z)), twice(&y, &z) + twice(&w, &x)],
         vec![twice(&x, &z) + twice(&w, &y), twice(&y, &z) - twice(&w, &x), one_less(twice(&x, &x) + twice(&y, &y))],
     ];
-    let shortest = splats.scales.clone().detach().argmin(1);
+    let shortest = plain(&splats.scales).argmin(1);
     let chosen = axes.into_iter().enumerate().map(|(i, axis)| {
         let is_shortest = shortest.clone().equal_elem(i as i64).expand([count, 3]);
         let axis = Tensor::cat(axis, 1);
         let none = axis.zeros_like();
-        axis.mask_where(is_shortest.bool_not(), none)
+        axis.mask_where(lifted(is_shortest.bool_not()), none)
     });
     let normal = chosen.reduce(|sum, axis| sum + axis).expect("three axes");
 
-    let pose = camera.cam_from_world.clone().detach();
+    let pose = plain(&camera.cam_from_world);
     let rotation = pose.clone().narrow(1, 0, 3).transpose();
     let translation = pose.narrow(1, 3, 1).transpose();
-    let mean_cam = splats.means.clone().detach().matmul(rotation.clone()) + translation;
-    let normal_cam = normal.clone().detach().matmul(rotation);
+    let mean_cam = plain(&splats.means).matmul(rotation.clone()) + translation;
+    let normal_cam = plain(&normal).matmul(rotation);
     let away = (mean_cam * normal_cam).sum_dim(1).greater_elem(0.0).expand([count, 3]);
     let turned = normal.clone().neg();
-    Ok(normal.mask_where(away, turned))
+    Ok(normal.mask_where(lifted(away), turned))
 }

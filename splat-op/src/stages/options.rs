@@ -67,9 +67,7 @@ pub enum Accumulation {
     #[default]
     Atomic,
     /// One row per intersection, added in the order of the intersections. The bits are the same in every run; the memory is
-    /// proportional to the number of intersections. Where the device's largest buffer does not hold all rows (in wgpu 2³¹ − 1
-    /// bytes, 59 million rows of three channels), Gaussians are split by depth into parts with buffers of their own. The
-    /// backward kernel then runs once per part and skips lists outside it, and the host reads once where the parts begin.
+    /// proportional to the number of intersections.
     Ordered,
 }
 

@@ -3,9 +3,9 @@
 use burn::tensor::Tensor;
 
 use super::colour::visible_colours;
-use super::splats::{Extras, Splats};
+use super::splats::{Colour, Extras, Splats};
 use crate::camera::Camera;
-use crate::check::check_positive;
+use crate::check::{Reference, check_positive};
 use crate::error::SplatError;
 use crate::options::RenderOptions;
 use crate::stages::{Rendered, check_render_fits, intersect, project, rasterize};
@@ -54,9 +54,10 @@ pub fn render_each(
     extras: &Extras,
     options: &RenderOptions,
 ) -> Result<Vec<Rendered<3>>, SplatError> {
-    if let Some(backgrounds) = extras.backgrounds.as_ref().filter(|rows| rows.dims()[0] != cameras.len()) {
-        let (found, hint) = (backgrounds.dims().to_vec(), format!("there are {} cameras", cameras.len()));
-        return Err(SplatError::Shape { name: "backgrounds", found, expected: "[B, C] for B cameras", hint });
+    if let Some(backgrounds) = &extras.backgrounds {
+        let channels = if let Colour::Features(features) = &splats.colour { features.dims()[1] } else { 3 };
+        let shape = [Some(cameras.len()), Some(channels)];
+        Reference::new("means", &splats.means)?.check("backgrounds", backgrounds, shape, "[B, C] for B cameras")?;
     }
     let one = |(i, camera): (usize, &Camera)| {
         let own = extras.backgrounds.as_ref().map(|rows| rows.clone().narrow(0, i, 1).squeeze_dim(0));
@@ -69,7 +70,7 @@ pub fn render_each(
 /// Renders Gaussians as seen by one camera.
 ///
 /// Returns one picture, `[H, W, C]`. It computes what [`render`] computes, without the dimension of the cameras; some backends
-/// copy the picture to remove that dimension again. `extras.backgrounds` is not read.
+/// copy the picture to remove that dimension again.
 ///
 /// # Errors
 /// As [`render`].
@@ -79,6 +80,10 @@ pub fn render_view(
     extras: &Extras,
     options: &RenderOptions,
 ) -> Result<Rendered<3>, SplatError> {
+    if extras.backgrounds.is_some() {
+        let (found, expected) = ("given".into(), "`background`: one camera has one, and `render_each` takes several");
+        return Err(SplatError::Value { field: "backgrounds", found, expected });
+    }
     check_render_fits(splats, 1, &camera.intrinsics, options)?;
     let projected = project(splats, camera, extras, options)?;
     let features = visible_colours(splats, camera, &projected, options)?;

@@ -137,8 +137,11 @@ pub fn help() -> String {
 
 /// The values that this build accepts.
 fn names() -> String {
-    let adapters = Runtime::built().into_iter().map(|runtime| format!("{}[:N]", runtime.prefix()));
-    ["auto", "cpu", "flex", "ndarray"].map(String::from).into_iter().chain(adapters).collect::<Vec<_>>().join(", ")
+    let built = Runtime::built();
+    let best = (!built.is_empty() && !built.contains(&Runtime::Wgpu)).then(|| "gpu".to_owned());
+    let adapters = built.iter().map(|runtime| format!("{}[:N]", runtime.prefix()));
+    let names = ["auto", "cpu", "flex", "ndarray"].map(String::from).into_iter().chain(best).chain(adapters);
+    names.collect::<Vec<_>>().join(", ")
 }
 
 /// Kind of an adapter, best first. `Unknown`: its driver does not report one. `Software`: its driver renders on the CPU.
@@ -220,6 +223,7 @@ pub fn choose(name: DeviceName, adapters: &[Adapter]) -> Result<Option<&Adapter>
         Some(Runtime::Cuda) => "NVIDIA's driver",
         Some(Runtime::Rocm) => "AMD's ROCm",
         Some(Runtime::Metal) => "macOS, the only system with Metal",
+        Some(_) if !cfg!(target_os = "linux") => "the GPU's driver",
         Some(_) => "the GPU's driver (Debian and Ubuntu: `libvulkan1` with `mesa-vulkan-drivers`, or NVIDIA's driver)",
     };
     let looked: Vec<&str> = runtimes.iter().map(|runtime| runtime.feature()).collect();

@@ -24,13 +24,6 @@ pub struct Candidate {
     pub options: RenderOptions,
 }
 
-/// Combinations of interest, of the thresholds on alpha and on transmittance. Two more, every dial at its most accurate
-/// and every dial at its coarsest, follow from the table.
-const COMBINATIONS: &[(&str, &[(&str, &str)])] = &[
-    ("half-way to fast", &[("alpha_min", "2/255"), ("transmittance_min", "1e-3")]),
-    ("half-way to exact", &[("alpha_min", "1/1024"), ("transmittance_min", "1e-5")]),
-];
-
 impl Candidate {
     fn new(name: impl Into<String>, role: Role, setting: Setting, base: &RenderOptions) -> Self {
         Self { name: name.into(), role, options: setting.apply(*base), setting }
@@ -65,9 +58,8 @@ pub fn candidates(base: &RenderOptions, gpu: bool) -> Vec<Candidate> {
         });
         turned.collect::<Vec<_>>()
     };
-    let known = COMBINATIONS.iter().map(|(name, turned)| (*name, turned.to_vec()));
     let ends = [("all accurate", every(|dial| dial.values.first())), ("all coarse", every(|dial| dial.values.last()))];
-    for (name, turned) in known.chain(ends) {
+    for (name, turned) in ends {
         if let Ok(setting) = Setting::new(turned) {
             all.push(Candidate::new(name, Role::Combination, setting, base));
         }

@@ -46,7 +46,7 @@ impl Job {
             opaque: !self.effects.has(EffectKind::Alpha),
         };
         let train = wanted.read(train, room, ranks)?;
-        let left = room.saturating_sub(train.iter().map(Photograph::bytes).sum());
+        let left = room.saturating_sub(train.iter().filter(|photo| photo.is_kept()).map(Photograph::bytes).sum());
         Ok((train, wanted.read(test, left, &Alone)?))
     }
 

@@ -81,7 +81,7 @@ fn the_program_says_which_step_and_view() {
     command.arg(DEMO.as_path()).args(arguments);
     refuse(
         &mut command,
-        &["step 1", "photograph `000", "the loss is not finite", "every stage of the render is sound", text(&scene)],
+        &["step 1", "photograph `000", "the loss is not finite", "every stage of the render is finite", text(&scene)],
     );
     assert!(ply::read(&scene).unwrap().0.len() > 100);
 }

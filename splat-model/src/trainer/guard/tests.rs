@@ -102,7 +102,7 @@ fn a_step_that_is_not_finite_changes_nothing_and_is_named() {
         assert_eq!(step, bad_step);
         assert!(["a", "b", "c", "d"].contains(&view.as_str()));
         for part in
-            [what, &format!("step {step}"), &format!("photograph `{view}`"), "every stage of the render is sound"]
+            [what, &format!("step {step}"), &format!("photograph `{view}`"), "every stage of the render is finite"]
         {
             assert!(message.contains(part), "{part:?} is not in: {message}");
         }

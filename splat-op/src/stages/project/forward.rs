@@ -120,7 +120,7 @@ impl PackedEllipse {
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub(crate) struct ProjectionTerms {
-    /// Whether the Gaussian is finite, has a rotation and is in front of the near plane. If not, all other fields are meaningless.
+    /// Whether the Gaussian is not culled. If it is, all other fields are meaningless.
     pub visible: bool,
     pub depth: f32,
     pub quaternion: Quaternion,

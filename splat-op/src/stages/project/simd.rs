@@ -104,7 +104,7 @@ impl<L: Copy> GaussiansSimd<L> {
 /// Intermediate values of the forward pass that the backward pass needs.
 pub(crate) struct ProjectionTermsSimd<S: Simd, F: Real> {
     pub(super) simd: S,
-    /// Whether each Gaussian is visible: finite, with a rotation, and in front of the near plane.
+    /// Whether each Gaussian is not culled.
     pub seen: MaskOf<S, F>,
     pub mean_cam: Vector<S, F>,
     /// `x/z, y/z`, or their distorted values with a lens; the slopes at which the Jacobian is evaluated; whether each slope is free
