@@ -200,7 +200,7 @@ impl Strategy for Adaptive {
         let Some(grad_mean2d) = seen.gradient.or(seen.abs_gradient) else { return };
         // Half the picture size: normalised device coordinates run from -1 to 1.
         let per_ndc = [seen.size.0 as f32 / 2.0, seen.size.1 as f32 / 2.0];
-        self.seen = Some(tally::add(self.seen.take(), &grad_mean2d, per_ndc));
+        self.seen = Some(tally::add(self.seen.take(), grad_mean2d, per_ndc));
     }
 
     fn acts_at(&self, step: usize) -> bool {

@@ -11,9 +11,9 @@ pub struct Tally {
 
 /// Returns the tally after one more step, or after the first if there is none. `grad`, `[N, 2]`, is without autodiff, and is scaled by
 /// `per_axis`.
-pub fn add(tally: Option<Tally>, grad: &Tensor<2>, per_axis: [f32; 2]) -> Tally {
+pub fn add(tally: Option<Tally>, grad: Tensor<2>, per_axis: [f32; 2]) -> Tally {
     let per_axis = Tensor::<1>::from_floats(per_axis, &grad.device());
-    let norms = (grad.clone() * per_axis.unsqueeze()).square().sum_dim(1).sqrt().squeeze_dim::<1>(1);
+    let norms = (grad * per_axis.unsqueeze()).square().sum_dim(1).sqrt().squeeze_dim::<1>(1);
     let shown = norms.clone().sign();
     match tally {
         Some(Tally { sums, counts }) => Tally { sums: sums + norms, counts: counts + shown },

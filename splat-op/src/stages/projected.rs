@@ -27,7 +27,7 @@ pub struct Ellipses {
     pub opacity: Tensor<1>,
 }
 
-/// The projected Gaussians of one camera, as [`project`](fn@project) returns them.
+/// The projected Gaussians of one camera, as [`project`](fn@crate::project) returns them.
 #[derive(Clone, Debug)]
 pub struct Projected {
     pub(super) packed: Tensor<2>,
@@ -96,7 +96,7 @@ impl Projected {
 }
 
 impl Ellipses {
-    /// Packs the fields for [`intersect`](fn@intersect) and [`rasterize`](fn@rasterize), for a camera with `intrinsics`.
+    /// Packs the fields for [`intersect`](fn@crate::intersect) and [`rasterize`](fn@crate::rasterize), for a camera with `intrinsics`.
     ///
     /// The fields do not contain the Gaussians in ray space. Packed ellipses can therefore only be rendered with
     /// [`Projection::Affine`](crate::Projection).

@@ -51,7 +51,7 @@ fn a_gradient_that_is_not_finite_ends_the_run_and_keeps_the_scene() {
         assert!(is_training_view(view), "{message}");
         let scene = out.join("scene.ply");
         let parts =
-            ["error: ", &format!("step {step}"), "gradient of `means`, `rotations`", "render is sound", text(&scene)];
+            ["error: ", &format!("step {step}"), "gradient of `means`, `rotations`", "render is finite", text(&scene)];
         parts.iter().for_each(|part| assert!(message.contains(part), "{part:?} is not in: {message}"));
         assert!(!out.join("metrics.json").exists(), "there is nothing to measure");
         ply::read(&scene).unwrap().0

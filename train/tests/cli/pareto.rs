@@ -65,10 +65,10 @@ fn every_setting_is_measured_and_drawn() {
     }
     // The order that the dials exist for.
     let db = |name: &str| number(named(name), "error_db");
-    assert!(db("all accurate") > 90.0 && db("all accurate") > db("standard"), "{}", db("all accurate"));
+    assert!(db("exact") > 90.0 && db("exact") > db("standard"), "{}", db("exact"));
     assert!(db("standard") > db("all coarse"));
-    assert!(number(named("all accurate"), "gradient_error") < number(named("all coarse"), "gradient_error"));
-    assert!(number(named("all accurate"), "gradient_cosine") > 0.999_99);
+    assert!(number(named("exact"), "gradient_error") < number(named("all coarse"), "gradient_error"));
+    assert!(number(named("exact"), "gradient_cosine") > 0.999_99);
     assert_eq!(named("fast")["turned"], "alpha_min 4/255, transmittance_min 1e-3");
     assert!(!rows.iter().any(|row| row["name"].contains("accumulation")), "it does nothing on a CPU");
     assert!(rows.iter().any(|row| row["on_frontier"] == "1") && rows.iter().any(|row| row["role"] == "dial sh_degree"));

@@ -16,7 +16,7 @@ fn three_steps_add_up_on_every_device() {
             let mut tally = None;
             for step in &steps {
                 let grad = Tensor::<2>::from_data(TensorData::new(step.clone(), [count, 2]), &device);
-                tally = Some(add(tally, &grad, [48.0, 32.0]));
+                tally = Some(add(tally, grad, [48.0, 32.0]));
             }
             let tally = tally.expect("three steps");
             let [sums, counts] = [tally.sums, tally.counts].map(|t| t.into_data().try_to_vec::<f32>().expect("f32"));
