@@ -11,6 +11,7 @@ mod geometry;
 mod grade;
 mod light;
 mod model;
+mod moving;
 mod options;
 mod picture;
 mod points;
@@ -33,6 +34,7 @@ use thiserror::Error;
 
 use self::light::LitScene;
 pub use self::model::write_model;
+pub use self::moving::moving;
 pub use self::options::DemoOptions;
 use self::scene::DemoScene;
 pub use self::shot::gains;

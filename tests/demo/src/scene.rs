@@ -53,6 +53,13 @@ impl SceneObject {
         Self { kind, ..self }
     }
 
+    /// Moves the object by a vector of the world frame.
+    fn move_by(&mut self, by_world: DVec3) {
+        self.centre_world += by_world;
+        self.world_from_local.translation += by_world;
+        self.local_from_world = self.world_from_local.inverse();
+    }
+
     /// Distance to the surface, if the ray (world frame) meets it before `limit`, and the normal in the world frame.
     pub fn hit(&self, ray: &Ray, limit: f64) -> Option<(f64, DVec3)> {
         let hit = self.shape.hit(&self.local(ray), limit).filter(|hit| hit.distance < limit)?;
@@ -129,6 +136,12 @@ impl DemoScene {
             }
         }
         nearest
+    }
+
+    /// Moves the planet in the middle of the still life.
+    pub fn move_planet(&mut self, by_world: DVec3) {
+        let planets = self.objects.iter_mut().filter(|object| matches!(object.texture, Texture::Planet));
+        planets.for_each(|planet| planet.move_by(by_world));
     }
 
     /// Whether a point lies on the ground or the sky.

@@ -1,6 +1,6 @@
 //! Feature splatting (after Zhou et al. 2024, "Feature 3DGS"): each Gaussian carries 16 features, whose render learns a map of
 //! features of each photograph. A click on a pixel then selects the Gaussians that look alike in them.
-//! Run with a capture: `cargo run --release -p splat-model --example feature_splatting -- CAPTURE selected.png`.
+//! Run with a capture: `cargo run --release -p splat-gallery --example feature_splatting -- CAPTURE selected.png`.
 use std::f32::consts::TAU;
 use std::path::Path;
 

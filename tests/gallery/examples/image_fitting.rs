@@ -1,6 +1,6 @@
 //! A picture as Gaussians (after Zhang et al. 2024, "GaussianImage"): flat Gaussians in front of one camera fit a photograph with
 //! Burn's own optimiser. Prints bytes, at nine numbers of two bytes for each Gaussian, against dB.
-//! Run with a picture: `cargo run --release -p splat-model --example image_fitting -- PICTURE fitted.png`.
+//! Run with a picture: `cargo run --release -p splat-gallery --example image_fitting -- PICTURE fitted.png`.
 use burn::module::{Module, Param};
 use burn::tensor::activation::sigmoid;
 use burn::tensor::{Device, Distribution, Tensor, TensorData};
