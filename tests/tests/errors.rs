@@ -9,7 +9,7 @@ use splat_tests::ndarray;
 use splat_tests::random::Random;
 use splat_tests::scene::{Scene, SceneTensors};
 
-const CAMERA: Intrinsics = Intrinsics { fx: 7.0, fy: 7.0, cx: 4.0, cy: 3.0, ..Intrinsics::centred(8, 6, 7.0) };
+const CAMERA: Intrinsics = Intrinsics::pinhole(8, 6, [7.0, 7.0], [4.0, 3.0]);
 
 const COUNT: usize = 5;
 
@@ -124,7 +124,7 @@ fn cameras_and_options_out_of_range_are_named() {
     let Call { tensors: SceneTensors { splats, camera, .. }, extras, options } = call();
     let none = render(&splats, &[], &extras, &options).expect_err("refused");
     assert_names(&none.to_string(), "cameras", "at least one");
-    let wide = Camera { intrinsics: Intrinsics { width: 9, ..CAMERA }, ..camera.clone() };
+    let wide = Camera { intrinsics: Intrinsics::pinhole(9, 6, [7.0, 7.0], [4.0, 3.0]), ..camera.clone() };
     let sizes = render(&splats, &[camera, wide], &extras, &options).expect_err("refused");
     assert_names(&sizes.to_string(), "cameras", "(9, 6)");
 }
@@ -161,11 +161,11 @@ fn lists_of_another_view_are_refused() {
     with(&projected, &options).expect("its own lists");
     let refusal = |lists: &Projected, options: &RenderOptions| with(lists, options).expect_err("refused").to_string();
     assert_names(&refusal(&view(COUNT + 3, CAMERA), &options), "intersections", "8 Gaussians, for 5");
-    let larger = Intrinsics { width: 40, height: 30, ..CAMERA };
+    let larger = Intrinsics::pinhole(40, 30, [7.0, 7.0], [4.0, 3.0]);
     assert_names(&refusal(&view(COUNT, larger), &options), "intersections", "40 × 30 px, for 8 × 6 px");
-    let other = Intrinsics { fx: 9.0, ..CAMERA };
+    let other = CAMERA.with_focal(9.0, CAMERA.fy);
     assert_names(&refusal(&view(COUNT, other), &options), "intersections", "another camera");
-    let [fewer, more] = [0.1, 0.0].map(|alpha_min| RenderOptions { alpha_min, ..options });
+    let [fewer, more] = [0.1, 0.0].map(|alpha_min| options.with_alpha_min(alpha_min));
     assert_names(&refusal(&projected, &fewer), "intersections", "a smaller `alpha_min`");
     with(&projected, &more).expect("lists of all pairs serve any threshold");
     let deep = options.with_depth(true);

@@ -124,11 +124,10 @@ fn cameras_have_backgrounds_and_sizes_of_their_own() {
         let splats = splats(&of, &at);
         let views = [CAMERA, Intrinsics::centred(20, 30, 25.0)].map(|intrinsics| camera(intrinsics, &at));
         let rows = [[0.2, 0.4], [0.9, 0.1]];
-        let extras =
-            Extras { backgrounds: Some(tensor(rows.as_flattened(), [2, 2], &at.0, at.1)), ..Extras::default() };
+        let extras = Extras::default().with_backgrounds(tensor(rows.as_flattened(), [2, 2], &at.0, at.1));
         let found = render_each(&splats, &views, &extras, &OPTIONS).expect("valid");
         for ((found, view), row) in found.iter().zip(&views).zip(rows) {
-            let own = Extras { background: Some(tensor(&row, [2], &at.0, at.1)), ..Extras::default() };
+            let own = Extras::default().with_background(tensor(&row, [2], &at.0, at.1));
             let expected = render_view(&splats, view, &own, &OPTIONS).expect("valid");
             assert!(host(found.colour.clone()) == host(expected.colour), "{at:?}");
         }

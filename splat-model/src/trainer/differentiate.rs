@@ -124,14 +124,12 @@ impl Trainer {
         // Not as a matrix: CUDA pads the rows of one, and kernels would copy it in every step.
         let values = values.unwrap_or_else(|| Tensor::<1>::empty([2 * rows], &self.device).reshape([rows, 2]));
         let probe = |wanted: bool| wanted.then(|| Tensor::from_inner(values.clone()).require_grad());
-        let extras = Extras {
-            background: Some(
+        let extras = Extras::default()
+            .with_background(
                 drawn.map_or_else(|| self.background.clone(), |rgb| Tensor::from_floats(rgb, &self.device)),
-            ),
-            mean2d_probe: probe(signals.gradient),
-            mean2d_abs_probe: probe(signals.abs_gradient),
-            ..Extras::default()
-        };
+            )
+            .with_mean2d_probe(probe(signals.gradient))
+            .with_mean2d_abs_probe(probe(signals.abs_gradient));
         self.probe = Some(values);
         let (camera, truth) = self.views.prepare(view, drawn)?;
         let excluded = self.views.excluded(view)?;

@@ -84,7 +84,7 @@ impl Trainer {
     fn follow_scene(&mut self, view: usize) {
         let (splats, camera) = (self.scene.splats(), self.views.camera(view).clone());
         let background = Some(self.background.clone());
-        let extras = Extras { background, ..Extras::default() };
+        let extras = Extras::default().with_background(background);
         let mut input = RenderInput { splats, camera, extras, options: self.options, edits: Vec::new() };
         let at = self.at(view);
         self.effects.before(&mut input, &self.scene.gaussians, at);

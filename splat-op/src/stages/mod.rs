@@ -73,7 +73,7 @@ impl<const D: usize> Rendered<D> {
 
 /// Whether lists made with some options hold what a render with others needs: a smaller `alpha_min` lists more.
 fn lists_serve(made: &RenderOptions, options: &RenderOptions) -> bool {
-    made.alpha_min <= options.alpha_min && *made == RenderOptions { alpha_min: made.alpha_min, ..*options }
+    made.alpha_min <= options.alpha_min && *made == options.with_alpha_min(made.alpha_min)
 }
 
 impl Intersections {

@@ -19,8 +19,10 @@ pub struct Splats {
     pub colour: Colour,
 }
 
-/// Optional inputs of a render.
+/// Optional inputs of a render. Start from none, [`Extras::default`], and add some with the builders `with_…`, which take a tensor or an
+/// `Option` of one.
 #[derive(Clone, Debug, Default)]
+#[non_exhaustive]
 pub struct Extras {
     /// `[C]`: background colour or features, seen through the Gaussians; zero if absent.
     pub background: Option<Tensor<1>>,
@@ -34,6 +36,25 @@ pub struct Extras {
     pub mean2d_probe: Option<Tensor<2>>,
     /// `[N, 2]`: as `mean2d_probe`, with the absolute value of each pixel's contribution (AbsGrad, Ye et al. 2024).
     pub mean2d_abs_probe: Option<Tensor<2>>,
+}
+
+/// Declares the builders of [`Extras`], each of which sets one field.
+macro_rules! builders {
+    ($($builder:ident($field:ident: $type:ty);)*) => {
+        impl Extras {$(
+            #[doc = concat!("Sets [`", stringify!($field), "`](Self::", stringify!($field), ").")]
+            pub fn $builder(self, $field: impl Into<Option<$type>>) -> Self {
+                Self { $field: $field.into(), ..self }
+            }
+        )*}
+    };
+}
+
+builders! {
+    with_background(background: Tensor<1>);
+    with_backgrounds(backgrounds: Tensor<2>);
+    with_mean2d_probe(mean2d_probe: Tensor<2>);
+    with_mean2d_abs_probe(mean2d_abs_probe: Tensor<2>);
 }
 
 /// Colours or features of Gaussians.
