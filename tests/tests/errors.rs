@@ -3,7 +3,7 @@
 use burn::tensor::{DType, Device, Tensor};
 use splat_op::{
     Camera, Colour, Extras, Intrinsics, Projected, RenderOptions, SplatError, evaluate_sh, intersect, project,
-    rasterize, render,
+    rasterize, render, visible_colours,
 };
 use splat_tests::ndarray;
 use splat_tests::random::Random;
@@ -143,6 +143,41 @@ fn single_stages_check_their_own_arguments() {
     ellipses.shear = zeros([COUNT + 1]);
     let error = ellipses.pack(&CAMERA).expect_err("refused");
     assert!(matches!(error, SplatError::Shape { name: "shear", .. }), "{error}");
+}
+
+/// A stage that is called alone checks what it reads, and nothing else, with the messages of a render.
+#[test]
+fn a_stage_alone_refuses_what_a_render_refuses() {
+    let Call { tensors: SceneTensors { splats, camera, .. }, extras, options } = call();
+    let projected = project(&splats, &camera, &extras, &options).expect("nothing is wrong with it");
+    let lists = intersect(&projected, &options).expect("nothing is wrong with it");
+    let refused_by = |spoil: fn(&mut Call), stages: &[&str]| {
+        let expected = refusal(spoil);
+        let mut bad = call();
+        spoil(&mut bad);
+        let Call { tensors: SceneTensors { splats, camera, .. }, extras, options } = &bad;
+        let found = [
+            ("project", project(splats, camera, extras, options).err()),
+            ("visible_colours", visible_colours(splats, camera, &projected, options).err()),
+            ("intersect", intersect(&projected, options).err()),
+            ("rasterize", rasterize(&projected, &zeros([COUNT, 3]), &lists, extras, options).err()),
+        ];
+        for (stage, error) in found {
+            let expected = stages.contains(&stage).then(|| expected.clone());
+            assert_eq!(error.map(|error| error.to_string()), expected, "{stage}");
+        }
+    };
+    let all = ["project", "visible_colours", "intersect", "rasterize"];
+    refused_by(|c| c.options.alpha_min = -0.1, &all);
+    refused_by(|c| c.tensors.splats.means = double(&c.tensors.splats.means).cast(DType::F16), &all[..2]);
+    refused_by(|c| c.tensors.splats.means = zeros([COUNT, 2]), &all[..2]);
+    refused_by(|c| c.tensors.camera.cam_from_world = zeros([4, 4]), &all[..2]);
+    refused_by(|c| c.tensors.splats.scales = zeros([COUNT, 1]), &["project"]);
+    refused_by(|c| c.tensors.camera.intrinsics.fx = 0.0, &["project"]);
+    refused_by(|c| c.extras.mean2d_probe = Some(zeros([COUNT, 3])), &["project"]);
+    refused_by(|c| c.tensors.splats.colour = Colour::SphericalHarmonics(zeros([COUNT, 5, 3])), &["visible_colours"]);
+    refused_by(|c| c.extras.background = Some(zeros([4])), &["rasterize"]);
+    refused_by(|c| c.extras.mean2d_abs_probe = Some(zeros([COUNT + 1, 2])), &["rasterize"]);
 }
 
 #[test]

@@ -43,8 +43,16 @@ pub struct RenderOptions {
     pub transmittance_min: f64,
     /// Dial: how GPUs add the gradients of a Gaussian's intersections. CPU backends always add them in order.
     pub accumulation: Accumulation,
-    /// Output: whether depth is accumulated too, `Σ wᵢ zᵢ`, scene units.
+    /// Output: whether [`Rendered::depth`](crate::Rendered) is rendered.
     pub depth: bool,
+    /// Output: whether [`Rendered::expected_depth`](crate::Rendered) is computed.
+    pub expected_depth: bool,
+    /// Output: whether [`Rendered::normals`](crate::Rendered) are rendered, as three more channels.
+    pub normals: bool,
+    /// Output: whether [`Rendered::radii`](crate::Rendered) are computed.
+    pub radii: bool,
+    /// Output: whether [`Rendered::visible`](crate::Rendered) is computed.
+    pub visible: bool,
 }
 
 /// The value of a Gaussian at a pixel.
@@ -101,6 +109,10 @@ impl RenderOptions {
             sh_degree: None,
             accumulation: Accumulation::Atomic,
             depth: false,
+            expected_depth: false,
+            normals: false,
+            radii: false,
+            visible: false,
         }
     }
 
@@ -137,6 +149,11 @@ impl RenderOptions {
             Projection::RayMax if camera.model == CameraModel::Pinhole => Self { jacobian_margin: 0.0, ..*self },
             Projection::RayMax => Self { jacobian_margin: 1e20, ..*self },
         }
+    }
+
+    /// Options for `rasterize`, whose planes include the depth that an output needs.
+    pub(crate) fn of_rasterize(&self) -> Self {
+        Self { depth: self.depth || self.expected_depth, ..*self }
     }
 
     pub(crate) fn check(&self) -> Result<(), SplatError> {
@@ -202,6 +219,10 @@ builders! {
     with_transmittance_min(transmittance_min: f64);
     with_accumulation(accumulation: Accumulation);
     with_depth(depth: bool);
+    with_expected_depth(expected_depth: bool);
+    with_normals(normals: bool);
+    with_radii(radii: bool);
+    with_visible(visible: bool);
 }
 
 impl Default for RenderOptions {

@@ -2,8 +2,6 @@
 
 use burn::tensor::Tensor;
 
-use crate::limits::Need;
-
 /// Gaussians with activated parameters, one row each, all of one float type (f32; f64 on CPU devices) and on one device.
 #[derive(Clone, Debug)]
 pub struct Splats {
@@ -71,29 +69,8 @@ pub enum Colour {
 }
 
 impl Colour {
-    /// The tensors of coefficients; none for features.
-    pub(crate) fn blocks(&self) -> &[Tensor<3>] {
-        match self {
-            Self::SphericalHarmonics(sh) => std::slice::from_ref(sh),
-            Self::SphericalHarmonicsBlocks(blocks) => blocks,
-            Self::Features(_) => &[],
-        }
+    /// The number of channels.
+    pub(crate) fn channels(&self) -> usize {
+        if let Self::Features(features) = self { features.dims()[1] } else { 3 }
     }
-}
-
-/// Drops the coefficients above a degree. The number of coefficients must have been checked.
-pub(crate) fn up_to_degree(sh: &Tensor<3>, degree: Option<usize>) -> Tensor<3> {
-    match degree.map(|degree| (degree + 1) * (degree + 1)) {
-        Some(coefficients) if coefficients < sh.dims()[1] => sh.clone().narrow(1, 0, coefficients),
-        _ => sh.clone(),
-    }
-}
-
-pub(crate) fn sh_need(sh: &Tensor<3>) -> Need {
-    Need::numbers(
-        "sh",
-        sh.dims(),
-        sh.dtype().size(),
-        "use fewer Gaussians or a lower degree of the spherical harmonics, or several tensors (`Colour::SphericalHarmonicsBlocks`)",
-    )
 }

@@ -31,7 +31,11 @@ fn every_field_has_a_builder_that_sets_it_alone() {
         .with_alpha_max(0.9)
         .with_transmittance_min(0.02)
         .with_accumulation(Accumulation::Ordered)
-        .with_depth(true);
+        .with_depth(true)
+        .with_expected_depth(true)
+        .with_normals(true)
+        .with_radii(true)
+        .with_visible(true);
     let expected = RenderOptions {
         blur: 0.1,
         near: 0.2,
@@ -46,6 +50,10 @@ fn every_field_has_a_builder_that_sets_it_alone() {
         transmittance_min: 0.02,
         accumulation: Accumulation::Ordered,
         depth: true,
+        expected_depth: true,
+        normals: true,
+        radii: true,
+        visible: true,
     };
     assert_eq!(built, expected);
 }
