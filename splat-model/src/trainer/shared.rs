@@ -57,7 +57,7 @@ impl Trainer {
         if share.is_empty() {
             self.follow_scene(views[0].0);
         }
-        let own = views[share].iter().map(|&(view, drawn)| self.differentiate_guarded(view, drawn)).collect();
+        let own = views[share].iter().map(|&(view, drawn)| self.differentiate(view, drawn)).collect();
         let (mut own, accounts) = self.settle(own)?;
         let losses = accounts.iter().map(|account| f32::from_bits(account.loss_bits));
         let plain = self.device.clone();
