@@ -11,7 +11,7 @@ use clap::Parser;
 use splat_demo::DemoOptions;
 use splat_model::capture::Capture;
 use splat_model::effects::{EffectKind, Plan, Survey};
-use splat_op::{CameraModel, Intrinsics};
+use splat_op::CameraModel;
 use splat_train::options::{Cli, Command};
 use splat_train::report::SCENE;
 use splat_train::{demo, eval, train};
@@ -284,7 +284,7 @@ fn strip_lens(folder: &Path, capture: &Capture) -> Result<PathBuf> {
     let stripped = folder.with_extension("pinhole");
     let mut views = capture.views.clone();
     for view in &mut views {
-        view.intrinsics = Intrinsics { model: CameraModel::Pinhole, distortion: [0.0; 8], ..view.intrinsics };
+        view.intrinsics = view.intrinsics.with_lens(CameraModel::Pinhole, [0.0; 8]);
     }
     splat_demo::write_model(&stripped, &views, &capture.points, &capture.tracks)?;
     let pictures = stripped.join("images");

@@ -173,7 +173,7 @@ pub(crate) fn project_packed(
     camera: &Camera,
     probe: Option<Tensor<2>>,
 ) -> Result<Tensor<2>, SplatError> {
-    let extras = Extras { mean2d_probe: probe, ..Extras::default() };
+    let extras = Extras::default().with_mean2d_probe(probe);
     Ok(test_hooks::packed(&project(splats, camera, &extras, &OPTIONS)?).clone())
 }
 

@@ -64,11 +64,7 @@ impl Step {
             last.unwrap_or_else(|| Tensor::<1>::empty([2 * rows], &self.background.device()).reshape([rows, 2]));
         let probe = Tensor::from_inner(values.clone()).require_grad();
         self.probe = Some(values);
-        let extras = Extras {
-            background: Some(self.background.clone()),
-            mean2d_probe: Some(probe.clone()),
-            ..Extras::default()
-        };
+        let extras = Extras::default().with_background(self.background.clone()).with_mean2d_probe(probe.clone());
         let picture = render_view(&splats, &self.camera, &extras, &OPTIONS)?;
         let loss = photometric(picture.colour, &self.truth, DEFAULT_LAMBDA);
         drop(splats);

@@ -100,7 +100,7 @@ pub fn evaluate_each<P: Borrow<Photo>, E: From<SplatError>>(
         let photo: &Photo = photo.borrow();
         let camera = Camera::new(photo.intrinsics, &photo.cam_from_world, &device);
         let colour = background.colour();
-        let extras = Extras { background: Some(Tensor::from_floats(colour, &device)), ..Extras::default() };
+        let extras = Extras::default().with_background(Tensor::from_floats(colour, &device));
         let picture = render_view(splats, &camera, &extras, options)?;
         let image = background.behind(picture.colour, picture.alpha, &photo.intrinsics, &photo.cam_from_world);
         let image = image.clamp(0.0, 1.0);

@@ -14,8 +14,8 @@ mod start;
 mod state;
 mod views;
 
+use std::mem;
 use std::rc::Rc;
-use std::{iter, mem};
 
 use burn::tensor::{Device, Tensor};
 use rand::SeedableRng;
@@ -89,7 +89,7 @@ impl Trainer {
     /// A run over `photos` on `device` that starts from `points`, or from random points if there are none.
     ///
     /// # Errors
-    /// If there are no photographs or no steps.
+    /// If there are no photographs, and those of [`TrainConfig::check`].
     pub fn new(
         photos: Vec<Photo>,
         points: &PointCloud,
@@ -109,16 +109,10 @@ impl Trainer {
         config: TrainConfig,
         device: &Device,
     ) -> Result<Self, TrainError> {
-        match () {
-            () if photos.is_empty() => return Err(TrainError::NoViews),
-            () if config.steps == 0 => return Err(TrainError::NoSteps),
-            () if config.batch == 0 => return Err(TrainError::NoBatch),
-            () if !config.resolution.is_valid() => return Err(TrainError::Resolution(config.resolution)),
-            () if config.sh_degree > splat_op::sh::SH_DEGREE_MAX => {
-                return Err(TrainError::ShDegree(config.sh_degree));
-            }
-            () => config.check()?,
+        if photos.is_empty() {
+            return Err(TrainError::NoViews);
         }
+        config.check()?;
         let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
         let (mut rows, seen) = start::first_rows(&photos, points, config.density.max_splats(), &mut rng);
         let centres: Vec<_> = photos.iter().map(|photo| photo.cam_from_world.inverse().translation).collect();
@@ -344,13 +338,6 @@ impl Trainer {
                      logarithm at zero, and a mean over an empty mask";
         let stage = self.first_wrong(view).unwrap_or(sound.into());
         TrainError::NonFinite { step, view: self.views.name(view).to_owned(), what, stage }
-    }
-
-    /// The next view, which begins to be decoded.
-    fn next_view(&mut self) -> usize {
-        let view = self.draw_view();
-        self.views.expect(iter::once(view).chain(self.queue.iter().rev().copied()));
-        view
     }
 
     /// The next view: every photograph once per epoch, in random order.

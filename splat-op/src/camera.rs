@@ -72,6 +72,7 @@ impl CameraModel {
 
 /// Intrinsic parameters of a camera: the size of its picture and the projection onto it.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct Intrinsics {
     /// Camera model.
     pub model: CameraModel,
@@ -92,19 +93,31 @@ pub struct Intrinsics {
 }
 
 impl Intrinsics {
+    /// Returns a pinhole camera with a picture of `width` × `height` px, the focal lengths along x and y, px, and the principal
+    /// point, px.
+    pub const fn pinhole(width: usize, height: usize, [fx, fy]: [f64; 2], [cx, cy]: [f64; 2]) -> Self {
+        Self { model: CameraModel::Pinhole, width, height, fx, fy, cx, cy, distortion: [0.0; 8] }
+    }
+
     /// Returns a pinhole camera with square pixels and its principal point at the centre of the picture. `focal_px` is the focal
     /// length, px.
     pub const fn centred(width: usize, height: usize, focal_px: f64) -> Self {
-        Self {
-            model: CameraModel::Pinhole,
-            width,
-            height,
-            fx: focal_px,
-            fy: focal_px,
-            cx: width as f64 / 2.0,
-            cy: height as f64 / 2.0,
-            distortion: [0.0; 8],
-        }
+        Self::pinhole(width, height, [focal_px; 2], [width as f64 / 2.0, height as f64 / 2.0])
+    }
+
+    /// Sets the focal lengths, px.
+    pub const fn with_focal(self, fx: f64, fy: f64) -> Self {
+        Self { fx, fy, ..self }
+    }
+
+    /// Sets the principal point, px from the left and the upper border.
+    pub const fn with_principal_point(self, cx: f64, cy: f64) -> Self {
+        Self { cx, cy, ..self }
+    }
+
+    /// Sets the camera model and its coefficients, in the order that [`CameraModel`] documents, then zeros.
+    pub const fn with_lens(self, model: CameraModel, distortion: [f64; 8]) -> Self {
+        Self { model, distortion, ..self }
     }
 
     /// Returns the intrinsics of the same camera for a picture of `width` × `height` px. Focal lengths and principal point scale

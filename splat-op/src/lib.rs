@@ -4,56 +4,38 @@
 //! [`evaluate_sh`](fn@evaluate_sh), [`intersect`](fn@intersect) and [`rasterize`](fn@rasterize). Tensor code may run between
 //! them. The module of each stage states its equations, their sources, shapes and units. [`exact`] is the reference renderer.
 //!
-//! ```
-//! use burn::tensor::{Device, Tensor};
-//! use splat_op::{Camera, Colour, Extras, Intrinsics, RenderOptions, Splats, render};
-//!
-//! let device = Device::flex().autodiff();
-//! let means = Tensor::<2>::from_floats([[0.0, 0.0, 2.0]], &device).require_grad();
-//! let splats = Splats {
-//!     means: means.clone(),
-//!     rotations: Tensor::from_floats([[1.0, 0.0, 0.0, 0.0]], &device),
-//!     scales: Tensor::from_floats([[0.3, 0.2, 0.2]], &device),
-//!     opacities: Tensor::from_floats([0.9], &device),
-//!     colour: Colour::Features(Tensor::from_floats([[1.0, 0.5, 0.1]], &device)),
-//! };
-//! let camera = Camera::new(Intrinsics::centred(32, 24, 30.0), &glam::DAffine3::IDENTITY, &device);
-//! let rendered = render(&splats, &[camera], &Extras::default(), &RenderOptions::standard())?;
-//! assert_eq!(rendered.colour.dims(), [1, 24, 32, 3]);
-//! let gradients = rendered.colour.mean().backward();
-//! assert_eq!(means.grad(&gradients).expect("tracked").dims(), [1, 3]);
-//! # Ok::<(), splat_op::SplatError>(())
-//! ```
-//!
-//! # Between the stages
-//!
-//! Each stage takes and returns tensors. In this example a model of one number per Gaussian scales the opacities and receives
-//! gradients through the render. It changes the ellipses before `intersect` lists them:
+//! The example renders two Gaussians in one call, and then stage by stage, where each stage takes and returns tensors: a model of one
+//! number per Gaussian scales the opacities and receives gradients. It changes the ellipses before `intersect` lists them.
 //!
 //! ```
 //! use burn::tensor::{Device, Tensor};
-//! use splat_op::{Camera, Colour, Extras, Intrinsics, RenderOptions, Splats, rasterize, project, intersect};
+//! use splat_op::{Camera, Colour, Extras, Intrinsics, RenderOptions, Splats, intersect, project, rasterize, render};
 //!
 //! let device = Device::flex().autodiff();
+//! let means = Tensor::<2>::from_floats([[0.0, 0.0, 2.0], [0.3, 0.0, 3.0]], &device).require_grad();
 //! let features = Tensor::<2>::from_floats([[1.0, 0.5, 0.1], [0.1, 0.3, 0.9]], &device);
 //! let splats = Splats {
-//!     means: Tensor::from_floats([[0.0, 0.0, 2.0], [0.3, 0.0, 3.0]], &device),
+//!     means: means.clone(),
 //!     rotations: Tensor::from_floats([[1.0, 0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]], &device),
 //!     scales: Tensor::from_floats([[0.3, 0.3, 0.3], [0.4, 0.2, 0.2]], &device),
 //!     opacities: Tensor::from_floats([0.9, 0.8], &device),
 //!     colour: Colour::Features(features.clone()),
 //! };
-//! let camera = Camera::new(Intrinsics::centred(32, 32, 30.0), &glam::DAffine3::IDENTITY, &device);
+//! let camera = Camera::new(Intrinsics::centred(32, 24, 30.0), &glam::DAffine3::IDENTITY, &device);
 //! let options = RenderOptions::standard().with_depth(true);
-//! let visible = Tensor::<1>::from_floats([1.0, 0.5], &device).require_grad();
+//! let rendered = render(&splats, std::slice::from_ref(&camera), &Extras::default(), &options)?;
+//! assert_eq!(rendered.colour.dims(), [1, 24, 32, 3]);
+//! let gradients = rendered.colour.mean().backward();
+//! assert_eq!(means.grad(&gradients).expect("tracked").dims(), [2, 3]);
 //!
+//! let visible = Tensor::<1>::from_floats([1.0, 0.5], &device).require_grad();
 //! let projected = project(&splats, &camera, &Extras::default(), &options)?;
 //! let mut ellipses = projected.ellipses();
 //! ellipses.opacity = ellipses.opacity * visible.clone();
 //! let projected = ellipses.pack(projected.intrinsics())?;
 //! let intersections = intersect(&projected, &options)?;
 //! let picture = rasterize(&projected, &features, &intersections, &Extras::default(), &options)?;
-//! assert_eq!(picture.depth.map(|depth| depth.dims()), Some([32, 32, 1]));
+//! assert_eq!(picture.depth.map(|depth| depth.dims()), Some([24, 32, 1]));
 //! let gradients = picture.alpha.mean().backward();
 //! assert_eq!(visible.grad(&gradients).expect("tracked").dims(), [2]);
 //! # Ok::<(), splat_op::SplatError>(())
@@ -96,13 +78,15 @@ pub use effects::{bilateral, colour_map, depth_miss, environment, optics, pose, 
 pub use error::SplatError;
 pub use read::read_back;
 pub use stages::colour::{colours, colours_up_to, evaluate_sh, visible_colours};
+pub use stages::intersections::{Intersections, intersect};
 pub use stages::normals::normals;
 pub use stages::options::{Accumulation, MAX_UNCULLED_INTERSECTIONS, Projection, RenderOptions};
+pub use stages::projected::{Ellipses, Projected, project};
 pub use stages::render::{render, render_each, render_view};
+pub use stages::rendered::{Rendered, rasterize};
 pub use stages::splats::{Colour, Extras, Splats};
-// Names of stages are those of functions and of their modules.
-pub use stages::{Ellipses, Intersections, Projected, Rendered, intersect, project, rasterize};
-pub use stages::{options, rasterize_rays, ray_space, sh};
+// Three names of stages are those of a function and of a module.
+pub use stages::{intersect, options, project, rasterize, rasterize_rays, ray_space, sh};
 pub use training::activate::RawSplats;
 pub use training::{activate, adam, argsort, loss};
 // Re-exports of the crates in public signatures, so that callers use the same versions.

@@ -14,16 +14,11 @@ pub(crate) struct Need {
 }
 
 impl Need {
-    /// A buffer of f32 values.
+    /// A buffer of f32 values, the only floats of GPUs.
     pub fn floats<const D: usize>(what: &'static str, shape: [usize; D], hint: &'static str) -> Self {
-        Self::numbers(what, shape, size_of::<f32>(), hint)
-    }
-
-    /// A buffer of values of `each` bytes.
-    pub fn numbers<const D: usize>(what: &'static str, shape: [usize; D], each: usize, hint: &'static str) -> Self {
         // Saturating: a size beyond u64 fits nowhere either.
-        let elements = shape.iter().fold(1_u64, |product, size| product.saturating_mul(*size as u64));
-        Self { what, bytes: elements.saturating_mul(each as u64), hint }
+        let bytes = shape.iter().fold(size_of::<f32>() as u64, |bytes, size| bytes.saturating_mul(*size as u64));
+        Self { what, bytes, hint }
     }
 
     pub fn check(&self, limit_bytes: u64) -> Result<(), SplatError> {

@@ -14,6 +14,8 @@ pub use crate::counters::{
 #[cfg(feature = "cube")]
 pub use crate::gpu::poison;
 pub use crate::limits::lower_limit;
+#[cfg(feature = "cube")]
+use crate::stages::rendered::{Blend, blended, check};
 
 /// Rasterizes as [`rasterize`](fn@crate::rasterize) without extras, and returns the numbers of pairs that a GPU evaluates; `None` for a CPU.
 /// Waits for the device.
@@ -28,12 +30,12 @@ pub fn pair_counts(
     options: &crate::RenderOptions,
 ) -> Result<Option<PairCounts>, crate::SplatError> {
     let trace = crate::rasterize::TraceCell::default();
+    let (checked, blend) = check(projected, features, intersections, &crate::Extras::default(), options)?;
+    let blend = Blend { trace: Some(trace.clone()), ..blend };
     count_pairs(true);
-    // Reading waits until the render has run, after which nothing is counted, in case of an error too.
-    let rendered = crate::stages::traced(projected, features, intersections, options, &trace);
-    let rendered = rendered.map(|rendered| rendered.colour.into_data());
+    // Reading waits until the render has run, after which nothing is counted.
+    let _ = blended(&checked, projected, intersections, blend).colour.into_data();
     count_pairs(false);
-    rendered?;
     let gpu = crate::abilities::gpu(&features.device());
     let counts = trace.kept::<crate::rasterize::trace::DeviceTrace>().zip(gpu);
     Ok(counts.and_then(|(trace, gpu)| trace.pair_counts(&gpu)))

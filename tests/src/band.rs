@@ -36,8 +36,8 @@ pub fn boundary_band(scene: &Scene, options: &RenderOptions, device: &Device) ->
     for sign in [-1.0, 1.0] {
         let alpha_min = options.alpha_min * (1.0 + sign * ALPHA_SHIFT);
         let transmittance_min = options.transmittance_min * (1.0 + sign * TRANSMITTANCE_SHIFT);
-        variants.push(picture(ellipses.clone(), &RenderOptions { alpha_min, ..*options }));
-        variants.push(picture(ellipses.clone(), &RenderOptions { transmittance_min, ..*options }));
+        variants.push(picture(ellipses.clone(), &options.with_alpha_min(alpha_min)));
+        variants.push(picture(ellipses.clone(), &options.with_transmittance_min(transmittance_min)));
     }
     let depths = host(ellipses.depth.clone());
     for first in [0, 1] {

@@ -1,7 +1,7 @@
 //! The change of a result when every input moves by one f32 ulp: the unit of f32 errors.
 
 use burn::tensor::{DType, Device};
-use splat_op::{Intrinsics, RenderOptions};
+use splat_op::RenderOptions;
 
 pub use splat_hard_cases::ceiling::ceiling_used;
 use splat_hard_cases::ceiling::{moved_value, rounded as rounded_value};
@@ -21,7 +21,8 @@ fn map_scene(scene: &Scene, mut map: impl FnMut(f64) -> f64) -> Scene {
     let camera = &scene.intrinsics;
     let lens = all(&[camera.fx, camera.fy, camera.cx, camera.cy]);
     let distortion = camera.distortion.map(|value| if value == 0.0 { 0.0 } else { all(&[value])[0] });
-    let intrinsics = Intrinsics { fx: lens[0], fy: lens[1], cx: lens[2], cy: lens[3], distortion, ..*camera };
+    let intrinsics =
+        camera.with_focal(lens[0], lens[1]).with_principal_point(lens[2], lens[3]).with_lens(camera.model, distortion);
     Scene { means, quats, scales, opacities, sh, background, pose, intrinsics }
 }
 
@@ -32,14 +33,12 @@ fn map_weights(weights: &LossWeights, mut map: impl FnMut(f64) -> f64) -> LossWe
 
 /// Rounds scene, weights and options to f32, as an f32 render receives them.
 pub fn rounded(scene: &Scene, weights: &LossWeights, options: &RenderOptions) -> (Scene, LossWeights, RenderOptions) {
-    let options = RenderOptions {
-        blur: rounded_value(options.blur),
-        near: rounded_value(options.near),
-        alpha_min: rounded_value(options.alpha_min),
-        alpha_max: rounded_value(options.alpha_max),
-        transmittance_min: rounded_value(options.transmittance_min),
-        ..*options
-    };
+    let options = options
+        .with_blur(rounded_value(options.blur))
+        .with_near(rounded_value(options.near))
+        .with_alpha_min(rounded_value(options.alpha_min))
+        .with_alpha_max(rounded_value(options.alpha_max))
+        .with_transmittance_min(rounded_value(options.transmittance_min));
     (map_scene(scene, rounded_value), map_weights(weights, rounded_value), options)
 }
 

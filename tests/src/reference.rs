@@ -62,16 +62,9 @@ fn read_vector(path: &Path) -> ReferenceVector {
     };
     let number = |key: &str| params[key].as_f64().unwrap_or_else(|| panic!("{name}: no `{key}`"));
     let k = values("K");
-    let intrinsics = Intrinsics {
-        model,
-        width: number("width") as usize,
-        height: number("height") as usize,
-        fx: k[0],
-        fy: k[4],
-        cx: k[2],
-        cy: k[5],
-        distortion: [0.0; 8],
-    };
+    let intrinsics =
+        Intrinsics::pinhole(number("width") as usize, number("height") as usize, [k[0], k[4]], [k[2], k[5]])
+            .with_lens(model, [0.0; 8]);
     let scene = Scene {
         means: values("means"),
         quats: values("quats"),
@@ -82,17 +75,15 @@ fn read_vector(path: &Path) -> ReferenceVector {
         pose: values("viewmat")[..12].to_vec(),
         intrinsics,
     };
-    let options = RenderOptions {
-        blur: number("eps2d"),
-        near: number("near"),
-        jacobian_margin: 0.3,
-        antialias: params["antialias"].as_bool().unwrap_or_else(|| panic!("{name}: no `antialias`")),
-        alpha_min: number("alpha_min"),
-        alpha_max: number("alpha_max"),
-        transmittance_min: number("t_min"),
-        depth: true,
-        ..RenderOptions::standard()
-    };
+    let options = RenderOptions::standard()
+        .with_blur(number("eps2d"))
+        .with_near(number("near"))
+        .with_jacobian_margin(0.3)
+        .with_antialias(params["antialias"].as_bool().unwrap_or_else(|| panic!("{name}: no `antialias`")))
+        .with_alpha_min(number("alpha_min"))
+        .with_alpha_max(number("alpha_max"))
+        .with_transmittance_min(number("t_min"))
+        .with_depth(true);
     let degree = number("sh_degree") as usize;
     assert_eq!(scene.coefficients(), (degree + 1) * (degree + 1), "{name}: SH coefficients");
     let named = |name, columns| Named { name, columns, values: values(name) };

@@ -140,8 +140,7 @@ pub fn evaluate(
     let device = device.clone().autodiff();
     let SceneTensors { splats, sh, camera, background } = scene.tensors(&device, dtype);
     let probe = Tensor::zeros([scene.count(), 2], (&device, dtype)).require_grad();
-    let extras =
-        Extras { background: Some(background.clone()), mean2d_probe: Some(probe.clone()), ..Extras::default() };
+    let extras = Extras::default().with_background(background.clone()).with_mean2d_probe(probe.clone());
     let out = render(&splats, std::slice::from_ref(&camera), &extras, options).expect("a valid scene");
     let depth = out.depth.expect("depth was asked for");
 

@@ -1,7 +1,7 @@
 //! Gradients of a render with only some inputs tracked.
 
 use burn::tensor::{DType, Device, Tensor};
-use splat_op::{Camera, Colour, Extras, Intrinsics, RenderOptions, Splats, render};
+use splat_op::{Camera, Colour, Extras, RenderOptions, Splats, render};
 
 use crate::random::Random;
 use crate::scene::{Scene, host, tensor};
@@ -49,16 +49,14 @@ pub fn gradients_of(
             let mut sideways = vec![0.0; 12];
             sideways[3] = shift;
             let cam_from_world = pose.clone() + tensor(&sideways, [3, 4], &device, dtype);
-            let intrinsics = Intrinsics { fx: scene.intrinsics.fx * (1.0 + shift), ..scene.intrinsics };
+            let intrinsics = scene.intrinsics.with_focal(scene.intrinsics.fx * (1.0 + shift), scene.intrinsics.fy);
             Camera { intrinsics, cam_from_world }
         })
         .collect();
-    let extras = Extras {
-        background: Some(background.clone()),
-        mean2d_probe: Some(probe.clone()),
-        mean2d_abs_probe: Some(abs_probe.clone()),
-        ..Extras::default()
-    };
+    let extras = Extras::default()
+        .with_background(background.clone())
+        .with_mean2d_probe(probe.clone())
+        .with_mean2d_abs_probe(abs_probe.clone());
     let out = render(&splats, &views, &extras, options).expect("a valid scene");
     let mut random = Random::new(5);
     let mut weighted = |t: Tensor<4>| {

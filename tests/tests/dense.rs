@@ -12,11 +12,11 @@ use splat_tests::scene::{Scene, SceneTensors, host, tensor};
 /// Both sides compute in f64 and differ only by rounding.
 const TOLERANCE: f64 = 1e-11;
 
-const CAMERA: Intrinsics = Intrinsics { fx: 17.0, fy: 19.0, cx: 8.5, cy: 7.25, ..Intrinsics::centred(20, 13, 17.0) };
-const FISHEYE: Intrinsics = Intrinsics { model: CameraModel::Fisheye, ..CAMERA };
+const CAMERA: Intrinsics = Intrinsics::pinhole(20, 13, [17.0, 19.0], [8.5, 7.25]);
+const FISHEYE: Intrinsics = CAMERA.with_lens(CameraModel::Fisheye, [0.0; 8]);
 
 fn options(antialias: bool) -> RenderOptions {
-    let smooth = RenderOptions { alpha_min: 0.0, transmittance_min: 0.0, alpha_max: 0.9, ..RenderOptions::exact() };
+    let smooth = RenderOptions::exact().with_alpha_min(0.0).with_transmittance_min(0.0).with_alpha_max(0.9);
     smooth.with_depth(true).with_antialias(antialias)
 }
 
@@ -102,7 +102,7 @@ fn render_agrees_with_autodiff_of_the_dense_formulation() {
         let (what, scene, options) = (format!("seed {seed}"), scene(seed, camera), options(antialias));
 
         let ours = scene.tensors(&device, DType::F64);
-        let extras = Extras { background: Some(ours.background.clone()), ..Extras::default() };
+        let extras = Extras::default().with_background(ours.background.clone());
         let out = render(&ours.splats, std::slice::from_ref(&ours.camera), &extras, &options).expect("a valid scene");
         let only = |t: Tensor<4>| flat(t.squeeze_dim(0));
         let (sum, found) = loss(only(out.colour), only(out.alpha), only(out.depth.expect("asked for")));
@@ -161,7 +161,7 @@ fn tensor_code_between_stages_and_any_features_agree_with_the_dense_formulation(
         [ellipses.sigma_u, ellipses.shear, ellipses.sigma_v] = edit(sigma_u, shear, sigma_v, &depth, &our_own.2);
         let projected = ellipses.pack(&CAMERA).expect("columns of one length");
         let intersections = intersect(&projected, &options).expect("valid options");
-        let extras = Extras { background: Some(our_own.1.clone()), ..Extras::default() };
+        let extras = Extras::default().with_background(our_own.1.clone());
         let out = rasterize(&projected, &our_own.0, &intersections, &extras, &options).expect("valid features");
         let (sum, found) = loss(flat(out.colour), flat(out.alpha), flat(out.depth.expect("asked for")));
         let our_grads = sum.backward();

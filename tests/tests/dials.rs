@@ -9,7 +9,7 @@ use splat_tests::random::Random;
 use splat_tests::scene::{Scene, SceneTensors, host, tensor};
 use splat_tests::{cpu_devices, gpu};
 
-const CAMERA: Intrinsics = Intrinsics { fx: 61.0, fy: 64.0, cx: 36.0, cy: 26.5, ..Intrinsics::centred(75, 50, 61.0) };
+const CAMERA: Intrinsics = Intrinsics::pinhole(75, 50, [61.0, 64.0], [36.0, 26.5]);
 
 const OPTIONS: RenderOptions = RenderOptions::standard().with_depth(true).with_accumulation(Accumulation::Ordered);
 
@@ -85,7 +85,7 @@ fn without_a_cut_a_large_picture_of_many_gaussians_is_refused() {
     let wide = Intrinsics::centred(32_768, 32_768, 30_000.0);
     let SceneTensors { splats, camera, .. } = needles(17).tensors(&Device::flex(), DType::F32);
     let camera = Camera { intrinsics: wide, ..camera };
-    let uncut = RenderOptions { alpha_min: 0.0, ..OPTIONS };
+    let uncut = OPTIONS.with_alpha_min(0.0);
     let projected = project(&splats, &camera, &Extras::default(), &uncut).expect("a valid scene");
     let message = intersect(&projected, &uncut).expect_err("refused").to_string();
     for part in ["`alpha_min` is 0 for 17 Gaussians", &MAX_UNCULLED_INTERSECTIONS.to_string(), "smaller picture"] {

@@ -3,13 +3,13 @@
 use burn::tensor::{DType, Device, Tensor};
 use splat_op::{
     Camera, Colour, Extras, Intrinsics, Projected, RenderOptions, SplatError, evaluate_sh, intersect, project,
-    rasterize, render,
+    rasterize, render, visible_colours,
 };
 use splat_tests::ndarray;
 use splat_tests::random::Random;
 use splat_tests::scene::{Scene, SceneTensors};
 
-const CAMERA: Intrinsics = Intrinsics { fx: 7.0, fy: 7.0, cx: 4.0, cy: 3.0, ..Intrinsics::centred(8, 6, 7.0) };
+const CAMERA: Intrinsics = Intrinsics::pinhole(8, 6, [7.0, 7.0], [4.0, 3.0]);
 
 const COUNT: usize = 5;
 
@@ -124,7 +124,7 @@ fn cameras_and_options_out_of_range_are_named() {
     let Call { tensors: SceneTensors { splats, camera, .. }, extras, options } = call();
     let none = render(&splats, &[], &extras, &options).expect_err("refused");
     assert_names(&none.to_string(), "cameras", "at least one");
-    let wide = Camera { intrinsics: Intrinsics { width: 9, ..CAMERA }, ..camera.clone() };
+    let wide = Camera { intrinsics: Intrinsics::pinhole(9, 6, [7.0, 7.0], [4.0, 3.0]), ..camera.clone() };
     let sizes = render(&splats, &[camera, wide], &extras, &options).expect_err("refused");
     assert_names(&sizes.to_string(), "cameras", "(9, 6)");
 }
@@ -145,6 +145,41 @@ fn single_stages_check_their_own_arguments() {
     assert!(matches!(error, SplatError::Shape { name: "shear", .. }), "{error}");
 }
 
+/// A stage that is called alone checks what it reads, and nothing else, with the messages of a render.
+#[test]
+fn a_stage_alone_refuses_what_a_render_refuses() {
+    let Call { tensors: SceneTensors { splats, camera, .. }, extras, options } = call();
+    let projected = project(&splats, &camera, &extras, &options).expect("nothing is wrong with it");
+    let lists = intersect(&projected, &options).expect("nothing is wrong with it");
+    let refused_by = |spoil: fn(&mut Call), stages: &[&str]| {
+        let expected = refusal(spoil);
+        let mut bad = call();
+        spoil(&mut bad);
+        let Call { tensors: SceneTensors { splats, camera, .. }, extras, options } = &bad;
+        let found = [
+            ("project", project(splats, camera, extras, options).err()),
+            ("visible_colours", visible_colours(splats, camera, &projected, options).err()),
+            ("intersect", intersect(&projected, options).err()),
+            ("rasterize", rasterize(&projected, &zeros([COUNT, 3]), &lists, extras, options).err()),
+        ];
+        for (stage, error) in found {
+            let expected = stages.contains(&stage).then(|| expected.clone());
+            assert_eq!(error.map(|error| error.to_string()), expected, "{stage}");
+        }
+    };
+    let all = ["project", "visible_colours", "intersect", "rasterize"];
+    refused_by(|c| c.options.alpha_min = -0.1, &all);
+    refused_by(|c| c.tensors.splats.means = double(&c.tensors.splats.means).cast(DType::F16), &all[..2]);
+    refused_by(|c| c.tensors.splats.means = zeros([COUNT, 2]), &all[..2]);
+    refused_by(|c| c.tensors.camera.cam_from_world = zeros([4, 4]), &all[..2]);
+    refused_by(|c| c.tensors.splats.scales = zeros([COUNT, 1]), &["project"]);
+    refused_by(|c| c.tensors.camera.intrinsics.fx = 0.0, &["project"]);
+    refused_by(|c| c.extras.mean2d_probe = Some(zeros([COUNT, 3])), &["project"]);
+    refused_by(|c| c.tensors.splats.colour = Colour::SphericalHarmonics(zeros([COUNT, 5, 3])), &["visible_colours"]);
+    refused_by(|c| c.extras.background = Some(zeros([4])), &["rasterize"]);
+    refused_by(|c| c.extras.mean2d_abs_probe = Some(zeros([COUNT + 1, 2])), &["rasterize"]);
+}
+
 #[test]
 fn lists_of_another_view_are_refused() {
     let options = RenderOptions::standard();
@@ -161,11 +196,11 @@ fn lists_of_another_view_are_refused() {
     with(&projected, &options).expect("its own lists");
     let refusal = |lists: &Projected, options: &RenderOptions| with(lists, options).expect_err("refused").to_string();
     assert_names(&refusal(&view(COUNT + 3, CAMERA), &options), "intersections", "8 Gaussians, for 5");
-    let larger = Intrinsics { width: 40, height: 30, ..CAMERA };
+    let larger = Intrinsics::pinhole(40, 30, [7.0, 7.0], [4.0, 3.0]);
     assert_names(&refusal(&view(COUNT, larger), &options), "intersections", "40 × 30 px, for 8 × 6 px");
-    let other = Intrinsics { fx: 9.0, ..CAMERA };
+    let other = CAMERA.with_focal(9.0, CAMERA.fy);
     assert_names(&refusal(&view(COUNT, other), &options), "intersections", "another camera");
-    let [fewer, more] = [0.1, 0.0].map(|alpha_min| RenderOptions { alpha_min, ..options });
+    let [fewer, more] = [0.1, 0.0].map(|alpha_min| options.with_alpha_min(alpha_min));
     assert_names(&refusal(&projected, &fewer), "intersections", "a smaller `alpha_min`");
     with(&projected, &more).expect("lists of all pairs serve any threshold");
     let deep = options.with_depth(true);

@@ -10,13 +10,13 @@ use splat_tests::lenses::lenses;
 use splat_tests::random::Random;
 use splat_tests::scene::{Scene, SceneTensors, host};
 
-const CAMERA: Intrinsics = Intrinsics { fx: 33.0, fy: 37.0, cx: 19.0, cy: 14.5, ..Intrinsics::centred(41, 27, 33.0) };
+const CAMERA: Intrinsics = Intrinsics::pinhole(41, 27, [33.0, 37.0], [19.0, 14.5]);
 
 /// Both sides compute in f64 with different formulas.
 const TOLERANCE: f64 = 1e-10;
 
 fn off() -> RenderOptions {
-    let off = RenderOptions { alpha_min: 0.0, transmittance_min: 0.0, alpha_max: 1.0, ..RenderOptions::exact() };
+    let off = RenderOptions::exact().with_alpha_min(0.0).with_transmittance_min(0.0).with_alpha_max(1.0);
     off.with_depth(true)
 }
 
@@ -34,7 +34,7 @@ fn check(what: &str, scene: &Scene, options: &RenderOptions, tolerance: f64) {
     let expected = render_exact(&gaussians, &pose, &scene.intrinsics, &scene.background, options);
     for (name, device) in cpu_devices() {
         let SceneTensors { splats, camera, background, .. } = scene.tensors(&device, DType::F64);
-        let extras = Extras { background: Some(background), ..Extras::default() };
+        let extras = Extras::default().with_background(background);
         let out = render(&splats, &[camera], &extras, options).expect("a valid scene");
         let colour: Vec<f64> = expected.iter().flat_map(|pixel| pixel.features.clone()).collect();
         let alpha: Vec<f64> = expected.iter().map(|pixel| pixel.alpha).collect();
@@ -65,7 +65,7 @@ fn the_cpu_operation_agrees_with_the_exact_renderer() {
 /// Gaussians as large as their distance, needles and sheets, some around the camera, inside and outside a wide view.
 #[test]
 fn rays_agree_with_the_exact_renderer() {
-    let wide = Intrinsics { fx: 9.0, fy: 11.0, ..CAMERA };
+    let wide = CAMERA.with_focal(9.0, 11.0);
     // The wide cameras include pixels that no ray of the lens reaches.
     let bent = lenses(CAMERA).into_iter().chain(lenses(wide));
     for (seed, camera) in (1..).zip([CAMERA, wide, CAMERA, wide].into_iter().chain(bent)) {
@@ -144,7 +144,7 @@ fn the_order_of_a_pixel_is_that_of_the_maxima_along_its_ray() {
     };
     let balls = [ball(DVec3::new(-0.2, 0.0, 2.0), [1.0, 0.0]), ball(DVec3::new(1.6, 0.0, 1.9), [0.0, 1.0])];
     let pose = ExactPose { rotation: DMat3::IDENTITY, translation: DVec3::ZERO };
-    let options = RenderOptions { blur: 0.0, ..off() }.with_projection(Projection::RayMax);
+    let options = off().with_blur(0.0).with_projection(Projection::RayMax);
     let (by_centres, by_pixel) = (
         ExactView::new(&balls, &pose, &camera, &options),
         ExactView::new(&balls, &pose, &camera, &options).sorted_per_pixel(),

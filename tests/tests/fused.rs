@@ -49,7 +49,7 @@ fn every_stage_executes_kernels_and_no_twin() {
     launched("intersect");
 
     let colours = Tensor::from_data(colours.into_data(), &device).require_grad();
-    let extras = Extras { background: Some(background), ..Extras::default() };
+    let extras = Extras::default().with_background(background);
     let picture = rasterize(&projected, &colours, &intersections, &extras, &options).expect("a valid scene");
     launched_after(host(picture.colour.clone()), || launched("rasterize"));
     let loss = picture.colour.sum().backward();
@@ -62,7 +62,7 @@ fn every_stage_executes_kernels_and_no_twin() {
     let pairs: i64 = intersections.counts.clone().into_data().iter::<i64>().sum();
     assert!(pairs > 0);
     launched("depth slope and its bounds");
-    let extras = Extras { background: Some(background), ..Extras::default() };
+    let extras = Extras::default().with_background(background);
     let colours = Tensor::from_data(colours.into_data(), &device);
     let picture = rasterize(&projected, &colours, &intersections, &extras, &along_rays).expect("a valid scene");
     launched_after(host(picture.colour.clone()), || launched("rasterize_rays"));

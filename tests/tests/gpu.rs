@@ -14,11 +14,11 @@ use splat_tests::random::Random;
 use splat_tests::scene::{Scene, SceneTensors, host, tensor};
 use splat_tests::tracked::{INPUTS, gradients_of};
 
-const CAMERA: Intrinsics = Intrinsics { fx: 61.0, fy: 64.0, cx: 36.0, cy: 26.5, ..Intrinsics::centred(75, 50, 61.0) };
+const CAMERA: Intrinsics = Intrinsics::pinhole(75, 50, [61.0, 64.0], [36.0, 26.5]);
 
 /// Options without cuts, at which a pair within rounding error would jump.
 const SMOOTH: RenderOptions =
-    RenderOptions { alpha_min: 0.0, transmittance_min: 0.0, ..RenderOptions::standard().with_depth(true) };
+    RenderOptions::standard().with_depth(true).with_alpha_min(0.0).with_transmittance_min(0.0);
 
 type Where = (Device, DType);
 
@@ -97,7 +97,7 @@ fn features_of(scene: &Scene, channels: usize, (device, dtype): &Where) -> Vec<(
     let SceneTensors { mut splats, camera, background, .. } = plain.tensors(&device, *dtype);
     let features: Tensor<2> = tensor(&scene.sh, [scene.count(), channels], &device, *dtype).require_grad();
     splats.colour = Colour::Features(features.clone());
-    let extras = Extras { background: Some(background.clone()), ..Extras::default() };
+    let extras = Extras::default().with_background(background.clone());
     let out = render(&splats, &[camera], &extras, &SMOOTH).expect("a valid scene");
     let shape = out.colour.dims();
     let weights = Random::new(9).fill(shape.iter().product(), -1.0, 1.0);
@@ -129,7 +129,7 @@ fn any_number_of_channels() {
 fn a_picture_over_4096_px_wide_or_high() {
     let Some(device) = gpu() else { return };
     for (width, height) in [(5000, 40), (40, 5000)] {
-        let camera = Intrinsics { fx: 3000.0, fy: 3000.0, ..Intrinsics::centred(width, height, 3000.0) };
+        let camera = Intrinsics::centred(width, height, 3000.0);
         let mut random = Random::new(6);
         let mut scene = Scene::random(&mut random, 60, 1, camera);
         for mean in scene.means.chunks_exact_mut(3) {
@@ -166,8 +166,7 @@ fn no_splats_and_none_visible_show_the_background_and_have_no_gradient() {
                 colour: Colour::SphericalHarmonics(sh.clone()),
             };
             let probe = Tensor::<2>::zeros([count, 2], &tracked).require_grad();
-            let extras =
-                Extras { background: Some(background.clone()), mean2d_probe: Some(probe.clone()), ..Extras::default() };
+            let extras = Extras::default().with_background(background.clone()).with_mean2d_probe(probe.clone());
             let out = render(&splats, std::slice::from_ref(&camera), &extras, &options).expect("a valid scene");
             let expected: Vec<f64> = scene.background.iter().map(|v| f64::from(*v as f32)).collect();
             let grads = (out.colour.clone().sum() + out.alpha.clone().sum()).backward();

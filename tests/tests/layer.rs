@@ -62,7 +62,7 @@ fn far_plane_and_radii_cull_as_in_the_reference() {
     let of = gaussians(60);
     let pose = ExactPose { rotation: DMat3::IDENTITY, translation: DVec3::ZERO };
     for projection in [Projection::Affine, Projection::RayMax] {
-        let options = OPTIONS.with_projection(projection);
+        let options = OPTIONS.with_projection(projection).with_expected_depth(true);
         let count = |options: &RenderOptions| {
             let sum = |pixels: Vec<splat_op::exact::ExactPixel>| pixels.iter().map(|pixel| pixel.alpha).sum::<f64>();
             sum(render_exact(&of, &pose, &CAMERA, &[0.0; 2], options))
@@ -75,7 +75,7 @@ fn far_plane_and_radii_cull_as_in_the_reference() {
             let found =
                 render_view(&splats(&of, &at), &camera(CAMERA, &at), &Extras::default(), &options).expect("valid");
             let (colour, alpha) = (host(found.colour.clone()), host(found.alpha.clone()));
-            let depth = host(found.expected_depth().expect("asked for"));
+            let depth = host(found.expected_depth.expect("asked for"));
             for (i, pixel) in expected.iter().enumerate() {
                 let what = format!("{projection:?}, {at:?}, pixel {i}");
                 assert!((alpha[i] - pixel.alpha).abs() < 2e-5, "{what}: alpha {} {}", alpha[i], pixel.alpha);
@@ -124,11 +124,10 @@ fn cameras_have_backgrounds_and_sizes_of_their_own() {
         let splats = splats(&of, &at);
         let views = [CAMERA, Intrinsics::centred(20, 30, 25.0)].map(|intrinsics| camera(intrinsics, &at));
         let rows = [[0.2, 0.4], [0.9, 0.1]];
-        let extras =
-            Extras { backgrounds: Some(tensor(rows.as_flattened(), [2, 2], &at.0, at.1)), ..Extras::default() };
+        let extras = Extras::default().with_backgrounds(tensor(rows.as_flattened(), [2, 2], &at.0, at.1));
         let found = render_each(&splats, &views, &extras, &OPTIONS).expect("valid");
         for ((found, view), row) in found.iter().zip(&views).zip(rows) {
-            let own = Extras { background: Some(tensor(&row, [2], &at.0, at.1)), ..Extras::default() };
+            let own = Extras::default().with_background(tensor(&row, [2], &at.0, at.1));
             let expected = render_view(&splats, view, &own, &OPTIONS).expect("valid");
             assert!(host(found.colour.clone()) == host(expected.colour), "{at:?}");
         }
@@ -138,6 +137,65 @@ fn cameras_have_backgrounds_and_sizes_of_their_own() {
         assert!(matches!(refused, SplatError::Shape { name: "backgrounds", .. }), "{refused}");
         let refused = render_view(&splats, &views[0], &extras, &OPTIONS).expect_err("one camera");
         assert!(refused.to_string().contains("`backgrounds`"), "{refused}");
+    }
+}
+
+#[test]
+fn what_is_asked_for_is_there_and_nothing_else() {
+    let of = gaussians(40);
+    for (projection, at) in
+        everywhere().into_iter().flat_map(|at| [Projection::Affine, Projection::RayMax].map(|p| (p, at.clone())))
+    {
+        let (splats, view) = (splats(&of, &at), camera(CAMERA, &at));
+        let options = OPTIONS.with_depth(false).with_projection(projection);
+        let extras = Extras::default().with_background(tensor(&[0.3, 0.6], [2], &at.0, at.1));
+        let none = render_view(&splats, &view, &extras, &options).expect("valid");
+        assert!(none.depth.is_none() && none.expected_depth.is_none() && none.normals.is_none());
+        assert!(none.radii.is_none() && none.visible.is_none());
+
+        let asked = options.with_expected_depth(true).with_normals(true).with_radii(true).with_visible(true);
+        let found = render(&splats, &[view.clone(), view.clone()], &extras, &asked).expect("valid");
+        assert!(found.depth.is_none() && found.colour.dims() == [2, 32, 48, 2]);
+        let twice = |values: Vec<f64>| [values.clone(), values].concat();
+        assert!(host(found.colour) == twice(host(none.colour)), "{projection:?}, {at:?}");
+        let projected = project(&splats, &view, &extras, &options).expect("valid");
+        assert!(host(found.radii.expect("asked for")) == twice(host(projected.radii())), "{projection:?}, {at:?}");
+        let visible: Vec<bool> = found.visible.expect("asked for").into_data().iter::<bool>().collect();
+        assert_eq!(visible, [flags(projected.visible()), flags(projected.visible())].concat());
+        // Normals are features over black.
+        let turned = Colour::Features(normals(&splats, &view).expect("valid"));
+        let of_normals = Splats { colour: turned, ..splats.clone() };
+        let expected = render_view(&of_normals, &view, &Extras::default(), &options).expect("valid").colour;
+        let normals = host(found.normals.expect("asked for"));
+        for (found, expected) in normals.iter().zip(twice(host(expected))) {
+            assert!((found - expected).abs() < 1e-6, "{projection:?}, {at:?}: {found} instead of {expected}");
+        }
+    }
+}
+
+#[test]
+fn normals_of_a_render_have_gradients() {
+    let (at, plain) = ((Device::flex().autodiff(), DType::F64), (Device::flex(), DType::F64));
+    let of = gaussians(12);
+    let gradient = |render: &dyn Fn(Splats) -> Tensor<3>| {
+        let rotations = splats(&of, &at).rotations.require_grad();
+        let picture = render(Splats { rotations: rotations.clone(), ..splats(&of, &plain) });
+        let weights = Random::new(3).fill(32 * 48 * 3, -1.0, 1.0);
+        let loss = (picture * tensor::<3>(&weights, [32, 48, 3], &at.0, at.1)).sum();
+        host(rotations.grad(&loss.backward()).expect("tracked"))
+    };
+    let view = camera(CAMERA, &plain);
+    let found = gradient(&|splats| {
+        let rendered = render_view(&splats, &view, &Extras::default(), &OPTIONS.with_normals(true)).expect("valid");
+        rendered.normals.expect("asked for")
+    });
+    let expected = gradient(&|splats| {
+        let colour = Colour::Features(normals(&splats, &view).expect("valid"));
+        render_view(&Splats { colour, ..splats }, &view, &Extras::default(), &OPTIONS).expect("valid").colour
+    });
+    assert!(expected.iter().any(|value| value.abs() > 1e-3));
+    for (found, expected) in found.iter().zip(expected) {
+        assert!((found - expected).abs() < 1e-12, "{found} instead of {expected}");
     }
 }
 

@@ -9,7 +9,7 @@ use splat_tests::scene::{LossWeights, RenderOutputs, Scene, SceneTensors, evalua
 use splat_tests::tracked::gradients_of;
 use splat_tests::{cpu_devices, devices, gpu};
 
-const CAMERA: Intrinsics = Intrinsics { fx: 27.0, fy: 30.0, cx: 15.0, cy: 11.5, ..Intrinsics::centred(33, 21, 27.0) };
+const CAMERA: Intrinsics = Intrinsics::pinhole(33, 21, [27.0, 30.0], [15.0, 11.5]);
 
 const OPTIONS: RenderOptions = RenderOptions::standard().with_depth(true);
 
@@ -25,7 +25,7 @@ fn everywhere() -> impl Iterator<Item = Where> {
 
 fn picture(scene: &Scene, options: &RenderOptions, (device, dtype): Where) -> [Vec<f64>; 3] {
     let SceneTensors { splats, camera, background, .. } = scene.tensors(&device, dtype);
-    let extras = Extras { background: Some(background), ..Extras::default() };
+    let extras = Extras::default().with_background(background);
     values(render(&splats, &[camera], &extras, options).expect("a valid scene"))
 }
 
@@ -36,7 +36,7 @@ fn values(out: Rendered<4>) -> [Vec<f64>; 3] {
 /// Returns the gradient of a loss over some of the pictures of a render with respect to the centres.
 fn gradient_through(parts: [bool; 3], depth: bool, scene: &Scene, (device, dtype): Where) -> Vec<f64> {
     let SceneTensors { splats, camera, background, .. } = scene.tensors(&device.autodiff(), dtype);
-    let extras = Extras { background: Some(background), ..Extras::default() };
+    let extras = Extras::default().with_background(background);
     let options = RenderOptions::standard().with_depth(depth);
     let out = render(&splats, &[camera], &extras, &options).expect("a valid scene");
     let pictures = [Some(out.colour), Some(out.alpha), out.depth];
@@ -151,7 +151,7 @@ proptest! {
         prop_assume!(length > 0.1);
         let scene = Scene::random(&mut Random::new(seed), 30, 0, CAMERA);
         // Without cuts, at which a pair within rounding error would jump.
-        let smooth = RenderOptions { alpha_min: 0.0, transmittance_min: 0.0, ..OPTIONS };
+        let smooth = OPTIONS.with_alpha_min(0.0).with_transmittance_min(0.0);
         let other = moved(&scene, turn.map(|c| c / length), shift);
         close(&picture(&other, &smooth, F64()), &picture(&scene, &smooth, F64()), 1e-10)?;
     }
@@ -176,7 +176,7 @@ proptest! {
         for place in everywhere() {
             prop_assert_eq!(picture(&exact, &OPTIONS, place.clone()), picture(&scene, &OPTIONS, place));
         }
-        let smooth = RenderOptions { alpha_min: 0.0, transmittance_min: 0.0, ..OPTIONS };
+        let smooth = OPTIONS.with_alpha_min(0.0).with_transmittance_min(0.0);
         let original = picture(&scene, &smooth, F64());
         close(&picture(&scaled(factor), &smooth, F64()), &original, 1e-12)?;
         // The opposite quaternion is the same rotation.
@@ -187,7 +187,7 @@ proptest! {
 #[test]
 fn one_thread_and_two_give_the_same_bits() {
     // The scene is large enough for several tasks in every stage.
-    let camera = Intrinsics { width: 90, height: 70, ..CAMERA };
+    let camera = Intrinsics::pinhole(90, 70, [27.0, 30.0], [15.0, 11.5]);
     let mut random = Random::new(1);
     let mut scene = Scene::random(&mut random, 5000, 2, camera);
     scene.scales.iter_mut().for_each(|s| *s *= 0.2);
@@ -235,7 +235,7 @@ fn several_cameras_in_one_call_are_separate_calls() {
                 let mut pose = scene.pose.clone();
                 pose[3] += shift;
                 let cam_from_world = tensor(&pose, [3, 4], &device, DType::F32);
-                Camera { intrinsics: Intrinsics { fx: CAMERA.fx * (1.0 + shift), ..CAMERA }, cam_from_world }
+                Camera { intrinsics: CAMERA.with_focal(CAMERA.fx * (1.0 + shift), CAMERA.fy), cam_from_world }
             };
             vec![first.clone(), other(0.2), other(-0.3)]
         };

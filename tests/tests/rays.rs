@@ -13,7 +13,7 @@ use splat_tests::scene::{Scene, SceneTensors, host};
 use splat_tests::tracked::{INPUTS, gradients_of};
 use splat_tests::{cpu_devices, devices};
 
-const CAMERA: Intrinsics = Intrinsics { fx: 33.0, fy: 37.0, cx: 19.0, cy: 14.5, ..Intrinsics::centred(41, 27, 33.0) };
+const CAMERA: Intrinsics = Intrinsics::pinhole(41, 27, [33.0, 37.0], [19.0, 14.5]);
 
 fn picture(scene: &Scene, options: &RenderOptions) -> Vec<f64> {
     let SceneTensors { splats, camera, .. } = scene.tensors(&Device::flex(), DType::F64);
@@ -27,11 +27,11 @@ fn largest_difference(a: &[f64], b: &[f64]) -> f64 {
 /// Returns the difference between the ray-max and the affine render of a scene whose lateral extent and Gaussians are scaled by
 /// `size`, with the focal length divided by `size`: equally large in the picture, and smaller relative to the distance.
 fn difference(size: f64) -> f64 {
-    let camera = Intrinsics { fx: CAMERA.fx / size, fy: CAMERA.fy / size, ..CAMERA };
+    let camera = CAMERA.with_focal(CAMERA.fx / size, CAMERA.fy / size);
     let mut scene = Scene::random(&mut Random::new(5), 60, 0, camera);
     scene.scales.iter_mut().for_each(|scale| *scale *= size);
     scene.pose = vec![1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0];
-    let options = RenderOptions { alpha_min: 0.0, transmittance_min: 0.0, ..RenderOptions::standard() };
+    let options = RenderOptions::standard().with_alpha_min(0.0).with_transmittance_min(0.0);
     largest_difference(&picture(&scene, &options.with_projection(Projection::RayMax)), &picture(&scene, &options))
 }
 
@@ -55,7 +55,7 @@ fn tiles_lose_nothing() {
             let size = [0.02, 0.15, 1.0, 4.0][i % 4];
             scale.copy_from_slice(&[size * random.between(0.1, 1.0), size * random.between(0.02, 1.0), size]);
         }
-        let options = RenderOptions { transmittance_min: 0.0, ..RenderOptions::standard() };
+        let options = RenderOptions::standard().with_transmittance_min(0.0);
         let options = options.with_projection(Projection::RayMax).with_depth(true);
         let SceneTensors { splats, camera, .. } = scene.tensors(&Device::flex(), DType::F32);
         let projected = project(&splats, &camera, &Extras::default(), &options).expect("a valid scene");
@@ -68,7 +68,7 @@ fn tiles_lose_nothing() {
             (pairs, [host(picture.colour), host(picture.alpha), host(picture.depth.expect("asked for"))])
         };
         let (listed, found) = picture(&options);
-        let (all, expected) = picture(&RenderOptions { alpha_min: 0.0, ..options });
+        let (all, expected) = picture(&options.with_alpha_min(0.0));
         let model = projected.intrinsics().model;
         assert!(listed < all, "{model:?}: {listed} of {all} pairs are listed");
         assert!(found == expected, "{model:?}: the lists change the picture");
@@ -87,7 +87,7 @@ fn a_wide_angle_shows_what_is_there() {
     scene.opacities = vec![1.0];
     let alpha = |projection: Projection| {
         let SceneTensors { splats, camera, .. } = scene.tensors(&Device::flex(), DType::F64);
-        let options = RenderOptions { alpha_min: 0.0, blur: 0.0, ..RenderOptions::standard() };
+        let options = RenderOptions::standard().with_alpha_min(0.0).with_blur(0.0);
         let options = options.with_projection(projection);
         host(render_view(&splats, &camera, &Extras::default(), &options).expect("a valid scene").alpha)
     };
@@ -110,7 +110,7 @@ fn every_gradient_reaches_its_input() {
     for (name, device) in cpu_devices() {
         let scene = Scene::random(&mut Random::new(8), 40, 1, CAMERA);
         let SceneTensors { splats, sh, camera, background } = scene.tensors(&device.autodiff(), DType::F64);
-        let extras = Extras { background: Some(background.clone()), ..Extras::default() };
+        let extras = Extras::default().with_background(background.clone());
         let options = RenderOptions::standard().with_projection(Projection::RayMax);
         let out = render(&splats, std::slice::from_ref(&camera), &extras, &options).expect("a valid scene");
         // The loss uses the picture alone, so that alpha and depth have no gradient.
@@ -131,7 +131,7 @@ fn every_gradient_reaches_its_input() {
 /// All gradients of renders by two cameras, in f32 on every device.
 #[test]
 fn gradients_in_f32_are_those_in_f64() {
-    let smooth = RenderOptions { alpha_min: 0.0, transmittance_min: 0.0, ..RenderOptions::standard() };
+    let smooth = RenderOptions::standard().with_alpha_min(0.0).with_transmittance_min(0.0);
     let mut scene = Scene::random(&mut Random::new(11), 120, 1, CAMERA);
     scene.scales.iter_mut().for_each(|scale| *scale *= 0.4);
     let options = smooth.with_projection(Projection::RayMax).with_depth(true).with_antialias(true);
@@ -150,7 +150,7 @@ fn gradients_in_f32_are_those_in_f64() {
 
 /// Compares the gradient with the slope of the loss along a line through all geometry and the pose.
 fn check_slope(camera: Intrinsics) {
-    let options = RenderOptions { alpha_min: 0.0, transmittance_min: 0.0, alpha_max: 1.0, ..RenderOptions::standard() };
+    let options = RenderOptions::standard().with_alpha_min(0.0).with_transmittance_min(0.0).with_alpha_max(1.0);
     let options = options.with_projection(Projection::RayMax).with_depth(true).with_antialias(true);
     let scene = Scene::random(&mut Random::new(9), 30, 0, camera);
     let mut random = Random::new(10);
@@ -197,7 +197,7 @@ fn the_slope_of_a_render_is_that_of_its_gradient() {
 /// A lens without distortion is a pinhole under another name.
 #[test]
 fn a_lens_without_distortion_shows_what_a_pinhole_shows() {
-    let smooth = RenderOptions { alpha_min: 0.0, transmittance_min: 0.0, ..RenderOptions::standard() };
+    let smooth = RenderOptions::standard().with_alpha_min(0.0).with_transmittance_min(0.0);
     let options = smooth.with_projection(Projection::RayMax);
     let scene = Scene::random(&mut Random::new(1), 60, 0, CAMERA);
     let mut bent = scene.clone();

@@ -19,7 +19,7 @@ use clap::builder::{PossibleValue, PossibleValuesParser, RangedU64ValueParser, T
 use serde::{Deserialize, Serialize};
 use splat_model::density::DensityConfig;
 use splat_model::optim::{LearningRates, MomentBits, sh_every_for};
-use splat_model::trainer::{Resolution, TrainConfig, TrainError, Trainer};
+use splat_model::trainer::{Resolution, TrainConfig, Trainer};
 
 pub use self::checkpoints::{RunState, state_of};
 pub use self::run::{resume_together, run, run_together, run_with};
@@ -316,7 +316,7 @@ impl TrainArgs {
     /// Returns the configuration of the run, before effects are decided on.
     ///
     /// # Errors
-    /// If the number of steps is zero or the degree is not supported. This is checked before any file is read or
+    /// If an option is out of range or does not fit another. This is checked before any file is read or
     /// written.
     pub fn config(&self) -> Result<TrainConfig> {
         let mut config = TrainConfig { seed: self.seed, ..self.model.config() };
@@ -344,14 +344,8 @@ impl TrainArgs {
         if let Some(mb) = self.cache_mb {
             config.cache_mib = config.cache_mib.min(mb.saturating_mul(1_000_000) >> 20);
         }
-        match config {
-            TrainConfig { steps: 0, .. } => Err(TrainError::NoSteps.into()),
-            TrainConfig { sh_degree, .. } if sh_degree > splat_op::sh::SH_DEGREE_MAX => {
-                Err(TrainError::ShDegree(sh_degree).into())
-            }
-            TrainConfig { resolution, .. } if !resolution.is_valid() => Err(TrainError::Resolution(resolution).into()),
-            config => Ok(config.check().map(|()| config)?),
-        }
+        config.check()?;
+        Ok(config)
     }
 
     /// Returns the configuration with the schedules of a run of `steps` (see [`Trainer::reschedule`]).

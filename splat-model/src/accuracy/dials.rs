@@ -77,18 +77,18 @@ pub(super) const ALPHA_MAX_RMS: f64 = 0.02;
 pub const DIALS: &[Dial] = &[
     Dial {
         // A hundred thousand contributions below this value change a picture by less than the precision of f32.
-        exact: |o| RenderOptions { alpha_min: 1e-12, ..o },
+        exact: |o| o.with_alpha_min(1e-12),
         ..numerical(
             "alpha_min",
             "contributions with a smaller alpha are skipped",
             &[
-                value("2^-26", 1e-4, |o| RenderOptions { alpha_min: RenderOptions::exact().alpha_min, ..o }),
-                value("1/4096", 0.003, |o| RenderOptions { alpha_min: 1.0 / 4096.0, ..o }),
-                value("1/1024", 0.01, |o| RenderOptions { alpha_min: 1.0 / 1024.0, ..o }),
-                value("1/255", 0.04, |o| RenderOptions { alpha_min: 1.0 / 255.0, ..o }),
-                value("2/255", 0.08, |o| RenderOptions { alpha_min: 2.0 / 255.0, ..o }),
-                value("4/255", 0.16, |o| RenderOptions { alpha_min: 4.0 / 255.0, ..o }),
-                value("8/255", 0.32, |o| RenderOptions { alpha_min: 8.0 / 255.0, ..o }),
+                value("2^-26", 1e-4, |o| o.with_alpha_min(RenderOptions::exact().alpha_min)),
+                value("1/4096", 0.003, |o| o.with_alpha_min(1.0 / 4096.0)),
+                value("1/1024", 0.01, |o| o.with_alpha_min(1.0 / 1024.0)),
+                value("1/255", 0.04, |o| o.with_alpha_min(1.0 / 255.0)),
+                value("2/255", 0.08, |o| o.with_alpha_min(2.0 / 255.0)),
+                value("4/255", 0.16, |o| o.with_alpha_min(4.0 / 255.0)),
+                value("8/255", 0.32, |o| o.with_alpha_min(8.0 / 255.0)),
             ],
         )
     },
@@ -96,11 +96,11 @@ pub const DIALS: &[Dial] = &[
         "transmittance_min",
         "compositing stops before the layer that would lower the transmittance below this value",
         &[
-            value("0", 0.0, |o| RenderOptions { transmittance_min: 0.0, ..o }),
-            value("1e-5", 1e-3, |o| RenderOptions { transmittance_min: 1e-5, ..o }),
-            value("1e-4", 0.01, |o| RenderOptions { transmittance_min: 1e-4, ..o }),
-            value("1e-3", 0.1, |o| RenderOptions { transmittance_min: 1e-3, ..o }),
-            value("1e-2", 0.5, |o| RenderOptions { transmittance_min: 1e-2, ..o }),
+            value("0", 0.0, |o| o.with_transmittance_min(0.0)),
+            value("1e-5", 1e-3, |o| o.with_transmittance_min(1e-5)),
+            value("1e-4", 0.01, |o| o.with_transmittance_min(1e-4)),
+            value("1e-3", 0.1, |o| o.with_transmittance_min(1e-3)),
+            value("1e-2", 0.5, |o| o.with_transmittance_min(1e-2)),
         ],
     ),
     Dial {
@@ -157,7 +157,7 @@ impl Dial {
 
     /// `options` with every numerical dial at its value without approximation, for the exact render in f64.
     pub fn all_exact(options: RenderOptions) -> RenderOptions {
-        let base = RenderOptions { alpha_max: 1.0, ..options };
+        let base = options.with_alpha_max(1.0);
         DIALS.iter().filter(|dial| dial.judge == Judge::Exact).fold(base, |options, dial| (dial.exact)(options))
     }
 

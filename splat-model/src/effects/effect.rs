@@ -71,18 +71,15 @@ impl RenderInput {
 }
 
 pub(crate) fn mean_of(mut pictures: Vec<Rendered<3>>) -> Rendered<3> {
-    let count = pictures.len() as f32;
     if pictures.len() == 1 {
         return pictures.remove(0);
     }
     // Renders are views of planes: another order of the sum would be rearranged by the loss, and its gradient by every render.
-    let mean = |parts: Vec<Tensor<3>>| {
+    Rendered::combined(&pictures, |parts| {
+        let count = parts.len() as f32;
         let sum = parts.into_iter().map(|part| part.permute([2, 0, 1])).reduce(|a, b| a + b);
         (sum.expect("an effect makes at least one render of each") / count).permute([1, 2, 0])
-    };
-    let (colours, (alphas, depths)): (Vec<_>, (Vec<_>, Vec<_>)) =
-        pictures.into_iter().map(|picture| (picture.colour, (picture.alpha, picture.depth))).unzip();
-    Rendered { colour: mean(colours), alpha: mean(alphas), depth: depths.into_iter().collect::<Option<_>>().map(mean) }
+    })
 }
 
 /// A model of something that happens between the scene and its photographs. The trainer calls the functions in the order

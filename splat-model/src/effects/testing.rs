@@ -42,7 +42,7 @@ pub(super) fn check_gradient(at: &[f64], of: impl Fn(Tensor<1>) -> Tensor<1>) {
 
 /// The scene's camera, 48 × 36 px.
 pub(super) fn camera() -> Intrinsics {
-    Intrinsics { cx: 23.0, cy: 19.0, fy: 44.0, ..Intrinsics::centred(48, 36, 40.0) }
+    Intrinsics::pinhole(48, 36, [40.0, 44.0], [23.0, 19.0])
 }
 
 /// `[3, 4]`: the scene's pose.

@@ -128,7 +128,7 @@ fn ordered_points_keep_their_colours() {
 
 /// A landscape format with the principal point off the centre.
 fn intrinsics() -> Intrinsics {
-    Intrinsics { cx: 25.0, cy: 10.0, fy: 55.0, ..Intrinsics::centred(64, 24, 60.0) }
+    Intrinsics::pinhole(64, 24, [60.0, 55.0], [25.0, 10.0])
 }
 
 /// A camera at `centre` that looks along `forward`.

@@ -1,6 +1,7 @@
 //! The options of a run, and whether they fit together.
 
 use serde::{Deserialize, Deserializer, Serialize};
+use splat_op::sh::SH_DEGREE_MAX;
 use splat_op::{Projection, RenderOptions};
 
 use super::{Resolution, TrainError};
@@ -146,13 +147,20 @@ impl TrainConfig {
         self.dials.apply(RenderOptions::standard().with_antialias(self.antialias).with_near(near_plane(extent)))
     }
 
-    /// Checks whether the options can be combined.
+    /// Checks each option and whether they can be combined.
     ///
     /// # Errors
-    /// If effects on ellipses are combined with a render that has no ellipses.
+    /// If an option is out of range, or effects on ellipses are combined with a render that has no ellipses.
     pub fn check(&self) -> Result<(), TrainError> {
         let along_rays = self.dials.apply(RenderOptions::standard()).projection != Projection::Affine;
-        if along_rays && self.optics.any() { Err(TrainError::Ellipses) } else { Ok(()) }
+        match () {
+            () if self.steps == 0 => Err(TrainError::NoSteps),
+            () if self.batch == 0 => Err(TrainError::NoBatch),
+            () if !self.resolution.is_valid() => Err(TrainError::Resolution(self.resolution)),
+            () if self.sh_degree > SH_DEGREE_MAX => Err(TrainError::ShDegree(self.sh_degree)),
+            () if along_rays && self.optics.any() => Err(TrainError::Ellipses),
+            () => Ok(()),
+        }
     }
 }
 

@@ -4,6 +4,8 @@
 //! of steps and all schedules in steps are the user's choice. Parameters of effects, most of which belong to one
 //! photograph, take a separate step for each view.
 
+use std::iter;
+
 use burn::tensor::{Bool, Gradients as Remaining, Int, Tensor};
 use splat_op::{Extras, Rendered};
 
@@ -35,6 +37,8 @@ pub(super) struct OneView {
     pub left: Remaining,
     /// The requested signals, if there are any.
     pub seen: Option<Observed>,
+    /// See [`super::Guard::look`].
+    pub held: Option<Tensor<1, Int>>,
 }
 
 /// The results of the backward passes of a batch.
@@ -49,69 +53,54 @@ pub(super) struct Batch {
     pub held: Option<Tensor<1, Int>>,
 }
 
+impl Batch {
+    /// The mean of `views` views, from the sum.
+    fn averaged(self, views: usize) -> Self {
+        if views == 1 {
+            return self;
+        }
+        let share = 1.0 / views as f64;
+        Self { loss: self.loss * share, gradients: self.gradients.times(share), ..self }
+    }
+}
+
 impl Trainer {
-    /// Differentiates the views of a step. The guard checks them one by one.
+    /// Differentiates the views of a step, one by one.
     pub(super) fn differentiate_batch(&mut self) -> Result<Batch, TrainError> {
-        let mut batch = match self.ranks.count() {
-            1 => self.differentiate_alone()?,
-            _ => self.differentiate_shared()?,
-        };
-        if self.config.batch > 1 {
-            let share = 1.0 / self.config.batch as f64;
-            batch.loss = batch.loss * share;
-            batch.gradients = batch.gradients.times(share);
+        let count = self.config.batch;
+        if self.ranks.count() > 1 {
+            return Ok(self.differentiate_shared()?.averaged(count));
         }
-        Ok(batch)
-    }
-
-    /// The views of a step in a run of one process. Losses and gradients are sums.
-    fn differentiate_alone(&mut self) -> Result<Batch, TrainError> {
-        let mut batch = self.differentiate_next()?;
-        for _ in 1..self.config.batch {
-            let next = self.differentiate_next()?;
-            batch.loss = batch.loss + next.loss;
-            batch.gradients = batch.gradients.plus(next.gradients);
-            batch.views.extend(next.views);
-            batch.held = next.held;
+        let (mut losses, mut gradients) = (Vec::new(), Gradients::default());
+        let (mut views, mut held) = (Vec::new(), None);
+        for _ in 0..count {
+            let view = self.draw_view();
+            self.views.expect(iter::once(view).chain(self.queue.iter().rev().copied()));
+            let drawn = self.effects.draw(&mut self.rng);
+            let one = self.differentiate(view, drawn)?;
+            if let Some(seen) = one.seen {
+                self.density.observe(seen);
+            }
+            losses.push(one.loss);
+            gradients = gradients.plus(one.gradients);
+            views.push((view, one.left));
+            held = one.held;
         }
-        Ok(batch)
+        let loss = losses.into_iter().reduce(|a, b| a + b).expect("a batch has a view");
+        Ok(Batch { loss, gradients, views, held }.averaged(count))
     }
 
-    fn differentiate_next(&mut self) -> Result<Batch, TrainError> {
-        let view = self.next_view();
-        let OneView { loss, gradients, left, .. } = self.differentiate(view)?;
-        let held = self.guard.look(self.step, view, &loss, &gradients).map_err(|fault| self.non_finite(fault))?;
-        Ok(Batch { loss, gradients, views: vec![(view, left)], held })
-    }
-
-    /// Computes the loss of a view and its gradients, and passes the requested signals to density control. The guard does not
-    /// check them yet.
-    pub(super) fn differentiate(&mut self, view: usize) -> Result<OneView, TrainError> {
-        let drawn = self.effects.draw(&mut self.rng);
-        let mut one = self.differentiate_over(view, drawn)?;
-        if let Some(seen) = one.seen.take() {
-            self.density.observe(seen);
-        }
-        Ok(one)
-    }
-
-    /// As [`Self::differentiate`], over a `drawn` background if there is one, and checked by the guard. Density control is not
-    /// told.
-    pub(super) fn differentiate_guarded(
-        &mut self,
-        view: usize,
-        drawn: Option<[f32; 3]>,
-    ) -> Result<OneView, TrainError> {
-        let one = self.differentiate_over(view, drawn)?;
-        self.guard.look(self.step, view, &one.loss, &one.gradients).map_err(|fault| self.non_finite(fault))?;
-        Ok(one)
-    }
-
-    fn differentiate_over(&mut self, view: usize, drawn: Option<[f32; 3]>) -> Result<OneView, TrainError> {
+    /// Renders a view over a `drawn` background if there is one, compares it with its photograph, and computes the gradients, which the
+    /// guard checks. Density control is not told.
+    pub(super) fn differentiate(&mut self, view: usize, drawn: Option<[f32; 3]>) -> Result<OneView, TrainError> {
         let prepared = self.prepare(view, drawn)?;
-        let picture = self.render(&prepared)?;
+        // If effects make several renders, their mean counts.
+        let inputs = self.effects.samples(prepared.input.clone(), prepared.at).into_iter();
+        let picture = inputs.map(|input| input.render()).collect::<Result<_, _>>().map(mean_of)?;
         let loss = self.compare(&prepared, picture);
-        Ok(self.go_back(prepared, loss))
+        let one = self.go_back(prepared, loss);
+        let held = self.guard.look(self.step, view, &one.loss, &one.gradients);
+        Ok(OneView { held: held.map_err(|fault| self.non_finite(fault))?, ..one })
     }
 
     /// Prepares a view: Gaussians, camera and background after the effects, and the photograph.
@@ -124,26 +113,18 @@ impl Trainer {
         // Not as a matrix: CUDA pads the rows of one, and kernels would copy it in every step.
         let values = values.unwrap_or_else(|| Tensor::<1>::empty([2 * rows], &self.device).reshape([rows, 2]));
         let probe = |wanted: bool| wanted.then(|| Tensor::from_inner(values.clone()).require_grad());
-        let extras = Extras {
-            background: Some(
+        let extras = Extras::default()
+            .with_background(
                 drawn.map_or_else(|| self.background.clone(), |rgb| Tensor::from_floats(rgb, &self.device)),
-            ),
-            mean2d_probe: probe(signals.gradient),
-            mean2d_abs_probe: probe(signals.abs_gradient),
-            ..Extras::default()
-        };
+            )
+            .with_mean2d_probe(probe(signals.gradient))
+            .with_mean2d_abs_probe(probe(signals.abs_gradient));
         self.probe = Some(values);
         let (camera, truth) = self.views.prepare(view, drawn)?;
         let excluded = self.views.excluded(view)?;
         let mut input = RenderInput { splats, camera, extras, options: self.options, edits: Vec::new() };
         self.effects.before(&mut input, &self.scene.gaussians, at);
         Ok(PreparedStep { at, input, truth, excluded, signals })
-    }
-
-    /// Renders a view: the mean of all renders if effects make several.
-    fn render(&mut self, prepared: &PreparedStep) -> Result<Rendered<3>, TrainError> {
-        let inputs = self.effects.samples(prepared.input.clone(), prepared.at);
-        Ok(mean_of(inputs.iter().map(RenderInput::render).collect::<Result<_, _>>()?))
     }
 
     /// Renders a view once more, stage by stage. Says which output is not finite first, if one is.
@@ -192,6 +173,6 @@ impl Trainer {
             seen = Some(Observed { gradient, abs_gradient, size });
         }
         let gradients = Gradients::take(&self.scene.gaussians, &mut left);
-        OneView { view: at.view, loss: loss.inner(), gradients, left, seen }
+        OneView { view: at.view, loss: loss.inner(), gradients, left, seen, held: None }
     }
 }

@@ -57,7 +57,7 @@ impl Trainer {
         if share.is_empty() {
             self.follow_scene(views[0].0);
         }
-        let own = views[share].iter().map(|&(view, drawn)| self.differentiate_guarded(view, drawn)).collect();
+        let own = views[share].iter().map(|&(view, drawn)| self.differentiate(view, drawn)).collect();
         let (mut own, accounts) = self.settle(own)?;
         let losses = accounts.iter().map(|account| f32::from_bits(account.loss_bits));
         let plain = self.device.clone();
@@ -84,7 +84,7 @@ impl Trainer {
     fn follow_scene(&mut self, view: usize) {
         let (splats, camera) = (self.scene.splats(), self.views.camera(view).clone());
         let background = Some(self.background.clone());
-        let extras = Extras { background, ..Extras::default() };
+        let extras = Extras::default().with_background(background);
         let mut input = RenderInput { splats, camera, extras, options: self.options, edits: Vec::new() };
         let at = self.at(view);
         self.effects.before(&mut input, &self.scene.gaussians, at);

@@ -44,7 +44,7 @@ fn photographed(names: impl IntoIterator<Item = String>, background: [f32; 3]) -
         let intrinsics = Intrinsics::centred(WIDTH, HEIGHT, 40.0);
         let cam_from_world = pose(0.5 * i as f64);
         let camera = Camera::new(intrinsics, &cam_from_world, &device);
-        let extras = Extras { background: Some(Tensor::from_floats(background, &device)), ..Extras::default() };
+        let extras = Extras::default().with_background(Tensor::from_floats(background, &device));
         let rendered = render(&splats, &[camera], &extras, &RenderOptions::standard()).unwrap();
         let rgb = values_of(rendered.colour).into_iter().map(|value| (255.0 * value).round() as u8).collect();
         Photo { name, intrinsics, cam_from_world, rgb, alpha: None, mask: None }

@@ -8,8 +8,8 @@ use crate::testing::lenses::{FOX, lenses};
 use crate::testing::random::Random;
 
 fn camera((model, distortion): (CameraModel, [f64; 8])) -> Intrinsics {
-    let plain = Intrinsics { fx: 300.0, fy: 310.0, cx: 205.0, cy: 148.0, ..Intrinsics::centred(400, 300, 300.0) };
-    Intrinsics { model, distortion, ..plain }
+    let plain = Intrinsics::pinhole(400, 300, [300.0, 310.0], [205.0, 148.0]);
+    plain.with_lens(model, distortion)
 }
 
 #[test]

@@ -2,16 +2,15 @@
 
 use burn::tensor::Tensor;
 
-use super::splats::{Colour, Splats, sh_need, up_to_degree};
+use super::checked::Checked;
+use super::projected::Projected;
+use super::splats::{Colour, Splats};
 use crate::backend::apply;
-use crate::camera::{Camera, Intrinsics};
-use crate::check::Reference;
+use crate::camera::Camera;
 use crate::error::SplatError;
 use crate::options::RenderOptions;
 use crate::project::{COLUMNS, ProjectSpec};
 use crate::sh::operation::EvaluateSh;
-use crate::sh::sh_degree;
-use crate::stages::Projected;
 
 /// Evaluates spherical harmonics for the directions from a camera to Gaussians.
 ///
@@ -21,71 +20,9 @@ use crate::stages::Projected;
 /// # Errors
 /// If a tensor's shape, type or device does not fit.
 pub fn evaluate_sh(sh: &Tensor<3>, means: &Tensor<2>, camera: &Camera) -> Result<Tensor<2>, SplatError> {
-    // The options are read only to decide visibility, which needs ellipses.
-    sh_visible(sh, means, camera, None, &RenderOptions::standard())
-}
-
-/// Evaluates spherical harmonics up to a degree, given in blocks of consecutive Gaussians, block by block as [`sh_visible`].
-fn blocks_visible(
-    blocks: &[Tensor<3>],
-    degree: Option<usize>,
-    means: &Tensor<2>,
-    camera: &Camera,
-    visible: Option<&Projected>,
-    options: &RenderOptions,
-) -> Result<Tensor<2>, SplatError> {
-    let visible = visible.map(|visible| (visible.packed().clone(), *visible.intrinsics()));
-    if let [sh] = blocks {
-        return sh_visible(&up_to_degree(sh, degree), means, camera, visible, options);
-    }
-    let counts: Vec<usize> = blocks.iter().map(|sh| sh.dims()[0]).collect();
-    let count = means.dims()[0];
-    if blocks.is_empty() || counts.iter().sum::<usize>() != count {
-        let (expected, hint) = ("blocks with N rows together", format!("there are {count} Gaussians"));
-        return Err(SplatError::Shape { name: "sh", found: counts, expected, hint });
-    }
-    if let Some((packed, _)) = &visible {
-        Reference::new("means", means)?.check("projected", packed, [Some(count), Some(COLUMNS)], "[N, 7]")?;
-    }
-    let mut first = 0;
-    // Burn narrows no tensor to no rows.
-    let colours = blocks.iter().zip(counts).filter(|(_, rows)| *rows > 0).map(|(sh, rows)| {
-        let of_block = |all: Tensor<2>| all.narrow(0, first, rows);
-        let visible = visible.clone().map(|(packed, intrinsics)| (of_block(packed), intrinsics));
-        let colours = sh_visible(&up_to_degree(sh, degree), &of_block(means.clone()), camera, visible, options);
-        first += rows;
-        colours
-    });
-    let colours: Vec<_> = colours.collect::<Result<_, _>>()?;
-    match colours.is_empty() {
-        true => Ok(Tensor::zeros([0, 3], (&means.device(), means.dtype()))),
-        false => Ok(Tensor::cat(colours, 0)),
-    }
-}
-
-/// Evaluates spherical harmonics as [`evaluate_sh`]. If `visible` is given, packed ellipses of a picture, only Gaussians that
-/// can show in it get a colour; the colours of all others are zero.
-fn sh_visible(
-    sh: &Tensor<3>,
-    means: &Tensor<2>,
-    camera: &Camera,
-    visible: Option<(Tensor<2>, Intrinsics)>,
-    options: &RenderOptions,
-) -> Result<Tensor<2>, SplatError> {
-    let reference = Reference::new("means", means)?;
-    let count = means.dims()[0];
-    reference.check("means", means, [None, Some(3)], "[N, 3]")?;
-    reference.check("cam_from_world", &camera.cam_from_world, [Some(3), Some(4)], "[3, 4]")?;
-    check_sh(&reference, sh, count)?;
-    reference.check_fits(&[sh_need(sh)])?;
-    if let Some((visible, _)) = &visible {
-        reference.check("projected", visible, [Some(count), Some(COLUMNS)], "[N, 7]")?;
-    }
-    let intrinsics = visible.as_ref().map_or(camera.intrinsics, |(_, intrinsics)| *intrinsics);
-    let visible = visible.map(|(visible, _)| visible);
-    let spec = ProjectSpec { intrinsics, options: *options };
-    let inputs = [sh.into(), means.into(), (&camera.cam_from_world).into(), visible.into()];
-    Ok(apply(EvaluateSh(spec), inputs).float(0))
+    let (colour, options) = (Colour::SphericalHarmonics(sh.clone()), RenderOptions::standard());
+    check(&colour, means, camera, &options)?;
+    Ok(seen(&colour, means, camera, None, &options))
 }
 
 /// Returns the colour or features `[N, C]` of each Gaussian as a camera sees it.
@@ -104,13 +41,9 @@ pub fn colours(splats: &Splats, camera: &Camera) -> Result<Tensor<2>, SplatError
 /// # Errors
 /// As [`colours`].
 pub fn colours_up_to(splats: &Splats, camera: &Camera, degree: Option<usize>) -> Result<Tensor<2>, SplatError> {
-    match &splats.colour {
-        Colour::Features(features) => Ok(features.clone()),
-        harmonics => {
-            let options = RenderOptions::standard();
-            blocks_visible(harmonics.blocks(), degree, &splats.means, camera, None, &options)
-        }
-    }
+    let options = RenderOptions::standard();
+    check(&splats.colour, &splats.means, camera, &options)?;
+    Ok(seen(&splats.colour, &splats.means, camera, None, &options.with_sh_degree(degree)))
 }
 
 /// Returns the colour or features `[N, C]` of each Gaussian for one picture.
@@ -121,33 +54,67 @@ pub fn colours_up_to(splats: &Splats, camera: &Camera, degree: Option<usize>) ->
 /// skipped for it. Features are returned unchanged.
 ///
 /// # Errors
-/// As [`colours`]; if `projected` has another number of Gaussians.
+/// As [`colours`]; if `projected` has another number of Gaussians, or if an option is out of range.
 pub fn visible_colours(
     splats: &Splats,
     camera: &Camera,
     projected: &Projected,
     options: &RenderOptions,
 ) -> Result<Tensor<2>, SplatError> {
-    match &splats.colour {
-        Colour::Features(features) => Ok(features.clone()),
-        harmonics => {
-            // A ray may hit a Gaussian whose ellipse lies outside the picture.
-            let visible = (!options.along_rays()).then_some(projected);
-            blocks_visible(harmonics.blocks(), options.sh_degree, &splats.means, camera, visible, options)
-        }
-    }
+    let checked = check(&splats.colour, &splats.means, camera, options)?;
+    checked.reference().check("projected", &projected.packed, [Some(checked.count), Some(COLUMNS)], "[N, 7]")?;
+    Ok(seen(&splats.colour, &splats.means, camera, Some(projected), options))
 }
 
-fn check_sh(reference: &Reference, sh: &Tensor<3>, count: usize) -> Result<(), SplatError> {
-    const EXPECTED: &str = "[N, (degree+1)², 3] with degree 0 to 4";
-    reference.check("sh", sh, [Some(count), None, Some(3)], EXPECTED)?;
-    match sh_degree(sh.dims()[1]) {
-        Some(_) => Ok(()),
-        None => Err(SplatError::Shape {
-            name: "sh",
-            found: sh.dims().to_vec(),
-            expected: EXPECTED,
-            hint: "give 1, 4, 9, 16 or 25 coefficients per channel".into(),
-        }),
+fn check<'a>(
+    colour: &Colour,
+    means: &Tensor<2>,
+    camera: &Camera,
+    options: &'a RenderOptions,
+) -> Result<Checked<'a>, SplatError> {
+    let checked = Checked::new("means", means, options)?;
+    checked.reference().check("means", means, [None, Some(3)], "[N, 3]")?;
+    checked.pose(camera)?;
+    checked.colour(colour)?;
+    Ok(checked)
+}
+
+/// Returns colours whose inputs have been checked, without harmonics above `options.sh_degree`. If the ellipses of a picture are given,
+/// Gaussians that cannot show in it have a colour of zero.
+pub(super) fn seen(
+    colour: &Colour,
+    means: &Tensor<2>,
+    camera: &Camera,
+    projected: Option<&Projected>,
+    options: &RenderOptions,
+) -> Tensor<2> {
+    // A ray may hit a Gaussian whose ellipse lies outside the picture.
+    let visible = projected.filter(|_| !options.along_rays());
+    let intrinsics = visible.map_or(camera.intrinsics, |visible| *visible.intrinsics());
+    let spec = ProjectSpec { intrinsics, options: *options };
+    let evaluate = |sh: &Tensor<3>, means: Tensor<2>, ellipses: Option<Tensor<2>>| {
+        let coefficients = options.sh_degree.map_or(usize::MAX, |degree| (degree + 1) * (degree + 1));
+        let sh = if coefficients < sh.dims()[1] { sh.clone().narrow(1, 0, coefficients) } else { sh.clone() };
+        let inputs = [sh.into(), means.into(), (&camera.cam_from_world).into(), ellipses.into()];
+        apply(EvaluateSh(spec), inputs).float(0)
+    };
+    let ellipses = visible.map(|visible| &visible.packed);
+    let blocks = match colour {
+        Colour::Features(features) => return features.clone(),
+        Colour::SphericalHarmonics(sh) => return evaluate(sh, means.clone(), ellipses.cloned()),
+        Colour::SphericalHarmonicsBlocks(blocks) => blocks,
+    };
+    let mut first = 0;
+    // Burn narrows no tensor to no rows.
+    let colours = blocks.iter().filter(|sh| sh.dims()[0] > 0).map(|sh| {
+        let of_block = |all: &Tensor<2>| all.clone().narrow(0, first, sh.dims()[0]);
+        let colours = evaluate(sh, of_block(means), ellipses.map(of_block));
+        first += sh.dims()[0];
+        colours
+    });
+    let colours: Vec<Tensor<2>> = colours.collect();
+    match colours.is_empty() {
+        true => Tensor::zeros([0, 3], (&means.device(), means.dtype())),
+        false => Tensor::cat(colours, 0),
     }
 }

@@ -1,8 +1,8 @@
 //! Normals of Gaussians, as tensor code on every device.
 
-use burn::tensor::{Bool, Tensor};
+use burn::tensor::{Bool, Int, Tensor};
 
-use super::check_geometry;
+use super::checked::Checked;
 use super::splats::Splats;
 use crate::backend::custom_grad::{constant, plain};
 use crate::camera::Camera;
@@ -19,10 +19,16 @@ use crate::options::RenderOptions;
 /// # Errors
 /// If a tensor's shape, type or device does not fit.
 pub fn normals(splats: &Splats, camera: &Camera) -> Result<Tensor<2>, SplatError> {
-    check_geometry(splats, camera, &RenderOptions::standard())?;
+    let options = RenderOptions::standard();
+    Checked::gaussians(splats, &options)?.camera(camera)?;
+    Ok(facing(splats, camera))
+}
+
+/// [`normals`] of inputs that have been checked.
+pub(super) fn facing(splats: &Splats, camera: &Camera) -> Tensor<2> {
     let count = splats.means.dims()[0];
     if count == 0 {
-        return Ok(splats.means.clone());
+        return splats.means.clone();
     }
     // A zero quaternion, which is culled, counts as that of no rotation: its normal has no NaN, and no gradient.
     let tracked = splats.rotations.is_autodiff();
@@ -36,22 +42,13 @@ pub fn normals(splats: &Splats, camera: &Camera) -> Result<Tensor<2>, SplatError
     // Scaled first, so that no length overflows.
     let q = given / constant(&largest.mask_fill(none, 1.0), tracked);
     let q = q.clone() / q.square().sum_dim(1).sqrt();
-    let [w, x, y, z] = [0, 1, 2, 3].map(|i| q.clone().narrow(1, i, 1));
-    let twice = |a: &Tensor<2>, b: &Tensor<2>| (a.clone() * b.clone()).mul_scalar(2.0);
-    let one_less = |a: Tensor<2>| a.neg().add_scalar(1.0);
-    let axes = [
-        vec![one_less(twice(&y, &y) + twice(&z, &z)), twice(&x, &y) + twice(&w, &z), twice(&x, &z) - twice(&w, &y)],
-        vec![twice(&x, &y) - twice(&w, &z), one_less(twice(&x, &x) + twice(&z, &z)), twice(&y, &z) + twice(&w, &x)],
-        vec![twice(&x, &z) + twice(&w, &y), twice(&y, &z) - twice(&w, &x), one_less(twice(&x, &x) + twice(&y, &y))],
-    ];
-    let shortest = plain(&splats.scales).argmin(1);
-    let chosen = axes.into_iter().enumerate().map(|(i, axis)| {
-        let is_shortest = shortest.clone().equal_elem(i as i64).expand([count, 3]);
-        let axis = Tensor::cat(axis, 1);
-        let none = axis.zeros_like();
-        axis.mask_where(lifted(is_shortest.bool_not()), none)
-    });
-    let normal = chosen.reduce(|sum, axis| sum + axis).expect("three axes");
+    let (w, v) = (q.clone().narrow(1, 0, 1), q.narrow(1, 1, 3));
+    let columns = Tensor::<1, Int>::arange(0..3, &values.device()).unsqueeze::<2>().expand([count, 3]);
+    let shortest = plain(&splats.scales).argmin(1).expand([count, 3]);
+    let axis = constant(&columns.equal(shortest).float().cast(values.dtype()), tracked);
+    // The axis, rotated by the quaternion.
+    let twice = v.clone().cross(axis.clone(), 1).mul_scalar(2.0);
+    let normal = axis + w * twice.clone() + v.cross(twice, 1);
 
     let pose = plain(&camera.cam_from_world);
     let rotation = pose.clone().narrow(1, 0, 3).transpose();
@@ -60,5 +57,5 @@ pub fn normals(splats: &Splats, camera: &Camera) -> Result<Tensor<2>, SplatError
     let normal_cam = plain(&normal).matmul(rotation);
     let away = (mean_cam * normal_cam).sum_dim(1).greater_elem(0.0).expand([count, 3]);
     let turned = normal.clone().neg();
-    Ok(normal.mask_where(lifted(away), turned))
+    normal.mask_where(lifted(away), turned)
 }

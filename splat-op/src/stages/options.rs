@@ -2,12 +2,14 @@
 
 use crate::camera::{CameraModel, Intrinsics};
 use crate::error::SplatError;
+use crate::sh::SH_DEGREE_MAX;
 
-/// Options of a render. Start from a preset and change fields.
+/// Options of a render. Start from a preset and change fields with the builders `with_…`.
 ///
 /// *Model choices* define the function and are judged against photographs; *numerical dials* approximate that function
 /// and are judged against [`crate::exact`] under the same choices. The two are never mixed.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct RenderOptions {
     /// Model: variance added to both axes of every 2D ellipse, px². The default is about half a pixel wide, so that a splat much
     /// smaller than a pixel still covers one (Kerbl et al. 2023; EWA's low-pass filter).
@@ -41,8 +43,16 @@ pub struct RenderOptions {
     pub transmittance_min: f64,
     /// Dial: how GPUs add the gradients of a Gaussian's intersections. CPU backends always add them in order.
     pub accumulation: Accumulation,
-    /// Output: whether depth is accumulated too, `Σ wᵢ zᵢ`, scene units.
+    /// Output: whether [`Rendered::depth`](crate::Rendered) is rendered.
     pub depth: bool,
+    /// Output: whether [`Rendered::expected_depth`](crate::Rendered) is computed.
+    pub expected_depth: bool,
+    /// Output: whether [`Rendered::normals`](crate::Rendered) are rendered, as three more channels.
+    pub normals: bool,
+    /// Output: whether [`Rendered::radii`](crate::Rendered) are computed.
+    pub radii: bool,
+    /// Output: whether [`Rendered::visible`](crate::Rendered) is computed.
+    pub visible: bool,
 }
 
 /// The value of a Gaussian at a pixel.
@@ -70,9 +80,6 @@ pub enum Accumulation {
     /// proportional to the number of intersections.
     Ordered,
 }
-
-/// Highest degree of the spherical harmonics.
-const MAX_SH_DEGREE: usize = 4;
 
 /// Largest number of pairs of a Gaussian and a tile that a render with an `alpha_min` of zero lists: 2²⁶, which is 8,224
 /// Gaussians in a picture of 1920 × 1080 px. A CPU stores 16 bytes per pair for its lists and 36 for the gradients of three
@@ -102,6 +109,10 @@ impl RenderOptions {
             sh_degree: None,
             accumulation: Accumulation::Atomic,
             depth: false,
+            expected_depth: false,
+            normals: false,
+            radii: false,
+            visible: false,
         }
     }
 
@@ -140,6 +151,11 @@ impl RenderOptions {
         }
     }
 
+    /// Options for `rasterize`, whose planes include the depth that an output needs.
+    pub(crate) fn of_rasterize(&self) -> Self {
+        Self { depth: self.depth || self.expected_depth, ..*self }
+    }
+
     pub(crate) fn check(&self) -> Result<(), SplatError> {
         let within = |field, value: f64, low: f64, high: f64, expected| {
             if value >= low && value <= high {
@@ -153,7 +169,7 @@ impl RenderOptions {
         within("far", self.far, 0.0, f64::INFINITY, "a distance of at least 0")?;
         within("radius_clip", self.radius_clip, 0.0, 1e6, "a radius from 0 to 1e6 px")?;
         within("jacobian_margin", self.jacobian_margin, 0.0, 1e6, "a share of at least 0")?;
-        if let Some(degree) = self.sh_degree.filter(|degree| *degree > MAX_SH_DEGREE) {
+        if let Some(degree) = self.sh_degree.filter(|degree| *degree > SH_DEGREE_MAX) {
             let expected = "a degree from 0 to 4, or `None` for all degrees";
             return Err(SplatError::Value { field: "sh_degree", found: degree.to_string(), expected });
         }
@@ -179,9 +195,9 @@ impl RenderOptions {
 
 /// Declares the builders of [`RenderOptions`], each of which sets one field.
 macro_rules! builders {
-    ($($(#[$doc:meta])* $builder:ident($field:ident: $type:ty);)*) => {
+    ($($builder:ident($field:ident: $type:ty);)*) => {
         impl RenderOptions {$(
-            $(#[$doc])*
+            #[doc = concat!("Sets [`", stringify!($field), "`](Self::", stringify!($field), ").")]
             pub const fn $builder(self, $field: $type) -> Self {
                 Self { $field, ..self }
             }
@@ -190,32 +206,23 @@ macro_rules! builders {
 }
 
 builders! {
-    /// Sets `blur`, px².
     with_blur(blur: f64);
-    /// Sets `jacobian_margin`, a share of half the picture's size.
-    with_jacobian_margin(jacobian_margin: f64);
-    /// Sets `alpha_min`, below which contributions are skipped.
-    with_alpha_min(alpha_min: f64);
-    /// Sets `alpha_max`, the upper limit of alpha.
-    with_alpha_max(alpha_max: f64);
-    /// Sets `transmittance_min`, at which a pixel is finished.
-    with_transmittance_min(transmittance_min: f64);
-    /// Sets whether depth is accumulated.
-    with_depth(depth: bool);
-    /// Sets the near plane, scene units.
     with_near(near: f64);
-    /// Sets the far plane, scene units.
     with_far(far: f64);
-    /// Sets the radius up to which splats are culled, px.
     with_radius_clip(radius_clip: f64);
-    /// Sets whether opacities are compensated for the blur.
+    with_jacobian_margin(jacobian_margin: f64);
     with_antialias(antialias: bool);
-    /// Sets the projection.
-    with_projection(projection: Projection);
-    /// Sets how GPUs add gradients.
-    with_accumulation(accumulation: Accumulation);
-    /// Sets the highest degree of the spherical harmonics that is used; `None` uses all.
     with_sh_degree(sh_degree: Option<usize>);
+    with_projection(projection: Projection);
+    with_alpha_min(alpha_min: f64);
+    with_alpha_max(alpha_max: f64);
+    with_transmittance_min(transmittance_min: f64);
+    with_accumulation(accumulation: Accumulation);
+    with_depth(depth: bool);
+    with_expected_depth(expected_depth: bool);
+    with_normals(normals: bool);
+    with_radii(radii: bool);
+    with_visible(visible: bool);
 }
 
 impl Default for RenderOptions {

@@ -2,10 +2,16 @@
 
 use burn::tensor::{Bool, Tensor};
 
-use crate::camera::Intrinsics;
+use super::checked::{Checked, packed_need};
+use super::splats::{Extras, Splats};
+use crate::backend::apply;
+use crate::camera::{Camera, Intrinsics};
 use crate::check::Reference;
 use crate::error::SplatError;
-use crate::project::{COLUMNS, RADIUS_SIGMAS};
+use crate::options::RenderOptions;
+use crate::project::operation::Project;
+use crate::project::{COLUMNS, Geometry, ProjectSpec, RADIUS_SIGMAS};
+use crate::ray_space::operation::RaySpace;
 
 /// The screen-space ellipses of a view, one tensor per field.
 ///
@@ -30,6 +36,7 @@ pub struct Ellipses {
 /// The projected Gaussians of one camera, as [`project`](fn@crate::project) returns them.
 #[derive(Clone, Debug)]
 pub struct Projected {
+    /// `[N, 7]`: the ellipses, see `project/`.
     pub(super) packed: Tensor<2>,
     /// `[N, 9 (+ 6)]`: the Gaussians in ray space, see `ray_space/`; present for per-ray rasterization only.
     pub(super) ray_space: Option<Tensor<2>>,
@@ -45,6 +52,16 @@ impl Projected {
     /// Returns the packed ellipses, `[N, 7]`.
     pub(crate) fn packed(&self) -> &Tensor<2> {
         &self.packed
+    }
+
+    /// Checks options, and that the ellipses were made with their projection.
+    pub(super) fn checked<'a>(&self, options: &'a RenderOptions) -> Result<Checked<'a>, SplatError> {
+        let expected = match (options.along_rays(), self.ray_space.is_some()) {
+            (true, false) => "Affine for ellipses that were packed from fields, or projected with these options",
+            (false, true) => "the projection that the ellipses were projected with",
+            _ => return Checked::new("projected", &self.packed, options),
+        };
+        Err(SplatError::Value { field: "projection", found: format!("{:?}", options.projection), expected })
     }
 
     /// Returns the intrinsics of the camera that the Gaussians were projected for.
@@ -108,6 +125,7 @@ impl Ellipses {
         let count = self.mean2d.dims()[0];
         let reference = Reference::new("mean2d", &self.mean2d)?;
         reference.check("mean2d", &self.mean2d, [Some(count), Some(2)], "[N, 2]")?;
+        reference.check_fits(&[packed_need(count)])?;
         let mut columns = vec![self.mean2d];
         for (name, column) in [
             ("sigma_u", self.sigma_u),
@@ -121,6 +139,47 @@ impl Ellipses {
         }
         Ok(Projected::of(Tensor::cat(columns, 1), *intrinsics))
     }
+}
+
+/// Projects Gaussians onto a camera's picture: EWA splatting (Zwicker et al. 2001), as in Kerbl et al. 2023, section 4.
+///
+/// Returns `N` ellipses, in px. Differentiable in the means, rotations, scales, opacities and the pose. Of `extras`, only
+/// `mean2d_probe` is read.
+///
+/// A Gaussian is culled if one of its values is not finite, if its quaternion is zero, if the camera z of its centre is at most
+/// `options.near` or at least `options.far`, if it reaches at most `options.radius_clip`, or if its centre lies outside the domain of the
+/// camera's lens ([`Intrinsics::max_radius`]). The opacity, the depth and the gradients of a culled Gaussian are zero. Both planes are depths
+/// for every camera model, so a fisheye sees nothing at 90° or more from its axis.
+///
+/// # Errors
+/// If a tensor's shape, type or device does not fit, or if the camera or an option is out of range.
+pub fn project(
+    splats: &Splats,
+    camera: &Camera,
+    extras: &Extras,
+    options: &RenderOptions,
+) -> Result<Projected, SplatError> {
+    let checked = Checked::gaussians(splats, options)?;
+    checked.camera(camera)?;
+    let probe = checked.probe("mean2d_probe", extras.mean2d_probe.as_ref())?;
+    Ok(projected(&checked, splats, camera, probe))
+}
+
+/// [`project`](fn@project) of inputs that have been checked.
+pub(super) fn projected(checked: &Checked, splats: &Splats, camera: &Camera, mean2d_probe: Tensor<2>) -> Projected {
+    let (intrinsics, options) = (camera.intrinsics, checked.options);
+    let spec = ProjectSpec { intrinsics, options: options.of_project(&intrinsics) };
+    let inputs = Geometry {
+        means: (&splats.means).into(),
+        rotations: (&splats.rotations).into(),
+        scales: (&splats.scales).into(),
+        opacities: (&splats.opacities).into(),
+        cam_from_world: (&camera.cam_from_world).into(),
+        mean2d: mean2d_probe.into(),
+    }
+    .into_array();
+    let ray_space = options.along_rays().then(|| apply(RaySpace(spec), inputs.clone()).float(0));
+    Projected { packed: apply(Project(spec), inputs).float(0), ray_space, intrinsics }
 }
 
 const _: () = assert!(COLUMNS == 7, "the columns that `Projected::ellipses` names");

@@ -1,14 +1,23 @@
 //! Renders pictures: all stages in one call.
 
+use std::slice;
+
 use burn::tensor::Tensor;
 
-use super::colour::visible_colours;
-use super::splats::{Colour, Extras, Splats};
+use super::checked::Checked;
+use super::colour::seen;
+use super::intersections::listed;
+use super::normals::facing;
+use super::projected::projected;
+use super::rendered::{Blend, Rendered, blended};
+use super::splats::{Extras, Splats};
+use crate::abilities::check_fits;
+use crate::backend::custom_grad::constant;
 use crate::camera::Camera;
-use crate::check::{Reference, check_positive};
+use crate::check::check_positive;
 use crate::error::SplatError;
+use crate::limits::Need;
 use crate::options::RenderOptions;
-use crate::stages::{Rendered, check_render_fits, intersect, project, rasterize};
 
 /// Renders Gaussians as seen by one or several cameras with pictures of one size.
 ///
@@ -27,20 +36,23 @@ pub fn render(
 ) -> Result<Rendered<4>, SplatError> {
     check_positive("cameras", cameras.len(), "at least one camera")?;
     let size = |camera: &Camera| (camera.intrinsics.width, camera.intrinsics.height);
-    if let Some(other) = cameras.iter().find(|camera| size(camera) != size(&cameras[0])) {
+    let (width, height) = size(&cameras[0]);
+    if let Some(other) = cameras.iter().find(|camera| size(camera) != (width, height)) {
         return Err(SplatError::Value {
             field: "cameras",
-            found: format!("pictures of {:?} and {:?} px", size(&cameras[0]), size(other)),
+            found: format!("pictures of {:?} and {:?} px", (width, height), size(other)),
             expected: "cameras of one size: `render_each` takes others",
         });
     }
-    check_render_fits(splats, cameras.len(), &cameras[0].intrinsics, options)?;
+    let all = [cameras.len(), splats.colour.channels(), height, width];
+    let need = Need::floats("the pictures of all cameras", all, "render fewer cameras in one call");
+    check_fits(&splats.means.device(), &[need])?;
     let pictures = render_each(splats, cameras, extras, options)?;
-    Ok(Rendered {
-        colour: stack(pictures.iter().map(|picture| picture.colour.clone())),
-        alpha: stack(pictures.iter().map(|picture| picture.alpha.clone())),
-        depth: options.depth.then(|| stack(pictures.iter().filter_map(|picture| picture.depth.clone()))),
-    })
+    // A single picture is viewed, not copied.
+    Ok(Rendered::combined(&pictures, |mut planes| match planes.len() {
+        1 => planes.remove(0).unsqueeze_dim(0),
+        _ => Tensor::stack(planes, 0),
+    }))
 }
 
 /// Renders Gaussians as seen by cameras whose pictures may differ in size. Returns a picture for each camera, `[H, W, C]`; see
@@ -54,17 +66,44 @@ pub fn render_each(
     extras: &Extras,
     options: &RenderOptions,
 ) -> Result<Vec<Rendered<3>>, SplatError> {
-    if let Some(backgrounds) = &extras.backgrounds {
-        let channels = if let Colour::Features(features) = &splats.colour { features.dims()[1] } else { 3 };
-        let shape = [Some(cameras.len()), Some(channels)];
-        Reference::new("means", &splats.means)?.check("backgrounds", backgrounds, shape, "[B, C] for B cameras")?;
-    }
-    let one = |(i, camera): (usize, &Camera)| {
-        let own = extras.backgrounds.as_ref().map(|rows| rows.clone().narrow(0, i, 1).squeeze_dim(0));
-        let extras = Extras { background: own.or(extras.background.clone()), backgrounds: None, ..extras.clone() };
-        render_view(splats, camera, &extras, options)
+    let channels = splats.colour.channels();
+    let checked = Checked::gaussians(splats, options)?;
+    checked.colour(&splats.colour)?;
+    let mean2d_probe = checked.probe("mean2d_probe", extras.mean2d_probe.as_ref())?;
+    let mean2d_abs_probe = checked.probe("mean2d_abs_probe", extras.mean2d_abs_probe.as_ref())?;
+    let backgrounds = match &extras.backgrounds {
+        Some(rows) => {
+            checked.reference().check(
+                "backgrounds",
+                rows,
+                [Some(cameras.len()), Some(channels)],
+                "[B, C] for B cameras",
+            )?;
+            (0..cameras.len()).map(|i| rows.clone().narrow(0, i, 1).squeeze_dim(0)).collect()
+        }
+        None => vec![checked.background(extras.background.clone(), channels)?; cameras.len()],
     };
-    cameras.iter().enumerate().map(one).collect()
+    for camera in cameras {
+        checked.camera(camera)?;
+        checked.lists(&camera.intrinsics)?;
+        checked.picture(&camera.intrinsics, channels + if options.normals { 3 } else { 0 })?;
+    }
+    let one = |(camera, mut background): (&Camera, Tensor<1>)| {
+        let projected = projected(&checked, splats, camera, mean2d_probe.clone());
+        let mut features = seen(&splats.colour, &splats.means, camera, Some(&projected), options);
+        if options.normals {
+            features = with_three(features, facing(splats, camera));
+            background = with_three(background, Tensor::zeros([3], checked.reference().options()));
+        }
+        let blend = Blend { features, background, mean2d_abs_probe: mean2d_abs_probe.clone(), trace: None };
+        let mut picture = blended(&checked, &projected, &listed(&checked, &projected), blend);
+        if options.normals {
+            picture.normals = Some(picture.colour.clone().narrow(2, channels, 3));
+            picture.colour = picture.colour.narrow(2, 0, channels);
+        }
+        picture
+    };
+    Ok(cameras.iter().zip(backgrounds).map(one).collect())
 }
 
 /// Renders Gaussians as seen by one camera.
@@ -84,18 +123,11 @@ pub fn render_view(
         let (found, expected) = ("given".into(), "`background`: one camera has one, and `render_each` takes several");
         return Err(SplatError::Value { field: "backgrounds", found, expected });
     }
-    check_render_fits(splats, 1, &camera.intrinsics, options)?;
-    let projected = project(splats, camera, extras, options)?;
-    let features = visible_colours(splats, camera, &projected, options)?;
-    let tiles = intersect(&projected, options)?;
-    rasterize(&projected, &features, &tiles, extras, options)
+    Ok(render_each(splats, slice::from_ref(camera), extras, options)?.remove(0))
 }
 
-/// Stacks pictures `[H, W, C]` to `[B, H, W, C]`; a single picture is viewed, not copied.
-fn stack(pictures: impl Iterator<Item = Tensor<3>>) -> Tensor<4> {
-    let mut all: Vec<Tensor<4>> = pictures.map(|picture| picture.unsqueeze_dim(0)).collect();
-    match all.len() {
-        1 => all.remove(0),
-        _ => Tensor::cat(all, 0),
-    }
+/// Appends three channels to a tensor whose last dimension is that of channels. One of both may be a constant.
+fn with_three<const D: usize>(of: Tensor<D>, three: Tensor<D>) -> Tensor<D> {
+    let tracked = of.is_autodiff() || three.is_autodiff();
+    Tensor::cat(vec![constant(&of, tracked), constant(&three, tracked)], D - 1)
 }

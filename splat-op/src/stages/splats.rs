@@ -2,8 +2,6 @@
 
 use burn::tensor::Tensor;
 
-use crate::limits::Need;
-
 /// Gaussians with activated parameters, one row each, all of one float type (f32; f64 on CPU devices) and on one device.
 #[derive(Clone, Debug)]
 pub struct Splats {
@@ -19,8 +17,10 @@ pub struct Splats {
     pub colour: Colour,
 }
 
-/// Optional inputs of a render.
+/// Optional inputs of a render. Start from none, [`Extras::default`], and add some with the builders `with_…`, which take a tensor or an
+/// `Option` of one.
 #[derive(Clone, Debug, Default)]
+#[non_exhaustive]
 pub struct Extras {
     /// `[C]`: background colour or features, seen through the Gaussians; zero if absent.
     pub background: Option<Tensor<1>>,
@@ -34,6 +34,25 @@ pub struct Extras {
     pub mean2d_probe: Option<Tensor<2>>,
     /// `[N, 2]`: as `mean2d_probe`, with the absolute value of each pixel's contribution (AbsGrad, Ye et al. 2024).
     pub mean2d_abs_probe: Option<Tensor<2>>,
+}
+
+/// Declares the builders of [`Extras`], each of which sets one field.
+macro_rules! builders {
+    ($($builder:ident($field:ident: $type:ty);)*) => {
+        impl Extras {$(
+            #[doc = concat!("Sets [`", stringify!($field), "`](Self::", stringify!($field), ").")]
+            pub fn $builder(self, $field: impl Into<Option<$type>>) -> Self {
+                Self { $field: $field.into(), ..self }
+            }
+        )*}
+    };
+}
+
+builders! {
+    with_background(background: Tensor<1>);
+    with_backgrounds(backgrounds: Tensor<2>);
+    with_mean2d_probe(mean2d_probe: Tensor<2>);
+    with_mean2d_abs_probe(mean2d_abs_probe: Tensor<2>);
 }
 
 /// Colours or features of Gaussians.
@@ -50,29 +69,8 @@ pub enum Colour {
 }
 
 impl Colour {
-    /// The tensors of coefficients; none for features.
-    pub(crate) fn blocks(&self) -> &[Tensor<3>] {
-        match self {
-            Self::SphericalHarmonics(sh) => std::slice::from_ref(sh),
-            Self::SphericalHarmonicsBlocks(blocks) => blocks,
-            Self::Features(_) => &[],
-        }
+    /// The number of channels.
+    pub(crate) fn channels(&self) -> usize {
+        if let Self::Features(features) = self { features.dims()[1] } else { 3 }
     }
-}
-
-/// Drops the coefficients above a degree. The number of coefficients must have been checked.
-pub(crate) fn up_to_degree(sh: &Tensor<3>, degree: Option<usize>) -> Tensor<3> {
-    match degree.map(|degree| (degree + 1) * (degree + 1)) {
-        Some(coefficients) if coefficients < sh.dims()[1] => sh.clone().narrow(1, 0, coefficients),
-        _ => sh.clone(),
-    }
-}
-
-pub(crate) fn sh_need(sh: &Tensor<3>) -> Need {
-    Need::numbers(
-        "sh",
-        sh.dims(),
-        sh.dtype().size(),
-        "use fewer Gaussians or a lower degree of the spherical harmonics, or several tensors (`Colour::SphericalHarmonicsBlocks`)",
-    )
 }

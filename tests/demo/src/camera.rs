@@ -129,8 +129,8 @@ fn intrinsics(options: &DemoOptions) -> Intrinsics {
     let [width, height] = [options.width, options.height].map(|side| side as f64);
     if options.fisheye {
         let focal_px = 0.5 * width.max(height) / (0.5 * DemoOptions::FISHEYE_FOV_DEG).to_radians();
-        let fisheye = Intrinsics::centred(options.width, options.height, focal_px);
-        return Intrinsics { model: CameraModel::Fisheye, ..fisheye };
+        let pinhole = Intrinsics::centred(options.width, options.height, focal_px);
+        return pinhole.with_lens(CameraModel::Fisheye, [0.0; 8]);
     }
     let focal_px = 0.5 * width / (0.5 * FOV_X_DEG).to_radians().tan();
     let pinhole = Intrinsics::centred(options.width, options.height, focal_px);
@@ -141,7 +141,7 @@ fn intrinsics(options: &DemoOptions) -> Intrinsics {
     let [k1, k2, p1, p2] = LENS_AT_CORNER;
     let mut distortion = [0.0; 8];
     distortion[..4].copy_from_slice(&[k1 / corner.powi(2), k2 / corner.powi(4), p1 / corner, p2 / corner]);
-    Intrinsics { model: CameraModel::OpenCv, distortion, ..pinhole }
+    pinhole.with_lens(CameraModel::OpenCv, distortion)
 }
 
 /// Centre and target of a camera at its distance, which is usual, near or far in turn. The target is what an ordinary

@@ -104,8 +104,7 @@ pub fn evaluate(scene: &HardScene, weights: &OutputWeights, device: &Device, dty
     let Leaves { splats, scales, opacities, colours, camera } = leaves(scene, &device, dtype);
     let background: Tensor<1> = leaf(&scene.background, [scene.channels()], &device, dtype);
     let probe = Tensor::zeros([scene.count(), 2], (&device, dtype)).require_grad();
-    let extras =
-        Extras { background: Some(background.clone()), mean2d_probe: Some(probe.clone()), ..Extras::default() };
+    let extras = Extras::default().with_background(background.clone()).with_mean2d_probe(probe.clone());
     let out = render(&splats, std::slice::from_ref(&camera), &extras, &scene.options)
         .unwrap_or_else(|error| panic!("{}: {error}", scene.label));
     let depth = out.depth.expect("depth was asked for");

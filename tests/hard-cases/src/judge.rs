@@ -345,8 +345,8 @@ fn kept(scene: &HardScene) -> Vec<bool> {
     let plain = picture(*options);
     let mut variants = Vec::new();
     for factor in [1.0 - CUT_SHIFT, 1.0 + CUT_SHIFT] {
-        variants.push(picture(RenderOptions { alpha_min: options.alpha_min * factor, ..*options }));
-        variants.push(picture(RenderOptions { transmittance_min: options.transmittance_min * factor, ..*options }));
+        variants.push(picture(options.with_alpha_min(options.alpha_min * factor)));
+        variants.push(picture(options.with_transmittance_min(options.transmittance_min * factor)));
     }
     (0..pixels).map(|pixel| variants.iter().all(|variant| variant[pixel] == plain[pixel])).collect()
 }
@@ -368,7 +368,7 @@ fn solid_condition(scene: &HardScene) -> f64 {
 
 /// The standard cuts, with the scene's other options.
 fn with_cuts(options: &RenderOptions) -> RenderOptions {
-    RenderOptions { alpha_min: STANDARD.alpha_min, transmittance_min: STANDARD.transmittance_min, ..*options }
+    options.with_alpha_min(STANDARD.alpha_min).with_transmittance_min(STANDARD.transmittance_min)
 }
 
 /// Renders `image alpha depth` with the exact renderer.

@@ -6,17 +6,16 @@ use crate::ceiling::rounded;
 use crate::random::Random;
 
 /// Options without cuts: the render is continuous, and arithmetic is the only source of error.
-pub const SMOOTH: RenderOptions = RenderOptions {
-    alpha_min: 0.0,
-    transmittance_min: 0.0,
+pub const SMOOTH: RenderOptions = RenderOptions::standard()
+    .with_depth(true)
+    .with_alpha_min(0.0)
+    .with_transmittance_min(0.0)
     // Gradients on a GPU, and therefore the table, have the same bits in every run.
-    accumulation: Accumulation::Ordered,
-    ..RenderOptions::standard().with_depth(true)
-};
+    .with_accumulation(Accumulation::Ordered);
 
 /// Options with the cuts that every implementation makes and that are the default here.
 pub const STANDARD: RenderOptions =
-    RenderOptions { alpha_min: RenderOptions::standard().alpha_min, transmittance_min: 1e-4, ..SMOOTH };
+    SMOOTH.with_alpha_min(RenderOptions::standard().alpha_min).with_transmittance_min(1e-4);
 
 /// One Gaussian.
 #[derive(Clone, Debug)]
@@ -97,7 +96,7 @@ pub const IDENTITY: [f64; 12] = [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.
 
 /// An ordinary view whose size is not a multiple of the tile size.
 pub fn camera() -> Intrinsics {
-    Intrinsics { fx: 60.0, fy: 63.0, cx: 28.5, cy: 22.5, ..Intrinsics::centred(60, 44, 60.0) }
+    Intrinsics::pinhole(60, 44, [60.0, 63.0], [28.5, 22.5])
 }
 
 impl Splat {
@@ -269,27 +268,26 @@ impl HardScene {
             colours: all(&self.colours),
             background: all(&self.background),
             pose: all(&self.pose),
-            intrinsics: Intrinsics { fx: lens[0], fy: lens[1], cx: lens[2], cy: lens[3], ..self.intrinsics },
+            intrinsics: self.intrinsics.with_focal(lens[0], lens[1]).with_principal_point(lens[2], lens[3]),
             ..self.clone()
         }
     }
 
     /// Rounds every number to f32, as an f32 render receives it.
     pub fn rounded(&self) -> Self {
-        let options = RenderOptions {
-            blur: rounded(self.options.blur),
-            near: rounded(self.options.near),
-            alpha_min: rounded(self.options.alpha_min),
-            alpha_max: rounded(self.options.alpha_max),
-            transmittance_min: rounded(self.options.transmittance_min),
-            ..self.options
-        };
+        let options = self
+            .options
+            .with_blur(rounded(self.options.blur))
+            .with_near(rounded(self.options.near))
+            .with_alpha_min(rounded(self.options.alpha_min))
+            .with_alpha_max(rounded(self.options.alpha_max))
+            .with_transmittance_min(rounded(self.options.transmittance_min));
         Self { options, ..self.map(rounded) }
     }
 
     /// Moves every number, the blur too, by one f32 ulp. Values that are zero or not finite are intended to be so and stay.
     pub fn moved(&self, random: &mut Random) -> Self {
-        let options = RenderOptions { blur: moved(self.options.blur, random), ..self.options };
+        let options = self.options.with_blur(moved(self.options.blur, random));
         let mut moved = Self { options, ..self.map(|value| moved(value, random)) };
         if self.hold_alpha {
             moved.means.clone_from(&self.means);

@@ -95,7 +95,7 @@ pub fn model(folder: &Path) -> SeedModel {
         intrinsics: match i {
             2 => {
                 let distortion = [0.1, -0.05, 1e-3, -2e-3, 0.0, 0.0, 0.0, 0.0];
-                Intrinsics { model: CameraModel::OpenCv, distortion, ..Intrinsics::centred(40, 30, 51.0) }
+                Intrinsics::centred(40, 30, 51.0).with_lens(CameraModel::OpenCv, distortion)
             }
             _ => Intrinsics::centred(40, 30, 50.0),
         },

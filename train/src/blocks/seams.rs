@@ -125,7 +125,7 @@ impl<'a> Seams<'a> {
     fn render(&self, splats: &Splats, photo: &Photo, background: [f32; 3]) -> Result<Vec<f32>> {
         let camera = Camera::new(photo.intrinsics, &photo.cam_from_world, self.device);
         let background = Some(Tensor::from_floats(background, self.device));
-        let extras = Extras { background, ..Extras::default() };
+        let extras = Extras::default().with_background(background);
         Ok(values_of(render_view(splats, &camera, &extras, &self.options)?.colour.clamp(0.0, 1.0)))
     }
 }

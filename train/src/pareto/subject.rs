@@ -47,7 +47,7 @@ impl DeviceScene {
             gaussians,
             cameras: photos.iter().map(camera).collect(),
             background,
-            extras: Extras { background: colour, ..Extras::default() },
+            extras: Extras::default().with_background(colour),
             device: device.clone(),
             dtype: DType::F32,
         })
@@ -64,7 +64,7 @@ impl DeviceScene {
             splats: gaussians.untracked().splats(),
             gaussians,
             cameras: f32.cameras.into_iter().map(camera).collect(),
-            extras: Extras { background, ..Extras::default() },
+            extras: Extras::default().with_background(background),
             dtype: DType::F64,
             ..f32
         })

@@ -170,7 +170,7 @@ impl Rgba {
     ) -> Result<Self> {
         let camera = Camera::new(view.intrinsics, &view.cam_from_world, device);
         let colour = Tensor::from_floats(background.colour(), device);
-        let extras = Extras { background: Some(colour), ..Extras::default() };
+        let extras = Extras::default().with_background(colour);
         let picture = splat_op::render_view(splats, &camera, &extras, options)?;
         let alpha = picture.alpha;
         let colour = background.behind(picture.colour, alpha.clone(), &view.intrinsics, &view.cam_from_world);

@@ -4,6 +4,7 @@ use std::io::Write;
 use std::rc::Rc;
 
 use anyhow::{Context, Result};
+use splat_model::capture::Photograph;
 use splat_model::trainer::Trainer;
 use splat_model::trainer::ranks::{Alone, Ranks};
 
@@ -11,9 +12,7 @@ use super::budget::{self, MemoryEstimate};
 use super::checkpoints::{self, Checkpoints, RunState, SavedRun, SoFar};
 use super::config::{self, CONFIG};
 use super::setup::Setup;
-use super::steps::Steps;
-use super::{ResumeArgs, TrainArgs, results};
-use crate::live::Live;
+use super::{ResumeArgs, TrainArgs};
 use crate::progress;
 use crate::ranks::{self, RunSetup};
 use crate::report::log::LogLine;
@@ -33,7 +32,7 @@ pub fn run(args: &TrainArgs) -> Result<Metrics> {
 /// Runs as [`run`] does, with the trainer changed before its first step. For tests, which make the run fail.
 #[doc(hidden)]
 pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Result<Metrics> {
-    to_the_end(args.clone(), None, Rc::new(Alone), change)
+    Run::begin(args.clone(), None, Rc::new(Alone), change)?.to_the_end()
 }
 
 /// Runs as [`run`] does, on all ranks that were started together.
@@ -46,7 +45,7 @@ pub fn run_together(args: &TrainArgs) -> Result<()> {
     if ranks.rank() > 0 {
         return ranks::follow(&ranks);
     }
-    to_the_end(args.clone(), None, ranks, |trainer| trainer).map(drop)
+    Run::begin(args.clone(), None, ranks, |trainer| trainer)?.to_the_end().map(drop)
 }
 
 /// Resumes a run from its newest checkpoint, with its original options, on all ranks that were started together. A run of which there is
@@ -61,82 +60,93 @@ pub fn resume_together(args: &ResumeArgs) -> Result<()> {
         return ranks::follow(&ranks);
     }
     let options = args.out.join(CONFIG);
-    match checkpoints::state_of(&args.out) {
+    let (begun, kept) = match checkpoints::state_of(&args.out) {
         RunState::Finished => {
             progress::note(&format!("the run in {} is finished", args.out.display()));
             ranks::tell::<Option<RunSetup>>(&*ranks, Some(None))?;
-            Ok(())
+            return Ok(());
         }
-        RunState::New if options.is_file() => {
-            let (out, voice, live) = (Some(args.out.clone()), args.voice, args.live.clone());
-            let args = TrainArgs { out, voice, live, ..config::read(&options)? };
-            to_the_end(args, None, ranks, |trainer| trainer).map(drop)
-        }
+        RunState::New if options.is_file() => (config::read(&options)?, None),
         // A run that is under way is refused by its lock.
         _ => {
             let kept = checkpoints::newest(&args.out)?;
-            let (out, voice, live) = (Some(args.out.clone()), args.voice, args.live.clone());
-            let args = TrainArgs { out, voice, live, ..kept.args.clone() };
-            to_the_end(args, Some(kept), ranks, |trainer| trainer).map(drop)
+            (kept.args.clone(), Some(kept))
         }
-    }
+    };
+    let (out, voice, live) = (Some(args.out.clone()), args.voice, args.live.clone());
+    Run::begin(TrainArgs { out, voice, live, ..begun }, kept, ranks, |trainer| trainer)?.to_the_end().map(drop)
 }
 
-fn to_the_end(
-    args: TrainArgs,
-    kept: Option<SavedRun>,
-    ranks: Rc<dyn Ranks>,
-    change: impl FnOnce(Trainer) -> Trainer,
-) -> Result<Metrics> {
-    let mut config = args.config()?;
-    // An unavailable port is found before the capture is read.
-    let bind = |(host, port): &(String, u16)| Server::bind(host, *port, "--live=[HOST:]PORT");
-    let server = args.live.live.as_ref().map(bind).transpose()?;
-    if let Some(steps) = kept.as_ref().and_then(|kept| kept.so_far.steps) {
-        config = args.schedule(config, steps);
-    }
-    let setup = Setup::new(args, config, kept.is_none())?;
-    let (job, out) = (&setup.job, &setup.out);
-    if ranks.count() > 1 {
-        setup.tell(&*ranks, kept.as_ref().map(|kept| &*kept.path))?;
-    }
-    let available = budget::available();
-    let (train, test) = job.photographs(&setup.train, &setup.test, &*ranks)?;
-    let (train_views, test_views) = (train.len(), test.len());
-    let (folder, points) = (job.capture.folder.display(), job.capture.points.positions.len());
-    progress::note(&format!(
-        "{folder}: {train_views} photographs to train on, {test_views} to test on, {points} points"
-    ));
-    let most = job.config.density.max_splats();
-    progress::note(&MemoryEstimate::of(&train, &test, &job.config, most).said(most, available));
-    let mut trainer = change(job.trainer(train, kept.is_none(), &ranks)?);
-    let load_s = seconds_since(setup.start);
+/// A run before its next step.
+pub struct Run {
+    pub setup: Setup,
+    pub trainer: Trainer,
+    pub test: Vec<Photograph>,
+    pub checkpoints: Checkpoints,
+    pub so_far: SoFar,
+    /// Server of the view in the browser, if asked for.
+    pub server: Option<Server>,
+    pub ranks: Rc<dyn Ranks>,
+    /// Time that reading took, s.
+    pub load_s: f64,
+}
 
-    // All errors in the capture have been found by now: a run that does not begin leaves no files.
-    let checkpoints = Checkpoints::open(out.path())?;
-    out.sweep();
-    // Without the file a run is as good.
-    let kept_options = config::to_toml(&setup.resolved())
-        .and_then(|text| out.write(CONFIG, |file| Ok(file.write_all(text.as_bytes())?)));
-    if let Err(error) = kept_options {
-        progress::note(&format!("{CONFIG} was not written: {error:#}"));
+impl Run {
+    /// Reads everything, decides on everything, and begins the files of the run.
+    fn begin(
+        args: TrainArgs,
+        kept: Option<SavedRun>,
+        ranks: Rc<dyn Ranks>,
+        change: impl FnOnce(Trainer) -> Trainer,
+    ) -> Result<Self> {
+        let mut config = args.config()?;
+        // An unavailable port is found before the capture is read.
+        let bind = |(host, port): &(String, u16)| Server::bind(host, *port, "--live=[HOST:]PORT");
+        let server = args.live.live.as_ref().map(bind).transpose()?;
+        if let Some(steps) = kept.as_ref().and_then(|kept| kept.so_far.steps) {
+            config = args.schedule(config, steps);
+        }
+        let setup = Setup::new(args, config, kept.is_none())?;
+        let (job, out) = (&setup.job, &setup.out);
+        if ranks.count() > 1 {
+            setup.tell(&*ranks, kept.as_ref().map(|kept| &*kept.path))?;
+        }
+        let available = budget::available();
+        let (train, test) = job.photographs(&setup.train, &setup.test, &*ranks)?;
+        let (train_views, test_views) = (train.len(), test.len());
+        let (folder, points) = (job.capture.folder.display(), job.capture.points.positions.len());
+        progress::note(&format!(
+            "{folder}: {train_views} photographs to train on, {test_views} to test on, {points} points"
+        ));
+        let most = job.config.density.max_splats();
+        progress::note(&MemoryEstimate::of(&train, &test, &job.config, most).said(most, available));
+        let mut trainer = change(job.trainer(train, kept.is_none(), &ranks)?);
+        let load_s = seconds_since(setup.start);
+
+        // All errors in the capture have been found by now: a run that does not begin leaves no files.
+        let checkpoints = Checkpoints::open(out.path())?;
+        out.sweep();
+        // Without the file a run is as good.
+        let kept_options = config::to_toml(&setup.resolved())
+            .and_then(|text| out.write(CONFIG, |file| Ok(file.write_all(text.as_bytes())?)));
+        if let Err(error) = kept_options {
+            progress::note(&format!("{CONFIG} was not written: {error:#}"));
+        }
+        let so_far = continued(&checkpoints, kept, &mut trainer)?;
+        progress::line(&LogLine::Start {
+            steps: job.config.steps,
+            train_views,
+            test_views,
+            splats: trainer.gaussians().len(),
+            device: &setup.device_name,
+            version: env!("CARGO_PKG_VERSION"),
+        });
+        Ok(Self { setup, trainer, test, checkpoints, so_far, server, ranks, load_s })
     }
-    let so_far = begin(&checkpoints, kept, &mut trainer)?;
-    progress::line(&LogLine::Start {
-        steps: job.config.steps,
-        train_views,
-        test_views,
-        splats: trainer.gaussians().len(),
-        device: &setup.device_name,
-        version: env!("CARGO_PKG_VERSION"),
-    });
-    let live = server.map(|server| Live::start(server, &trainer, &test, &job.device, out.path())).transpose()?;
-    let done = Steps { setup: &setup, test: &test, checkpoints, live, ranks }.run(&mut trainer, so_far)?;
-    results::write(&setup, trainer, &test, load_s, done)
 }
 
 /// Brings the checkpoints and the trainer to where the run goes on, and returns its progress.
-fn begin(checkpoints: &Checkpoints, kept: Option<SavedRun>, trainer: &mut Trainer) -> Result<SoFar> {
+fn continued(checkpoints: &Checkpoints, kept: Option<SavedRun>, trainer: &mut Trainer) -> Result<SoFar> {
     let Some(kept) = kept else {
         checkpoints.begin()?;
         return Ok(SoFar::default());

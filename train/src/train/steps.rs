@@ -1,17 +1,16 @@
 //! The steps of a run, and the work between them: taking scores, writing checkpoints, and stopping on request.
 
-use std::rc::Rc;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
-use splat_model::capture::Photograph;
 use splat_model::trainer::ranks::Ranks;
 use splat_model::trainer::{TrainConfig, Trainer};
 
 use super::TrainArgs;
 use super::checkpoints::{Checkpoints, SoFar};
 use super::job::Job;
-use super::results::{export, keep_scene};
+use super::results::{self, export, keep_scene};
+use super::run::Run;
 use super::setup::Setup;
 use super::stop::{Interrupted, Stop};
 use super::time_limit::{TimeLimit, set_steps};
@@ -19,6 +18,7 @@ use crate::live::Live;
 use crate::ranks::{self, Order};
 use crate::report::history::History;
 use crate::report::log::{FEW, RunLog};
+use crate::report::metrics::Metrics;
 
 /// Longest time between checkpoints.
 const BETWEEN_CHECKPOINTS: Duration = Duration::from_secs(120);
@@ -35,21 +35,21 @@ fn is_checkpoint_due(every: Option<usize>, step: usize, since: Duration) -> bool
     }
 }
 
+/// Whether scores are due at the trainer's step. `every` is `--eval-during`.
+fn is_score_due(every: Option<usize>, trainer: &Trainer, views: usize, share: f64) -> bool {
+    let (step, steps) = (trainer.steps_done(), trainer.config().steps);
+    match every {
+        Some(every) => every > 0 && step.is_multiple_of(every),
+        None => scores_by_itself(step, steps, views, share),
+    }
+}
+
 /// Whether a run that was not told when takes scores at a step: ten times, where a view that costs as much as a step keeps below the share,
 /// and as long as the measured share does.
 fn scores_by_itself(step: usize, steps: usize, views: usize, share: f64) -> bool {
     let cost = (SCORES * views.min(FEW)) as f64;
     let is_turn = step * SCORES / steps > (step - 1) * SCORES / steps;
     is_turn && views > 0 && cost <= SCORING_SHARE * steps as f64 && share <= SCORING_SHARE
-}
-
-pub struct Steps<'a> {
-    pub setup: &'a Setup,
-    pub test: &'a [Photograph],
-    pub checkpoints: Checkpoints,
-    /// View in the browser, if asked for.
-    pub live: Option<Live<'a>>,
-    pub ranks: Rc<dyn Ranks>,
 }
 
 /// Result of the steps, when all are done.
@@ -63,112 +63,101 @@ pub struct Done<'a> {
     pub stopped_at: Option<usize>,
 }
 
-impl<'a> Steps<'a> {
-    /// Runs all remaining steps.
+impl Run {
+    /// Runs all remaining steps and writes the results.
     ///
     /// # Errors
-    /// If a step fails; [`Interrupted`] if the run was asked to stop.
-    pub fn run(mut self, trainer: &mut Trainer, so_far: SoFar) -> Result<Done<'a>> {
-        let Setup { job: Job { args, capture, device, .. }, out, lpips, .. } = self.setup;
+    /// If a step fails or a result cannot be written; [`Interrupted`] if the run was asked to stop.
+    pub fn to_the_end(self) -> Result<Metrics> {
+        let Self { setup, mut trainer, test, mut checkpoints, so_far, server, ranks, load_s } = self;
+        let Setup { job: Job { args, capture, device, .. }, out, lpips, .. } = &setup;
+        let mut live = server.map(|server| Live::start(server, &trainer, &test, device, out.path())).transpose()?;
         let stop = Stop::listen().context("cannot listen for Ctrl-C")?;
         let mut time_limit = args.time.map(TimeLimit::new);
         // The first checkpoint comes before the first step: a run killed at once can be resumed too, and an unwritable
         // folder is found now.
         if trainer.steps_done() == 0 && args.checkpoint_every != Some(0) {
-            self.checkpoints.write(trainer, args, &so_far)?;
+            checkpoints.write(&mut trainer, args, &so_far)?;
         }
         let mut written = Instant::now();
-        let mut log = RunLog::new(trainer, so_far.history, so_far.seconds);
+        let mut log = RunLog::new(&trainer, so_far.history, so_far.seconds);
         let mut stopped_at = None;
         let mut told = trainer.config().clone();
         while !trainer.is_done() {
             if let Some(signal) = stop.asked() {
-                let so_far = so_far_of(trainer, args, &log);
+                let so_far = so_far_of(&trainer, args, &log);
                 log.finish();
-                return Err(self.interrupted(trainer, &so_far, signal));
+                let step = trainer.steps_done();
+                let saved = checkpoints.write(&mut trainer, args, &so_far);
+                let path = saved.with_context(|| format!("stopped after step {step}, which could not be saved"))?;
+                order(&*ranks, Order::End)?;
+                let (out, path) = (out.path().display(), path.display());
+                let message = format!("stopped after step {step}; `splat resume {out}` continues from {path}");
+                return Err(Interrupted { signal, message }.into());
             }
-            self.order_step(trainer, &mut told)?;
+            order_step(&*ranks, &trainer, &mut told)?;
             let mut evaluated = Ok(());
             let step = trainer.step_and_look(|trainer| {
-                let (step, steps) = (trainer.steps_done(), trainer.config().steps);
-                if match args.eval_during {
-                    Some(every) => every > 0 && step.is_multiple_of(every),
-                    None => scores_by_itself(step, steps, self.test.len(), log.scoring_share()),
-                } {
-                    evaluated = log.evaluate(trainer, self.test, device, lpips.as_ref());
+                if is_score_due(args.eval_during, trainer, test.len(), log.scoring_share()) {
+                    evaluated = log.evaluate(trainer, &test, device, lpips.as_ref());
                 }
             });
             match step {
-                Ok(report) => log.step(&report, trainer),
+                Ok(report) => log.step(&report, &trainer),
                 Err(error) => {
                     log.finish();
-                    return Err(keep_scene(error, trainer, capture, out));
+                    return Err(keep_scene(error, &trainer, capture, out));
                 }
             }
             evaluated?;
-            if let Some(live) = &mut self.live {
-                live.step(trainer, &mut log)?;
+            if let Some(live) = &mut live {
+                live.step(&trainer, &mut log)?;
             }
-            if stopped_at.is_none() && !trainer.is_done() && self.live.as_ref().is_some_and(Live::stops) {
+            if stopped_at.is_none() && !trainer.is_done() && live.as_ref().is_some_and(Live::stops) {
                 stopped_at = Some(trainer.steps_done());
                 time_limit = None;
-                let so_far = so_far_of(trainer, args, &log);
-                self.checkpoints.write(trainer, args, &so_far)?;
+                let so_far = so_far_of(&trainer, args, &log);
+                checkpoints.write(&mut trainer, args, &so_far)?;
                 // One more step, which waits for the device and finds its faults.
-                set_steps(trainer.steps_done() + 1, trainer, args, &mut log)?;
+                set_steps(trainer.steps_done() + 1, &mut trainer, args, &mut log)?;
             }
             if let Some(limit) = &mut time_limit {
-                limit.adjust(trainer, args, &mut log)?;
+                limit.adjust(&mut trainer, args, &mut log)?;
             }
             if args.export_every.is_some_and(|every| trainer.steps_done().is_multiple_of(every)) {
-                export(trainer, capture, out);
+                export(&trainer, capture, out);
             }
             if is_checkpoint_due(args.checkpoint_every, trainer.steps_done(), written.elapsed()) {
                 written = Instant::now();
-                let so_far = so_far_of(trainer, args, &log);
-                self.checkpoints.try_write(trainer, args, &so_far);
+                let so_far = so_far_of(&trainer, args, &log);
+                checkpoints.try_write(&mut trainer, args, &so_far);
             }
         }
-        self.order(Order::End)?;
+        order(&*ranks, Order::End)?;
+        // From here on, a signal ends the process at once.
+        drop(stop);
         let (seconds, history) = (log.recorder.seconds(), log.finish());
-        Ok(Done { seconds, history, checkpoints: self.checkpoints, live: self.live, stopped_at })
+        results::write(&setup, trainer, &test, load_s, Done { seconds, history, checkpoints, live, stopped_at })
     }
+}
 
-    /// Orders a step of the other ranks, with the configuration if it is no longer the one that they were `told`.
-    fn order_step(&self, trainer: &Trainer, told: &mut TrainConfig) -> Result<()> {
-        if self.ranks.count() == 1 {
-            return Ok(());
-        }
-        let changed = trainer.config() != told;
-        if changed {
-            told.clone_from(trainer.config());
-        }
-        self.order(Order::Step(changed.then(|| Box::new(told.clone()))))
+/// Orders a step of the other ranks, with the configuration if it is no longer the one that they were `told`.
+fn order_step(ranks: &dyn Ranks, trainer: &Trainer, told: &mut TrainConfig) -> Result<()> {
+    if ranks.count() == 1 {
+        return Ok(());
     }
+    let changed = trainer.config() != told;
+    if changed {
+        told.clone_from(trainer.config());
+    }
+    order(ranks, Order::Step(changed.then(|| Box::new(told.clone()))))
+}
 
-    fn order(&self, order: Order) -> Result<()> {
-        if self.ranks.count() > 1 {
-            ranks::tell(&*self.ranks, Some(order))?;
-        }
-        Ok(())
+fn order(ranks: &dyn Ranks, order: Order) -> Result<()> {
+    if ranks.count() > 1 {
+        ranks::tell(ranks, Some(order))?;
     }
-
-    /// Saves a run that was asked to stop.
-    fn interrupted(&self, trainer: &mut Trainer, so_far: &SoFar, signal: u8) -> anyhow::Error {
-        let step = trainer.steps_done();
-        match self.checkpoints.write(trainer, &self.setup.job.args, so_far) {
-            Ok(path) => {
-                if let Err(error) = self.order(Order::End) {
-                    return error;
-                }
-                let out = self.setup.out.path().display();
-                let path = path.display();
-                let message = format!("stopped after step {step}; `splat resume {out}` continues from {path}");
-                Interrupted { signal, message }.into()
-            }
-            Err(error) => error.context(format!("stopped after step {step}, which could not be saved")),
-        }
-    }
+    Ok(())
 }
 
 /// Returns the progress of the run besides its trainer.

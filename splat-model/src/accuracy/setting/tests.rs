@@ -28,7 +28,7 @@ fn what_is_turned_is_turned_and_nothing_else() {
     let base = RenderOptions::standard().with_near(0.5).with_antialias(true);
     let setting = Setting::new([("transmittance_min", "0"), ("alpha_min", "1/1024")]).unwrap();
     let turned = setting.apply(base);
-    assert_eq!(turned, RenderOptions { transmittance_min: 0.0, alpha_min: 1.0 / 1024.0, ..base });
+    assert_eq!(turned, base.with_transmittance_min(0.0).with_alpha_min(1.0 / 1024.0));
     assert_eq!(Setting::between(&base, &turned), setting);
     assert_eq!(setting.judge(), Judge::Exact);
     let choice = Setting::new([("sh_degree", "1")]).unwrap();

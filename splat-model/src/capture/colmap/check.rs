@@ -54,7 +54,7 @@ impl Place<'_> {
             *kept = coefficient;
         }
         let [width, height] = [self.side("WIDTH", size_px[0])?, self.side("HEIGHT", size_px[1])?];
-        Ok(Intrinsics { model: model.ours, width, height, fx, fy, cx, cy, distortion })
+        Ok(Intrinsics::pinhole(width, height, [fx, fy], [cx, cy]).with_lens(model.ours, distortion))
     }
 
     /// The error for a camera with so many parameters.

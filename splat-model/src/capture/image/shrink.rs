@@ -31,17 +31,10 @@ impl Photo {
             let count = (n * n) as u32;
             alpha.push(((weight + count / 2) / count) as u8);
         }
-        let camera = &self.intrinsics;
+        let Intrinsics { model, fx, fy, cx, cy, distortion, .. } = self.intrinsics;
         let by = 1.0 / n as f64;
-        let intrinsics = Intrinsics {
-            width,
-            height,
-            fx: camera.fx * by,
-            fy: camera.fy * by,
-            cx: camera.cx * by,
-            cy: camera.cy * by,
-            ..*camera
-        };
+        let intrinsics = Intrinsics::pinhole(width, height, [fx * by, fy * by], [cx * by, cy * by]);
+        let intrinsics = intrinsics.with_lens(model, distortion);
         let mask = self.mask.as_ref().map(|mask| (0..width * height).map(|i| covered(i).all(|at| mask[at])).collect());
         Some(Self {
             name: self.name.clone(),

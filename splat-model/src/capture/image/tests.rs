@@ -13,7 +13,7 @@ use crate::capture::testing::{assert_says, real_capture};
 
 /// A view of `width` × `height` px whose picture is at `image_path`.
 fn view(image_path: PathBuf, width: usize, height: usize) -> View {
-    let intrinsics = Intrinsics { cy: 3.0, ..Intrinsics::centred(width, height, 50.0) };
+    let intrinsics = Intrinsics::pinhole(width, height, [50.0, 50.0], [width as f64 / 2.0, 3.0]);
     View { name: "photo".into(), image_path, intrinsics, cam_from_world: DAffine3::from_translation(glam::DVec3::X) }
 }
 

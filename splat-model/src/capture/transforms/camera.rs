@@ -107,7 +107,7 @@ impl<'a> Lenses<'a> {
         let cx = centre("cx", self.number(|of| of.cx), width)?;
         let cy = centre("cy", self.number(|of| of.cy), height)?;
         let (model, distortion) = self.lens()?;
-        Ok(Intrinsics { model, width, height, fx, fy, cx, cy, distortion })
+        Ok(Intrinsics::pinhole(width, height, [fx, fy], [cx, cy]).with_lens(model, distortion))
     }
 
     /// The field's value from the frame, or else from the file.

@@ -154,7 +154,7 @@ fn what_does_not_fit_is_not_kept() {
     let mut environment = Environment::new(1, &[pose; 3], &device);
     environment.cached_bytes = CACHE_BYTES - 9 * 7 * 3 * size_of::<f32>();
     for focal_px in [0.0, 0.0, 1.0] {
-        environment.directions_of(&Intrinsics { fx: intrinsics.fx + focal_px, ..intrinsics });
+        environment.directions_of(&intrinsics.with_focal(intrinsics.fx + focal_px, intrinsics.fy));
     }
     assert_eq!((environment.cached_bytes, environment.cache.len()), (CACHE_BYTES, 1));
 }

@@ -7,7 +7,7 @@ use crate::gaussians::{Gaussians, values_of};
 
 fn camera(model: CameraModel) -> (Camera, Device) {
     let device = Device::flex();
-    let intrinsics = Intrinsics { model, ..Intrinsics::centred(32, 24, 40.0) };
+    let intrinsics = Intrinsics::centred(32, 24, 40.0).with_lens(model, [0.0; 8]);
     let pose = glam::DAffine3::from_translation(glam::DVec3::new(0.0, 0.0, 4.0));
     (Camera::new(intrinsics, &pose, &device), device)
 }

@@ -2,7 +2,7 @@ use super::*;
 
 #[test]
 fn without_a_cut_there_is_a_most_of_pairs_and_the_message_names_it() {
-    let uncut = RenderOptions { alpha_min: 0.0, ..RenderOptions::exact() };
+    let uncut = RenderOptions::exact().with_alpha_min(0.0);
     // A picture of 32,768 × 32,768 px.
     let tiles = 2048 * 2048;
     assert_eq!(uncut.check_uncut(16, tiles), Ok(()));
@@ -31,7 +31,11 @@ fn every_field_has_a_builder_that_sets_it_alone() {
         .with_alpha_max(0.9)
         .with_transmittance_min(0.02)
         .with_accumulation(Accumulation::Ordered)
-        .with_depth(true);
+        .with_depth(true)
+        .with_expected_depth(true)
+        .with_normals(true)
+        .with_radii(true)
+        .with_visible(true);
     let expected = RenderOptions {
         blur: 0.1,
         near: 0.2,
@@ -46,6 +50,10 @@ fn every_field_has_a_builder_that_sets_it_alone() {
         transmittance_min: 0.02,
         accumulation: Accumulation::Ordered,
         depth: true,
+        expected_depth: true,
+        normals: true,
+        radii: true,
+        visible: true,
     };
     assert_eq!(built, expected);
 }
@@ -57,6 +65,6 @@ fn presets_differ_in_their_cuts_alone() {
         assert_eq!(preset.check(), Ok(()));
         let RenderOptions { alpha_min, transmittance_min, .. } = preset;
         assert!(alpha_min != standard.alpha_min && transmittance_min != standard.transmittance_min);
-        assert_eq!(RenderOptions { alpha_min, transmittance_min, ..standard }, preset);
+        assert_eq!(standard.with_alpha_min(alpha_min).with_transmittance_min(transmittance_min), preset);
     }
 }

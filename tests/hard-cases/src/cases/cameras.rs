@@ -8,13 +8,15 @@ use crate::scene::{HardScene, Splat, camera};
 pub fn cases() -> Vec<HardCase> {
     let focal = |width: usize, degrees: f64| width as f64 / (2.0 * (degrees / 2.0).to_radians().tan());
     let plain = camera();
-    let wide = Intrinsics { fx: focal(60, 170.0), fy: focal(60, 170.0), ..plain };
-    let narrow = Intrinsics { fx: focal(60, 1.0), fy: focal(60, 1.0), ..plain };
+    let wide = plain.with_focal(focal(60, 170.0), focal(60, 170.0));
+    let narrow = plain.with_focal(focal(60, 1.0), focal(60, 1.0));
     let sized = |width: usize, height: usize| {
-        let lens = Intrinsics { cx: 0.47 * width as f64, cy: 0.52 * height as f64, ..plain };
-        HardScene { label: format!("{width} × {height}"), ..view(Intrinsics { width, height, ..lens }) }
+        let centre_px = [0.47 * width as f64, 0.52 * height as f64];
+        let lens = Intrinsics::pinhole(width, height, [plain.fx, plain.fy], centre_px);
+        HardScene { label: format!("{width} × {height}"), ..view(lens) }
     };
-    let offset = |cx: f64, cy: f64| HardScene { label: format!("{cx}, {cy}"), ..view(Intrinsics { cx, cy, ..plain }) };
+    let offset =
+        |cx: f64, cy: f64| HardScene { label: format!("{cx}, {cy}"), ..view(plain.with_principal_point(cx, cy)) };
     vec![
         HardCase::scenes(
             "1° field of view",
@@ -37,7 +39,7 @@ pub fn cases() -> Vec<HardCase> {
         HardCase::scenes(
             "fx / fy = 10 and 1/10",
             "round splats become needles in the picture",
-            vec![view(Intrinsics { fy: 6.0, ..plain }), view(Intrinsics { fx: 6.0, ..plain })],
+            vec![view(plain.with_focal(plain.fx, 6.0)), view(plain.with_focal(6.0, plain.fy))],
         ),
         HardCase::scenes("1 × 1 picture", "the only tile has one pixel", vec![sized(1, 1)]),
         HardCase::scenes(

@@ -73,7 +73,7 @@ fn one_pixel() -> HardScene {
 
 /// Layers so faint that the last one is still visible, on part of a tile to keep the run short.
 fn crowd(count: usize) -> HardScene {
-    let lens = Intrinsics { cx: 4.2, cy: 3.9, ..Intrinsics::centred(8, 8, 20.0) };
+    let lens = Intrinsics::pinhole(8, 8, [20.0, 20.0], [4.2, 3.9]);
     let mut random = Random::new(6);
     let splats: Vec<Splat> = (0..count)
         .map(|_| {

@@ -1,7 +1,5 @@
 //! Depth: the order of layers, and distances that span ten orders of magnitude in one view.
 
-use splat_op::RenderOptions;
-
 use crate::case::HardCase;
 use crate::scene::{HardScene, SMOOTH, Splat};
 
@@ -54,5 +52,5 @@ fn layer(i: usize, depth: f64) -> Splat {
 fn far_and_near() -> HardScene {
     let splats: Vec<Splat> =
         [1e3, 1e-3, 1e7, 1.0, 1e5].into_iter().enumerate().map(|(i, depth)| layer(i, depth).opacity(0.6)).collect();
-    HardScene::new("five", &splats).with_options(RenderOptions { near: 1e-4, ..SMOOTH })
+    HardScene::new("five", &splats).with_options(SMOOTH.with_near(1e-4))
 }

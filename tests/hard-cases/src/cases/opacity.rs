@@ -10,7 +10,7 @@ use crate::scene::{HardScene, SMOOTH, STANDARD, Splat, TruthSource};
 const LAYERS: usize = 10_000;
 
 pub fn cases() -> Vec<HardCase> {
-    let unlimited = RenderOptions { alpha_max: 1.0, ..SMOOTH };
+    let unlimited = SMOOTH.with_alpha_max(1.0);
     let cut = STANDARD.alpha_min as f32;
     let limit = STANDARD.alpha_max as f32;
     vec![
@@ -122,14 +122,14 @@ fn finishing(label: &str, transmittance_min: f64) -> HardScene {
         splat.colour(&[0.2 * depth, 0.5, 1.0 - 0.1 * depth])
     };
     HardScene::new(label, &[layer(2.0, 0.5), layer(3.0, 0.5), layer(4.0, 0.25)])
-        .with_options(RenderOptions { transmittance_min, ..SMOOTH })
+        .with_options(SMOOTH.with_transmittance_min(transmittance_min))
         .with_truth(TruthSource::Twin)
         .holding_alpha()
 }
 
 /// Wide layers in front of a small picture, in random order.
 fn stack(label: &str, layers: usize, alpha: f64) -> HardScene {
-    let lens = Intrinsics { cx: 4.2, cy: 3.1, ..Intrinsics::centred(9, 7, 20.0) };
+    let lens = Intrinsics::pinhole(9, 7, [20.0, 20.0], [4.2, 3.1]);
     let mut random = Random::new(11);
     let splats: Vec<Splat> = (0..layers)
         .map(|_| {

@@ -166,12 +166,10 @@ impl Poisoned {
         let background = Tensor::<1>::from_floats([0.1, 0.4, 0.7], &device).require_grad();
         let probe = || Tensor::<2>::zeros([COUNT, 2], &device).require_grad();
         let (mean2d, mean2d_abs) = (probe(), probe());
-        let extras = Extras {
-            background: Some(background.clone()),
-            mean2d_probe: Some(mean2d.clone()),
-            mean2d_abs_probe: Some(mean2d_abs.clone()),
-            ..Extras::default()
-        };
+        let extras = Extras::default()
+            .with_background(background.clone())
+            .with_mean2d_probe(mean2d.clone())
+            .with_mean2d_abs_probe(mean2d_abs.clone());
         let splats = gaussians.splats();
         let out = render(&splats, &[camera], &extras, &self.options).expect("a valid scene");
         let depth = out.depth.expect("asked for");

@@ -70,7 +70,7 @@ fn through(lens: Intrinsics, label: &str, at: &[([f64; 2], f64, f64)]) -> HardSc
 
 /// The radius of the lens's domain, `1/√(3·0.4)`, lies 36.5 px from the middle of a picture whose corners are 37.6 px from it.
 fn turning_back() -> HardScene {
-    let mut lens = Intrinsics { model: CameraModel::OpenCv, ..Intrinsics::centred(60, 45, 60.0) };
+    let mut lens = Intrinsics::centred(60, 45, 60.0).with_lens(CameraModel::OpenCv, [0.0; 8]);
     lens.distortion[0] = -0.4;
     through(
         lens,
@@ -81,7 +81,7 @@ fn turning_back() -> HardScene {
 
 /// 19 px per radian: 90° are 29.8 px from the middle.
 fn fisheye() -> HardScene {
-    let lens = Intrinsics { model: CameraModel::Fisheye, ..Intrinsics::centred(60, 45, 19.0) };
+    let lens = Intrinsics::centred(60, 45, 19.0).with_lens(CameraModel::Fisheye, [0.0; 8]);
     through(
         lens,
         "19 px per radian",

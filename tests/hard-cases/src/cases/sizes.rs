@@ -1,7 +1,6 @@
 //! Sizes: from a millionth of a pixel to values whose squares overflow.
 
 use burn::tensor::{DType, Device};
-use splat_op::RenderOptions;
 
 use crate::case::{CaseOutcome, HardCase, MeasuredDeviation, TestDevice};
 use crate::compare::relative_error;
@@ -115,7 +114,7 @@ fn with_and_without(scene: &HardScene) -> [Vec<f64>; 2] {
     let with = evaluate(scene, &weights, &device, DType::F64).gradients[SCALES].values.clone();
     // The same picture from opacities that are compensated beforehand.
     let compensation = compensated_opacities(scene);
-    let options = RenderOptions { antialias: false, ..scene.options };
+    let options = scene.options.with_antialias(false);
     let constant = HardScene { options, opacities: compensation, ..scene.clone() };
     [with, evaluate(&constant, &weights, &device, DType::F64).gradients[SCALES].values.clone()]
 }

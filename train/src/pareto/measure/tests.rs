@@ -35,7 +35,7 @@ fn a_broken_setting_is_not_timed() {
     let bench = bench(&photos);
     let mut broken = candidates(&bench.base, false).remove(1);
     // The dials have the candidate's values; the function is another.
-    broken.options = RenderOptions { blur: 300.0, ..broken.options };
+    broken.options = broken.options.with_blur(300.0);
     let mut truths = Vec::new();
     bench.truth(&mut truths, &bench.base).unwrap();
     // As if the picture were promised to equal that of the base.

@@ -5,7 +5,7 @@ use splat_op::{CameraModel, Projection};
 
 use super::*;
 
-pub const CAMERA: Intrinsics = Intrinsics { cy: 17.0, ..Intrinsics::centred(40, 30, 36.0) };
+pub const CAMERA: Intrinsics = Intrinsics::pinhole(40, 30, [36.0, 36.0], [20.0, 17.0]);
 
 const DISTORTION: [f64; 8] = [0.1, -0.03, 0.002, -0.001, 0.0, 0.0, 0.0, 0.0];
 
@@ -55,8 +55,8 @@ fn the_reference_is_the_exact_renderer() {
         assert!(found > 0.0 && found < TOLERANCE, "{projection:?}: {found:.1e}");
     }
     let mut through_lenses = photos();
-    through_lenses[0].intrinsics = Intrinsics { model: CameraModel::OpenCv, distortion: DISTORTION, ..CAMERA };
-    through_lenses[1].intrinsics = Intrinsics { model: CameraModel::Fisheye, distortion: DISTORTION, ..CAMERA };
+    through_lenses[0].intrinsics = CAMERA.with_lens(CameraModel::OpenCv, DISTORTION);
+    through_lenses[1].intrinsics = CAMERA.with_lens(CameraModel::Fisheye, DISTORTION);
     let found = rendered(&exact, &through_lenses).unwrap();
     assert!(found > 0.0 && found < TOLERANCE, "{found:.1e}");
 }
@@ -65,9 +65,9 @@ fn the_reference_is_the_exact_renderer() {
 fn a_reference_that_approximates_is_refused() {
     let exact = Dial::all_exact(RenderOptions::standard());
     for (options, what) in [
-        (RenderOptions { alpha_max: 0.99, ..exact }, "alpha_max"),
-        (RenderOptions { alpha_min: 1.0 / 255.0, ..exact }, "alpha_min"),
-        (RenderOptions { transmittance_min: 1e-2, ..exact }, "transmittance_min"),
+        (exact.with_alpha_max(0.99), "alpha_max"),
+        (exact.with_alpha_min(1.0 / 255.0), "alpha_min"),
+        (exact.with_transmittance_min(1e-2), "transmittance_min"),
     ] {
         let error = rendered(&options, &photos()).expect_err(what).to_string();
         assert!(error.contains("the reference renderer is wrong: in pixel"), "{what}: {error}");

@@ -14,7 +14,7 @@ fn an_orbit_goes_around_what_the_cameras_look_at() {
     let poses = [0.0, 0.8, 1.6].map(view);
     assert!((focus(&poses).unwrap() - centre).length() < 1e-9);
     assert_eq!(focus(&[poses[0], poses[0]]), None);
-    let lens = pinhole(&Intrinsics { fy: 70.0, ..Intrinsics::centred(65, 49, 60.0) });
+    let lens = pinhole(&Intrinsics::centred(65, 49, 60.0).with_focal(60.0, 70.0));
     assert_eq!((lens.width, lens.height, lens.fx), (64, 48, 70.0));
     let path = orbit(&poses, 8).unwrap();
     for (i, cam_from_world) in path.iter().enumerate() {

@@ -93,7 +93,7 @@ fn fox_distorted_projects_its_points_onto_their_keypoints() {
         let errors = errors.filter_map(|(view, (px, point))| {
             let cam = view.cam_from_world.transform_point3(*positions.get(point)?);
             let camera = match pinhole {
-                true => Intrinsics { model: CameraModel::Pinhole, distortion: [0.0; 8], ..view.intrinsics },
+                true => view.intrinsics.with_lens(CameraModel::Pinhole, [0.0; 8]),
                 false => view.intrinsics,
             };
             Some(camera.px_from_cam(cam).unwrap().distance(*px))

@@ -6,7 +6,7 @@ fn photo(alpha: Option<Vec<u8>>) -> Photo {
     let (width, height) = (5, 4);
     Photo {
         name: "five by four".into(),
-        intrinsics: Intrinsics { cx: 2.25, ..Intrinsics::centred(width, height, 6.0) },
+        intrinsics: Intrinsics::pinhole(width, height, [6.0, 6.0], [2.25, height as f64 / 2.0]),
         cam_from_world: DAffine3::IDENTITY,
         rgb: (0..60).collect(),
         alpha,

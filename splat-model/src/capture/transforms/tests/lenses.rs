@@ -19,8 +19,7 @@ fn model(fields: &str) -> Result<(CameraModel, [f64; 8]), String> {
 #[test]
 fn pixels_stand_for_themselves() {
     let camera = camera(r#""fl_x": 8.5, "fl_y": 9, "cx": 4.25, "cy": 2.5, "w": 10, "h": 7.0,"#, "").unwrap();
-    let expected =
-        Intrinsics { width: 10, height: 7, fx: 8.5, fy: 9.0, cx: 4.25, cy: 2.5, ..Intrinsics::centred(1, 1, 1.0) };
+    let expected = Intrinsics::pinhole(10, 7, [8.5, 9.0], [4.25, 2.5]);
     assert_eq!(camera, expected);
 }
 

@@ -4,7 +4,7 @@ use super::*;
 fn a_lens_moves_the_corners_most() {
     let pinhole = Intrinsics::centred(100, 80, 50.0);
     assert_eq!(displacement_px(&pinhole), Some(0.0));
-    let plain = Intrinsics { model: CameraModel::OpenCv, ..pinhole };
+    let plain = pinhole.with_lens(CameraModel::OpenCv, [0.0; 8]);
     assert!(displacement_px(&plain).expect("as a pinhole") < 1e-9);
     let mut barrel = plain;
     barrel.distortion[0] = -0.05;
@@ -17,6 +17,6 @@ fn a_lens_moves_the_corners_most() {
     let expected = 50.0 * (r - corner);
     let found = displacement_px(&barrel).expect("less than a right angle");
     assert!((found - expected).abs() < 1e-6, "{found} instead of {expected}");
-    let fisheye = Intrinsics { model: CameraModel::Fisheye, fx: 20.0, fy: 20.0, ..pinhole };
+    let fisheye = pinhole.with_focal(20.0, 20.0).with_lens(CameraModel::Fisheye, [0.0; 8]);
     assert_eq!(displacement_px(&fisheye), None, "its border lies beyond a right angle");
 }

@@ -1,0 +1,72 @@
+//! Lists of the Gaussians in each tile of a picture.
+
+use burn::tensor::{Int, Tensor};
+
+use super::checked::Checked;
+use super::projected::Projected;
+use crate::backend::apply;
+use crate::camera::Intrinsics;
+use crate::error::SplatError;
+use crate::intersect::IntersectionCell;
+use crate::intersect::operation::Intersect;
+use crate::options::RenderOptions;
+use crate::rasterize::RasterizeSpec;
+use crate::ray_space::operation::Bounds;
+
+/// The intersections of Gaussians and tiles of one view, as [`intersect`](fn@intersect) returns them.
+#[derive(Clone, Debug)]
+pub struct Intersections {
+    /// `[tiles along y, tiles along x]`: number of Gaussians listed in each tile of 16 × 16 px.
+    pub counts: Tensor<2, Int>,
+    pub(super) cell: IntersectionCell,
+    /// Number of Gaussians, and what else the lists depend on.
+    of: (usize, RasterizeSpec),
+}
+
+impl Intersections {
+    /// Refuses lists of other Gaussians, of another picture or of other options: kernels do not check the indices in them.
+    pub(super) fn check(&self, checked: &Checked, intrinsics: &Intrinsics) -> Result<(), SplatError> {
+        let &Checked { count, options, .. } = checked;
+        checked.reference().check_device("intersections", &self.counts.device())?;
+        let (listed, of) = &self.of;
+        // A smaller `alpha_min` lists more.
+        let least = of.options.alpha_min.min(options.alpha_min);
+        let size = |of: &Intrinsics| format!("{} × {} px", of.width, of.height);
+        let found = if *listed != count {
+            format!("lists of {listed} Gaussians, for {count}")
+        } else if size(&of.intrinsics) != size(intrinsics) {
+            format!("lists of {}, for {}", size(&of.intrinsics), size(intrinsics))
+        } else if of.intrinsics != *intrinsics {
+            "lists of another camera".into()
+        } else if of.options != options.with_alpha_min(least) {
+            format!("lists with {:?}, for {options:?}", of.options)
+        } else {
+            return Ok(());
+        };
+        let expected = "the result of `intersect` on these ellipses, with these options or a smaller `alpha_min`";
+        Err(SplatError::Value { field: "intersections", found, expected })
+    }
+}
+
+/// Lists the Gaussians that can show in each tile of 16 × 16 px, front to back. Not differentiable.
+///
+/// # Errors
+/// If an option is out of range, if `projected` was not made with `options.projection`, or if
+/// `options.alpha_min` is zero and there are more than [`crate::MAX_UNCULLED_INTERSECTIONS`] pairs of a Gaussian and a tile.
+pub fn intersect(projected: &Projected, options: &RenderOptions) -> Result<Intersections, SplatError> {
+    let checked = projected.checked(options)?;
+    checked.lists(projected.intrinsics())?;
+    Ok(listed(&checked, projected))
+}
+
+/// [`intersect`](fn@intersect) of inputs that have been checked.
+pub(super) fn listed(checked: &Checked, projected: &Projected) -> Intersections {
+    let cell = IntersectionCell::default();
+    let spec = RasterizeSpec { intrinsics: projected.intrinsics, options: *checked.options };
+    let mut packed = projected.packed.clone().detach();
+    if let Some(ray_space) = &projected.ray_space {
+        packed = apply(Bounds(spec), [packed.into(), ray_space.clone().detach().into()]).float(0);
+    }
+    let counts = apply(Intersect { spec, cell: cell.clone() }, [packed.into()]).int(0);
+    Intersections { counts, cell, of: (checked.count, spec) }
+}
