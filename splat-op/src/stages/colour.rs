@@ -4,7 +4,7 @@ use burn::tensor::Tensor;
 
 use super::splats::{Colour, Splats, sh_need, up_to_degree};
 use crate::backend::apply;
-use crate::camera::{Camera, Intrinsics};
+use crate::camera::{Camera, CameraModel, Intrinsics};
 use crate::check::Reference;
 use crate::error::SplatError;
 use crate::options::RenderOptions;
@@ -13,7 +13,7 @@ use crate::sh::operation::EvaluateSh;
 use crate::sh::sh_degree;
 use crate::stages::Projected;
 
-/// Evaluates spherical harmonics for the directions from a camera to Gaussians.
+/// Evaluates spherical harmonics for the directions from a camera to Gaussians; those of an orthographic camera are its axis.
 ///
 /// Takes coefficients `[N, (degree+1)², 3]`, degree 0 to 4, and centres `means` `[N, 3]`, world frame, scene units. Returns colours
 /// `[N, 3]`, at least 0. Differentiable in the coefficients, the centres and the pose. Equations and sources: [`crate::sh`].
@@ -84,8 +84,20 @@ fn sh_visible(
     let intrinsics = visible.as_ref().map_or(camera.intrinsics, |(_, intrinsics)| *intrinsics);
     let visible = visible.map(|(visible, _)| visible);
     let spec = ProjectSpec { intrinsics, options: *options };
-    let inputs = [sh.into(), means.into(), (&camera.cam_from_world).into(), visible.into()];
+    let (means, pose) = match camera.intrinsics.model {
+        CameraModel::Orthographic if count > 0 => along_axis(&camera.cam_from_world, count),
+        _ => (means.clone(), camera.cam_from_world.clone()),
+    };
+    let inputs = [sh.into(), (&means).into(), (&pose).into(), visible.into()];
     Ok(apply(EvaluateSh(spec), inputs).float(0))
+}
+
+/// Centres and a pose in place of an orthographic camera's, for which all directions are those of its rays: the last row of the pose's
+/// matrix.
+fn along_axis(pose: &Tensor<2>, count: usize) -> (Tensor<2>, Tensor<2>) {
+    let axis = pose.clone().narrow(0, 2, 1).narrow(1, 0, 3).expand([count, 3]);
+    let identity = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]];
+    (axis, Tensor::<2>::from_floats(identity, &pose.device()).cast(pose.dtype()))
 }
 
 /// Returns the colour or features `[N, C]` of each Gaussian as a camera sees it.

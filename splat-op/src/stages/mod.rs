@@ -18,6 +18,7 @@ pub mod rasterize_rays;
 pub(crate) mod colour;
 pub(crate) mod normals;
 pub mod options;
+pub(crate) mod panorama;
 pub(crate) mod projected;
 pub(crate) mod render;
 pub(crate) mod splats;
@@ -28,7 +29,7 @@ pub use self::projected::{Ellipses, Projected};
 use self::splats::{Colour, Extras, Splats, sh_need};
 use crate::abilities::check_fits;
 use crate::backend::{Slot, apply};
-use crate::camera::{Camera, Intrinsics};
+use crate::camera::{Camera, CameraModel, Intrinsics};
 use crate::check::{Reference, check_positive};
 use crate::error::SplatError;
 use crate::intersect::operation::Intersect;
@@ -222,6 +223,10 @@ fn rasterized(
 fn check_geometry(splats: &Splats, camera: &Camera, options: &RenderOptions) -> Result<Reference, SplatError> {
     options.check()?;
     camera.intrinsics.check()?;
+    if options.along_rays() && camera.intrinsics.model == CameraModel::Orthographic {
+        let expected = "Affine, whose ellipse is the maximum along parallel rays";
+        return Err(SplatError::Value { field: "projection", found: "RayMax for an orthographic camera".into(), expected });
+    }
     let reference = Reference::new("means", &splats.means)?;
     let count = splats.means.dims()[0];
     reference.check("means", &splats.means, [None, Some(3)], "[N, 3]")?;

@@ -5,7 +5,7 @@ use burn::tensor::{Bool, Tensor};
 use super::check_geometry;
 use super::splats::Splats;
 use crate::backend::custom_grad::{constant, plain};
-use crate::camera::Camera;
+use crate::camera::{Camera, CameraModel};
 use crate::error::SplatError;
 use crate::options::RenderOptions;
 
@@ -58,7 +58,11 @@ pub fn normals(splats: &Splats, camera: &Camera) -> Result<Tensor<2>, SplatError
     let translation = pose.narrow(1, 3, 1).transpose();
     let mean_cam = plain(&splats.means).matmul(rotation.clone()) + translation;
     let normal_cam = plain(&normal).matmul(rotation);
-    let away = (mean_cam * normal_cam).sum_dim(1).greater_elem(0.0).expand([count, 3]);
+    let along = match camera.intrinsics.model {
+        CameraModel::Orthographic => normal_cam.narrow(1, 2, 1),
+        _ => (mean_cam * normal_cam).sum_dim(1),
+    };
+    let away = along.greater_elem(0.0).expand([count, 3]);
     let turned = normal.clone().neg();
     Ok(normal.mask_where(lifted(away), turned))
 }

@@ -140,9 +140,8 @@ impl CaseReference {
                 }
             }
         }
-        // The textbook knows no lenses.
-        let known = scene.paint == Paint::Features(scene.channels()) && scene.intrinsics.model == CameraModel::Pinhole;
-        let condition = if known { textbook::condition(&scene) } else { 1.0 };
+        let known = scene.paint == Paint::Features(scene.channels());
+        let condition = if known && is_pinhole(&scene) { textbook::condition(&scene) } else { 1.0 };
         let mut reference = Self { scene, weights, expected, spread, kept, condition, remarks: Vec::new() };
         reference.check_itself(&plain);
         reference
@@ -229,7 +228,7 @@ impl CaseReference {
     fn textbook(&self) -> Option<CaseOutcome> {
         let scene = &self.scene;
         let pairs = scene.count() * self.kept.len();
-        let knows = scene.paint == Paint::Features(scene.channels()) && !along_rays(&scene.options);
+        let knows = scene.paint == Paint::Features(scene.channels()) && !along_rays(&scene.options) && is_pinhole(scene);
         (knows && pairs <= TEXTBOOK_PAIRS).then(|| {
             let found = textbook::evaluate::<f32>(scene, &self.weights, Backward::Dividing);
             self.compare(&found, 1.0)
@@ -349,6 +348,11 @@ fn kept(scene: &HardScene) -> Vec<bool> {
         variants.push(picture(RenderOptions { transmittance_min: options.transmittance_min * factor, ..*options }));
     }
     (0..pixels).map(|pixel| variants.iter().all(|variant| variant[pixel] == plain[pixel])).collect()
+}
+
+/// Whether the textbook knows the camera.
+fn is_pinhole(scene: &HardScene) -> bool {
+    scene.intrinsics.model == CameraModel::Pinhole && !scene.panorama
 }
 
 /// Whether the options ask for per-ray rasterization, which the textbook does not cover.
