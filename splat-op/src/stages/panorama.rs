@@ -7,28 +7,27 @@
 //! The panorama has `W / 2π` px per radian of longitude at its equator and `H / π` px per radian of latitude; a face of `S` px has `S / 2` px
 //! per radian at its centre, and more elsewhere. `S = ⌈max(W, 2H) / π⌉` makes faces nowhere coarser than the panorama at its equator.
 
-mod resample;
-
 use std::f64::consts::{PI, TAU};
 
 use burn::tensor::{DType, Device, Int, Tensor, TensorData};
 use glam::{DVec2, DVec3};
 
-use self::resample::Resample;
+use super::Rendered;
 use super::render::render_each;
 use super::splats::{Extras, Splats};
-use super::Rendered;
-use crate::abilities::check_fits;
-use crate::backend::apply;
+use crate::abilities::{check_fits, is_gpu};
 use crate::backend::custom_grad::constant;
 use crate::camera::{Camera, Intrinsics};
-use crate::check::{Reference, check_positive};
+use crate::check::Reference;
 use crate::error::SplatError;
 use crate::limits::Need;
-use crate::options::RenderOptions;
+use crate::options::{Accumulation, RenderOptions};
 
 /// Number of pixels of a face beyond the cube's, on each side.
 const MARGIN: usize = 1;
+
+/// Largest side of a face, px. The pixels of six fit the range of i32.
+const MAX_SIDE: usize = 18_916;
 
 /// For each face, which axis of the camera is its +x, +y and +z, and with which sign: ahead, right, behind, left, up, down.
 const FACES: [[(usize, f64); 3]; 6] = [
@@ -49,49 +48,19 @@ const FACES: [[(usize, f64); 3]; 6] = [
 /// (cos φ sin λ, −sin φ, cos φ cos λ)        λ = 2π (x / W − ½)        φ = π (½ − y / H)
 /// ```
 ///
-/// as in COLMAP's `EQUIRECTANGULAR` (`src/colmap/sensor/models.h`) and OpenSfM's `spherical`. The tables take 32 bytes per pixel and
-/// 4 per pixel of the faces.
-///
-/// ```
-/// use burn::tensor::{Device, Tensor};
-/// use splat_op::{Colour, Extras, Panorama, RenderOptions, Splats};
-///
-/// let device = Device::flex();
-/// let behind = Splats {
-///     means: Tensor::from_floats([[0.0, 0.0, -2.0]], &device),
-///     rotations: Tensor::from_floats([[1.0, 0.0, 0.0, 0.0]], &device),
-///     scales: Tensor::from_floats([[0.3, 0.3, 0.3]], &device),
-///     opacities: Tensor::from_floats([0.9], &device),
-///     colour: Colour::Features(Tensor::from_floats([[1.0, 0.5, 0.1]], &device)),
-/// };
-/// let pose = Tensor::from_floats([[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]], &device);
-/// let panorama = Panorama::new(64, 32, &device)?;
-/// let picture = panorama.render(&behind, &pose, &Extras::default(), &RenderOptions::standard())?;
-/// assert_eq!(picture.colour.dims(), [32, 64, 3]);
-/// # Ok::<(), splat_op::SplatError>(())
-/// ```
+/// as in COLMAP's `EQUIRECTANGULAR` (`src/colmap/sensor/models.h`) and OpenSfM's `spherical`. The tables take four numbers per pixel.
 #[derive(Clone, Debug)]
 pub struct Panorama {
     width: usize,
     height: usize,
     /// Camera of a face.
     face: Intrinsics,
-    tables: Tables,
-}
-
-/// Where each pixel lies on the faces, whose pixels are numbered face by face and row by row.
-#[derive(Clone, Debug)]
-struct Tables {
-    /// `[P]`: the first of the four pixels of a face among which a pixel lies.
+    /// `[P]`: the first of the four pixels of the faces among which a pixel lies. Pixels are numbered face by face and row by row.
     corners: Tensor<1, Int>,
     /// `[P, 2]`: its offset from that pixel, px.
     fractions: Tensor<2>,
     /// `[P, 1]`: the length of its ray per camera z of the face.
     lengths: Tensor<2>,
-    /// `[T + 1]`: for each pixel of the faces, where its entries begin.
-    starts: Tensor<1, Int>,
-    /// `[4P]`: the pixels to which a pixel of a face contributes, times four, plus the corner that it is.
-    entries: Tensor<1, Int>,
 }
 
 impl Panorama {
@@ -107,15 +76,37 @@ impl Panorama {
     /// As [`Self::new`], with faces of `side` px for 90°. The error of the interpolation falls with the square of the side.
     ///
     /// # Errors
-    /// As [`Self::new`], also for the faces.
+    /// As [`Self::new`], and if `side` is zero or above 18,916 px.
     pub fn with_faces(width: usize, height: usize, side: usize, device: &Device) -> Result<Self, SplatError> {
         Intrinsics::centred(width, height, 1.0).check()?;
-        check_positive("side", side, "at least 1 px")?;
+        if !(1..=MAX_SIDE).contains(&side) {
+            return Err(SplatError::Value { field: "side", found: side.to_string(), expected: "1 to 18916 px" });
+        }
         let face = Intrinsics::centred(side + 2 * MARGIN, side + 2 * MARGIN, side as f64 / 2.0);
-        face.check()?;
         check_fits(device, &[Need::floats("the tables of a panorama", [4, width, height], "make a smaller panorama")])?;
-        let tables = Tables::new(width, height, &face, &device.clone().without_autodiff());
-        Ok(Self { width, height, face, tables })
+        let (row, pixels) = (face.width, width * height);
+        let (mut corners, mut fractions, mut lengths) = (Vec::new(), Vec::new(), Vec::new());
+        for (y, x) in (0..height).flat_map(|y| (0..width).map(move |x| (y, x))) {
+            let ray = direction(DVec2::new(x as f64 + 0.5, y as f64 + 0.5), width, height);
+            let in_face = FACES.map(|axes| DVec3::from_array(axes.map(|(axis, sign)| sign * ray[axis])));
+            let (number, ray) = in_face.into_iter().enumerate().max_by(|a, b| a.1.z.total_cmp(&b.1.z)).expect("six");
+            let at = (ray.truncate() / ray.z) * face.fx + DVec2::new(face.cx, face.cy) - 0.5;
+            let corner = at.floor().clamp(DVec2::ZERO, DVec2::splat((row - 2) as f64));
+            corners.push(((number * row + corner.y as usize) * row + corner.x as usize) as i32);
+            fractions.extend((at - corner).to_array());
+            lengths.push(1.0 / ray.z);
+        }
+        let device = device.clone().without_autodiff();
+        let dtype = if is_gpu(&device) { DType::F32 } else { DType::F64 };
+        let rows = |values: Vec<f64>, columns| TensorData::new(values, [pixels, columns]);
+        Ok(Self {
+            width,
+            height,
+            face,
+            corners: Tensor::from_data(TensorData::new(corners, [pixels]), (&device, DType::I32)),
+            fractions: Tensor::from_data(rows(fractions, 2), (&device, dtype)),
+            lengths: Tensor::from_data(rows(lengths, 1), (&device, dtype)),
+        })
     }
 
     /// Returns the direction, of length one, in the camera's frame of a position of the picture, px.
@@ -144,7 +135,8 @@ impl Panorama {
     /// Renders Gaussians as seen in all directions from a pose, `[3, 4]`. Returns one picture, `[H, W, C]`.
     ///
     /// Differentiable in all tensors of `splats`, in the pose and in the background. The depth is the distance along the pixel's ray.
-    /// `mean2d_probe` gets the gradients at the projected centres in px of the faces, summed over them.
+    /// `mean2d_probe` gets the gradients at the projected centres in px of the faces, summed over them. With
+    /// [`Accumulation::Ordered`] the gradient of the resampling is slow on a GPU: its additions run one after another.
     ///
     /// Each face renders as a pinhole camera: planes, the order and the Jacobian are those of its own camera z. A Gaussian that is
     /// wide as seen from the camera therefore has slightly different shapes on two faces, with
@@ -161,7 +153,7 @@ impl Panorama {
     ) -> Result<Rendered<3>, SplatError> {
         let reference = Reference::new("means", &splats.means)?;
         reference.check("cam_from_world", cam_from_world, [Some(3), Some(4)], "[3, 4]")?;
-        reference.check_device("panorama", &self.tables.corners.device())?;
+        reference.check_device("panorama", &self.corners.device())?;
         if extras.backgrounds.is_some() {
             let (found, expected) = ("given".into(), "`background`: all faces have one");
             return Err(SplatError::Value { field: "backgrounds", found, expected });
@@ -179,63 +171,40 @@ impl Panorama {
             Tensor::cat(parts.into_iter().flatten().collect(), 2).reshape([side * side, planes])
         };
         let texels: Tensor<2> = Tensor::cat(faces.into_iter().map(face).collect(), 0);
-        let Tables { corners, fractions, lengths, starts, entries } = &self.tables;
-        let fractions = fractions.clone().cast(texels.dtype());
-        let inputs = [(&texels).into(), fractions.into(), corners.into(), starts.into(), entries.into()];
-        let picture: Tensor<3> = apply(Resample { row: side }, inputs).float::<2>(0).reshape([self.height, self.width, planes]);
+        let picture: Tensor<3> =
+            self.resampled(texels, options.accumulation).reshape([self.height, self.width, planes]);
         let part = |first: usize, count: usize| picture.clone().narrow(2, first, count);
         let depth = options.depth.then(|| {
             let z = part(channels + 1, 1);
-            let lengths = lengths.clone().cast(z.dtype()).reshape([self.height, self.width, 1]);
+            let lengths = self.lengths.clone().cast(z.dtype()).reshape([self.height, self.width, 1]);
             z.clone() * constant(&lengths, z.is_autodiff())
         });
         Ok(Rendered { colour: part(0, channels), alpha: part(channels, 1), depth })
+    }
+
+    /// Interpolates among the pixels `[T, K]` of the faces. Returns `[P, K]`.
+    fn resampled(&self, texels: Tensor<2>, accumulation: Accumulation) -> Tensor<2> {
+        let (tracked, columns, row) = (texels.is_autodiff(), texels.dims()[1], self.face.width);
+        let corner = |offset: usize| {
+            let pixels = self.corners.clone().add_scalar(offset as i64);
+            let pixels = if tracked { Tensor::from_inner(pixels) } else { pixels };
+            match accumulation {
+                // The gradient on a GPU is added by atomic additions.
+                Accumulation::Atomic => {
+                    texels.clone().gather(0, pixels.unsqueeze_dim::<2>(1).expand([-1, columns as i64]))
+                }
+                // The gradient on a GPU is added in order, by one unit per column.
+                Accumulation::Ordered => texels.clone().select(0, pixels),
+            }
+        };
+        let fractions = constant(&self.fractions.clone().cast(texels.dtype()), tracked);
+        let [x, y] = [0, 1].map(|axis| fractions.clone().narrow(1, axis, 1));
+        let between = |a: Tensor<2>, b: Tensor<2>, share: &Tensor<2>| a.clone() + (b - a) * share.clone();
+        between(between(corner(0), corner(1), &x), between(corner(row), corner(row + 1), &x), &y)
     }
 }
 
 fn direction(px: DVec2, width: usize, height: usize) -> DVec3 {
     let (longitude, latitude) = (TAU * (px.x / width as f64 - 0.5), PI * (0.5 - px.y / height as f64));
     DVec3::new(latitude.cos() * longitude.sin(), -latitude.sin(), latitude.cos() * longitude.cos())
-}
-
-impl Tables {
-    fn new(width: usize, height: usize, face: &Intrinsics, device: &Device) -> Self {
-        let (row, pixels) = (face.width, width * height);
-        let (mut corners, mut fractions, mut lengths) = (Vec::new(), Vec::new(), Vec::new());
-        for (y, x) in (0..height).flat_map(|y| (0..width).map(move |x| (y, x))) {
-            let ray = direction(DVec2::new(x as f64 + 0.5, y as f64 + 0.5), width, height);
-            let in_face = FACES.map(|axes| DVec3::from_array(axes.map(|(axis, sign)| sign * ray[axis])));
-            let (number, ray) = in_face.into_iter().enumerate().max_by(|a, b| a.1.z.total_cmp(&b.1.z)).expect("six");
-            let at = (ray.truncate() / ray.z) * face.fx + DVec2::new(face.cx, face.cy) - 0.5;
-            let corner = at.floor().clamp(DVec2::ZERO, DVec2::splat((row - 2) as f64));
-            corners.push(((number * row + corner.y as usize) * row + corner.x as usize) as i32);
-            fractions.extend((at - corner).to_array());
-            lengths.push(1.0 / ray.z);
-        }
-        let of_corner = |entry: usize| corners[entry / 4] as usize + resample::offset(entry % 4, row);
-        let mut starts = vec![0_i32; 6 * row * row + 1];
-        (0..4 * pixels).for_each(|entry| starts[of_corner(entry) + 1] += 1);
-        (1..starts.len()).for_each(|i| starts[i] += starts[i - 1]);
-        let (mut next, mut entries) = (starts.clone(), vec![0_i32; 4 * pixels]);
-        for entry in 0..4 * pixels {
-            let next = &mut next[of_corner(entry)];
-            entries[*next as usize] = entry as i32;
-            *next += 1;
-        }
-        let ints = |values: Vec<i32>| {
-            let count = values.len();
-            Tensor::from_data(TensorData::new(values, [count]), (device, DType::I32))
-        };
-        let floats = |values: Vec<f64>| {
-            let columns = values.len() / pixels;
-            Tensor::from_data(TensorData::new(values, [pixels, columns]), (device, DType::F32))
-        };
-        Self {
-            fractions: floats(fractions),
-            lengths: floats(lengths),
-            starts: ints(starts),
-            entries: ints(entries),
-            corners: ints(corners),
-        }
-    }
 }

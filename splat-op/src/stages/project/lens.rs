@@ -7,7 +7,7 @@
 //! ```text
 //! perspective   s = (x, y)/z     bₖ = (rowₖ − sₖ last) / z
 //! orthographic  s = (x, y)       bₖ = rowₖ
-fisheye       s = α p          bₖ = (α rowₖ + pₖ (β p·row − last)) / R       (p, c) = (x, y, z)/R,  R = |(x, y, z)|
+//! fisheye       s = α p          bₖ = (α rowₖ + pₖ (β p·row − last)) / R       (p, c) = (x, y, z)/R,  R = |(x, y, z)|
 //!                                   = (c rowₖ − β p⊥ₖ p⊥·row − pₖ last) / R      p⊥ = (−p_y, p_x)
 //! ```
 //!

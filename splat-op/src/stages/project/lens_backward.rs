@@ -45,7 +45,8 @@ fn first_backward(bent: &LensProjection, grad_base: (Vec3, Vec3), grad_held: Vec
     #[comptime]
     match bent.perspective {
         ComptimeOption::Some(step) => perspective_backward(bent, &step, grad_base, grad_held, grad_centre),
-        ComptimeOption::None => {
+        ComptimeOption::None =>
+        {
             #[comptime]
             match bent.fisheye {
                 ComptimeOption::Some(step) => fisheye_backward(bent, &step, grad_base, grad_held.plus(grad_centre)),

@@ -246,9 +246,10 @@ fn fisheye(mean_cam: Vec3, rows: Mat3, distortion: &Distortion) -> LensProjectio
 
 #[cube]
 fn orthographic(mean_cam: Vec3, rows: Mat3, distortion: &Distortion) -> LensProjection {
-    let at = distortion.at(Vec2::new(mean_cam.x, mean_cam.y));
+    let s = Vec2::new(mean_cam.x, mean_cam.y);
+    let at = distortion.at(s);
     LensProjection {
-        within: true.runtime(),
+        within: s.dot(s) < distortion.max_radius_squared,
         centre: at,
         held: at,
         base_x: rows.x,
