@@ -97,8 +97,8 @@ pub use error::SplatError;
 pub use read::read_back;
 pub use stages::colour::{colours, colours_up_to, evaluate_sh, visible_colours};
 pub use stages::normals::normals;
-pub use stages::panorama::Panorama;
 pub use stages::options::{Accumulation, MAX_UNCULLED_INTERSECTIONS, Projection, RenderOptions};
+pub use stages::panorama::Panorama;
 pub use stages::render::{render, render_each, render_view};
 pub use stages::splats::{Colour, Extras, Splats};
 // Names of stages are those of functions and of their modules.

@@ -83,7 +83,7 @@ fn sh_visible(
     }
     let intrinsics = visible.as_ref().map_or(camera.intrinsics, |(_, intrinsics)| *intrinsics);
     let visible = visible.map(|(visible, _)| visible);
-    let spec = ProjectSpec { intrinsics, options: *options };
+    let spec = ProjectSpec { intrinsics, options: *options, factors: false };
     let (means, pose) = match camera.intrinsics.model {
         CameraModel::Orthographic if count > 0 => along_axis(&camera.cam_from_world, count),
         _ => (means.clone(), camera.cam_from_world.clone()),

@@ -16,6 +16,7 @@ pub mod rasterize_rays;
 
 // Their inputs, and all of them in one call.
 pub(crate) mod colour;
+mod covariances;
 pub(crate) mod normals;
 pub mod options;
 pub(crate) mod panorama;
@@ -25,6 +26,7 @@ pub(crate) mod splats;
 
 use burn::tensor::{Int, Tensor};
 
+use self::covariances::factors;
 pub use self::projected::{Ellipses, Projected};
 use self::splats::{Colour, Extras, Splats, sh_need};
 use crate::abilities::check_fits;
@@ -100,8 +102,8 @@ impl Intersections {
 
 /// Projects Gaussians onto a camera's picture: EWA splatting (Zwicker et al. 2001), as in Kerbl et al. 2023, section 4.
 ///
-/// Returns `N` ellipses, in px. Differentiable in the means, rotations, scales, opacities and the pose. Of `extras`, only
-/// `mean2d_probe` is read.
+/// Returns `N` ellipses, in px. Differentiable in the means, rotations, scales or covariances, opacities and the pose. Of `extras`, only
+/// `covariances` and `mean2d_probe` are read.
 ///
 /// A Gaussian is culled if one of its values is not finite, if its quaternion is zero, if the camera z of its centre is at most
 /// `options.near` or at least `options.far`, if it reaches at most `options.radius_clip`, or if its centre lies outside the domain of the
@@ -119,11 +121,17 @@ pub fn project(
     let reference = check_geometry(splats, camera, options)?;
     let probe = probe_or_empty(&reference, "mean2d_probe", extras.mean2d_probe.as_ref(), splats.means.dims()[0])?;
     reference.check_fits(&[packed_need(splats.means.dims()[0])])?;
-    let spec = ProjectSpec { intrinsics: camera.intrinsics, options: options.of_project(&camera.intrinsics) };
+    let factors = factors(&reference, splats, extras, options)?;
+    let spec = ProjectSpec {
+        intrinsics: camera.intrinsics,
+        options: options.of_project(&camera.intrinsics),
+        factors: factors.is_some(),
+    };
+    let (rotations, scales) = factors.unwrap_or_else(|| (splats.rotations.clone(), splats.scales.clone()));
     let inputs = Geometry {
         means: (&splats.means).into(),
-        rotations: (&splats.rotations).into(),
-        scales: (&splats.scales).into(),
+        rotations: rotations.into(),
+        scales: scales.into(),
         opacities: (&splats.opacities).into(),
         cam_from_world: (&camera.cam_from_world).into(),
         mean2d: probe.into(),
@@ -225,7 +233,11 @@ fn check_geometry(splats: &Splats, camera: &Camera, options: &RenderOptions) -> 
     camera.intrinsics.check()?;
     if options.along_rays() && camera.intrinsics.model == CameraModel::Orthographic {
         let expected = "Affine, whose ellipse is the maximum along parallel rays";
-        return Err(SplatError::Value { field: "projection", found: "RayMax for an orthographic camera".into(), expected });
+        return Err(SplatError::Value {
+            field: "projection",
+            found: "RayMax for an orthographic camera".into(),
+            expected,
+        });
     }
     let reference = Reference::new("means", &splats.means)?;
     let count = splats.means.dims()[0];

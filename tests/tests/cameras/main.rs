@@ -1,7 +1,7 @@
 //! Cameras with parallel rays, cameras that see all directions, and covariances in place of rotations and scales, against the exact
 //! renderer, differences and each other.
 
-
+mod covariances;
 mod gradients;
 mod orthographic;
 mod panoramas;

@@ -66,7 +66,7 @@ impl TestCamera {
         let ([width, height], [fx, fy, cx, cy]) = (self.size, [lens[0], lens[1], lens[2], lens[3]]);
         let distortion = std::array::from_fn(|i| lens[4 + i]);
         let intrinsics = Intrinsics { model: self.model, distortion, width, height, fx, fy, cx, cy };
-        ProjectSpec { intrinsics, options: self.options }
+        ProjectSpec { intrinsics, options: self.options, factors: false }
     }
 
     /// Limits to which the Jacobian's slopes are clamped: low and high along x, then along y.

@@ -14,7 +14,7 @@ const ALL: Geometry<bool> =
 
 fn spec(antialias: bool) -> ProjectSpec {
     let intrinsics = Intrinsics { fx: 35.0, fy: 31.0, cx: 18.0, cy: 15.5, ..Intrinsics::centred(40, 28, 35.0) };
-    ProjectSpec { intrinsics, options: RenderOptions::standard().with_antialias(antialias) }
+    ProjectSpec { intrinsics, options: RenderOptions::standard().with_antialias(antialias), factors: false }
 }
 
 fn with_lens(spec: ProjectSpec, (model, distortion): (CameraModel, [f64; 8])) -> ProjectSpec {
