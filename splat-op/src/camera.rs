@@ -52,13 +52,17 @@ pub enum CameraModel {
     Fisheye,
     /// COLMAP's `THIN_PRISM_FISHEYE`: `k1, k2, p1, p2, k3, k4, sx1, sy1`, `g` as for `Fisheye`.
     ThinPrismFisheye,
+    /// Parallel rays: `d = s = (x, y)`, so the focal lengths are in px per scene unit. The projection is linear, and a Gaussian's
+    /// ellipse is exact. Spherical harmonics see every Gaussian along the camera's axis, the last row of the pose's matrix (gsplat's
+    /// `ortho`: from the camera's centre).
+    Orthographic,
 }
 
 impl CameraModel {
     /// Returns the number of [`Intrinsics::distortion`] coefficients that the model uses.
     pub const fn coefficients(self) -> usize {
         match self {
-            Self::Pinhole => 0,
+            Self::Pinhole | Self::Orthographic => 0,
             Self::OpenCv | Self::Fisheye => 4,
             Self::FullOpenCv | Self::ThinPrismFisheye => 8,
         }

@@ -12,8 +12,8 @@ mod ray;
 
 use glam::{DMat2, DMat3, DQuat, DVec2, DVec3};
 
-use self::ray::Solid;
-use crate::camera::Intrinsics;
+use self::ray::{Ray, Solid};
+use crate::camera::{CameraModel, Intrinsics};
 use crate::options::{Projection, RenderOptions};
 use crate::project::{COMPENSATION_MIN, RADIUS_SIGMAS};
 
@@ -113,12 +113,16 @@ impl<'a> ExactView<'a> {
 
     /// Renders the pixel in column `x` and row `y` by visiting every Gaussian. `background` has a value for each feature.
     pub fn pixel(&self, [x, y]: [usize; 2], background: &[f64]) -> ExactPixel {
-        let centre_px = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
+        self.position(DVec2::new(x as f64 + 0.5, y as f64 + 0.5), background)
+    }
+
+    /// Renders a position of the picture, px, as [`Self::pixel`] renders the centre of a pixel.
+    pub fn position(&self, px: DVec2, background: &[f64]) -> ExactPixel {
         let needs_ray = self.options.along_rays() || self.sorted_per_pixel;
-        let ray = if needs_ray { lens::direction(&self.camera, centre_px) } else { None };
+        let ray = if needs_ray { lens::ray(&self.camera, px) } else { None };
         let seen = self.ellipses.iter().map(|ellipse| match ray {
-            Some(ray) => ellipse.on_ray(centre_px, ray, &self.options, self.sorted_per_pixel),
-            None => ellipse.at(centre_px, if needs_ray { 0.0 } else { 1.0 }),
+            Some(ray) => ellipse.on_ray(px, ray, &self.options, self.sorted_per_pixel),
+            None => ellipse.at(px, if needs_ray { 0.0 } else { 1.0 }),
         });
         let mut seen: Vec<Contribution> = seen.collect();
         // The sort is stable: Gaussians at equal depths keep their order.
@@ -129,19 +133,16 @@ impl<'a> ExactView<'a> {
 
 impl<'a> ExactEllipse<'a> {
     /// The ellipse at a position of the picture, dimmed by a factor.
-    fn at(&self, centre_px: DVec2, dimmed: f64) -> Contribution<'a> {
-        let d = centre_px - self.mean_px;
+    fn at(&self, px: DVec2, dimmed: f64) -> Contribution<'a> {
+        let d = px - self.mean_px;
         let alpha = dimmed * self.opacity * (-0.5 * d.dot(self.conic * d)).exp();
         Contribution { alpha, depth: self.depth, key: self.depth, features: self.features }
     }
 
     /// The Gaussian along the ray of that position, whose direction has z one, perhaps with the maximum as its key.
-    fn on_ray(&self, centre_px: DVec2, ray: DVec3, options: &RenderOptions, by_pixel: bool) -> Contribution<'a> {
-        let (mut seen, solid) = (self.at(centre_px, 1.0), &self.solid);
-        let met = match options.projection {
-            Projection::RayMax => solid.meet(ray),
-            Projection::Affine => solid.meet(solid.on_screen_ray(ray)),
-        };
+    fn on_ray(&self, px: DVec2, ray: Ray, options: &RenderOptions, by_pixel: bool) -> Contribution<'a> {
+        let (mut seen, solid) = (self.at(px, 1.0), &self.solid);
+        let met = solid.meet(solid.on_screen_ray(ray));
         if options.along_rays() {
             // A maximum behind the camera is not visible.
             seen.alpha = if met.at > 0.0 { self.opacity * met.value } else { 0.0 };
@@ -186,9 +187,10 @@ fn project<'a>(
     let covariance_cam = pose.rotation * covariance_world * pose.rotation.transpose();
 
     // The Jacobian of a perspective camera is evaluated at most the margin outside the picture, and within the picture for
-    // `RayMax`, which takes no more than the compensation from it. A fisheye's Jacobian is not clamped.
+    // `RayMax`, which takes no more than the compensation from it. Other Jacobians are not clamped.
     let [[low_x, high_x], [low_y, high_y]] = camera.slope_limits(options.of_project(camera).jacobian_margin);
-    let held = match camera.model.is_fisheye() {
+    let parallel = camera.model == CameraModel::Orthographic;
+    let held = match camera.model.is_fisheye() || parallel {
         true => mean_cam,
         false => DVec3::new((x / z).clamp(low_x, high_x) * z, (y / z).clamp(low_y, high_y) * z, z),
     };
@@ -207,8 +209,8 @@ fn project<'a>(
         1.0
     };
     let solid = match options.projection {
-        Projection::RayMax => Solid::in_camera(mean_cam, covariance_cam, [j0, j1], options.blur),
-        Projection::Affine => Solid::on_screen(mean_cam, covariance_cam, [j0, j1], options.blur),
+        Projection::Affine if !parallel => Solid::on_screen(mean_cam, covariance_cam, [j0, j1], options.blur),
+        _ => Solid::in_camera(mean_cam, covariance_cam, [j0, j1], options.blur),
     };
     Some(ExactEllipse {
         mean_px: DVec2::from_array(mean_px),

@@ -81,6 +81,7 @@ pub use stages::colour::{colours, colours_up_to, evaluate_sh, visible_colours};
 pub use stages::intersections::{Intersections, intersect};
 pub use stages::normals::normals;
 pub use stages::options::{Accumulation, MAX_UNCULLED_INTERSECTIONS, Projection, RenderOptions};
+pub use stages::panorama::Panorama;
 pub use stages::projected::{Ellipses, Projected, project};
 pub use stages::render::{render, render_each, render_view};
 pub use stages::rendered::{Rendered, rasterize};

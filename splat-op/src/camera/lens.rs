@@ -180,13 +180,14 @@ impl Projector {
     /// [`Intrinsics::max_radius`]). The equations are [`CameraModel`]'s.
     pub fn px_from_cam(&self, point: DVec3) -> Option<DVec2> {
         let (camera, across) = (&self.camera, point.truncate());
-        let s = match camera.model.is_fisheye() {
-            true => {
+        let s = match camera.model {
+            CameraModel::Orthographic => across,
+            CameraModel::Fisheye | CameraModel::ThinPrismFisheye => {
                 let rho = across.length();
                 // On the axis angles equal slopes.
                 across * if rho > 0.0 { rho.atan2(point.z) / rho } else { 1.0 / point.z }
             }
-            false => across / point.z,
+            _ => across / point.z,
         };
         let seen = point.z > 0.0 && s.length() < self.max_radius;
         let d = self.lens.map(s);
@@ -196,12 +197,14 @@ impl Projector {
     /// Returns the direction, in the camera's frame, that projects to the position `px`, px.
     ///
     /// Its z is one. For a fisheye, whose picture may include directions with a z of zero, its length is one instead. If no
-    /// direction projects to `px`, it is the nearest one in the lens's domain.
+    /// direction projects to `px`, it is the nearest one in the lens's domain. An orthographic camera's is the z axis everywhere.
     pub fn cam_from_px(&self, px: DVec2) -> DVec3 {
         let d = self.camera.focal_from_px(px);
         let model = self.camera.model;
-        if model == CameraModel::Pinhole {
-            return d.extend(1.0);
+        match model {
+            CameraModel::Pinhole => return d.extend(1.0),
+            CameraModel::Orthographic => return DVec3::Z,
+            _ => {}
         }
         if !model.is_fisheye() {
             return self.lens.inverse(d, self.max_radius).extend(1.0);
@@ -217,7 +220,7 @@ impl Intrinsics {
         let [a, b, c, d, e, f, g, h] = self.distortion;
         let none = LensCoefficients::default();
         match self.model {
-            CameraModel::Pinhole => none,
+            CameraModel::Pinhole | CameraModel::Orthographic => none,
             CameraModel::OpenCv => LensCoefficients { radial: [a, b, 0.0, 0.0], tangential: [d, c], ..none },
             CameraModel::FullOpenCv => {
                 LensCoefficients { radial: [a, b, e, 0.0], denominator: [f, g, h], tangential: [d, c], ..none }
@@ -232,7 +235,7 @@ impl Intrinsics {
     /// Returns the radius of the lens's domain: a slope, or for a fisheye an angle in radians.
     ///
     /// Below it no two directions project to the same position; the lens shows nothing from there on. It is infinite if
-    /// that holds up to a slope of a million, as for a pinhole.
+    /// that holds up to a slope of a million, as for a pinhole, and for an orthographic camera.
     pub fn max_radius(&self) -> f64 {
         self.coefficients().max_radius()
     }
@@ -241,7 +244,8 @@ impl Intrinsics {
     /// it on either side. A lens's picture has the extent of its border in slopes, widened to include the optical axis, so that
     /// clamping never moves a slope outwards.
     pub(crate) fn slope_limits(&self, margin: f64) -> [[f64; 2]; 2] {
-        if self.model == CameraModel::Pinhole {
+        // Those of an orthographic camera, whose Jacobian is constant, are not used.
+        if matches!(self.model, CameraModel::Pinhole | CameraModel::Orthographic) {
             let limits = |size: usize, focal: f64, principal: f64| {
                 let margin = margin * size as f64 / (2.0 * focal);
                 [-principal / focal - margin, (size as f64 - principal) / focal + margin]

@@ -5,6 +5,7 @@ use std::ops::{Add, Div, Mul, Sub};
 
 use glam::{DMat2, DVec2, DVec3};
 
+use super::ray::Ray;
 use crate::camera::{CameraModel, Intrinsics};
 
 /// Dual number: a value and its gradient with respect to `(x, y, z)`.
@@ -67,7 +68,7 @@ pub(super) fn seen(camera: &Intrinsics, point: DVec3) -> Option<[Dual; 2]> {
 fn seen_within(camera: &Intrinsics, max_radius: f64, point: DVec3) -> Option<[Dual; 2]> {
     let axis = |value, grad| Dual { value, grad };
     let [x, y, z] = [axis(point.x, DVec3::X), axis(point.y, DVec3::Y), axis(point.z, DVec3::Z)];
-    let (mut u, mut v) = (x / z, y / z);
+    let (mut u, mut v) = if camera.model == CameraModel::Orthographic { (x, y) } else { (x / z, y / z) };
     // On the axis angles equal slopes, derivatives included, and the formula is 0/0.
     if camera.model.is_fisheye() && (point.x != 0.0 || point.y != 0.0) {
         let r = (u * u + v * v).sqrt();
@@ -82,7 +83,7 @@ fn seen_within(camera: &Intrinsics, max_radius: f64, point: DVec3) -> Option<[Du
     let tangential =
         |p1: Dual, p2: Dual| [two * p1 * u * v + p2 * (r2 + two * u * u), two * p2 * u * v + p1 * (r2 + two * v * v)];
     let (radial, [du, dv]) = match camera.model {
-        CameraModel::Pinhole => (one, [number(0.0); 2]),
+        CameraModel::Pinhole | CameraModel::Orthographic => (one, [number(0.0); 2]),
         CameraModel::OpenCv => {
             let [k1, k2, p1, p2, ..] = c;
             (one + k1 * r2 + k2 * r4, tangential(p1, p2))
@@ -106,9 +107,18 @@ fn seen_within(camera: &Intrinsics, max_radius: f64, point: DVec3) -> Option<[Du
     Some([fx * (u * radial + du) + cx, fy * (v * radial + dv) + cy])
 }
 
-/// Returns the direction, with z one, that is projected to a position, px; `None` if there is none. Newton's method from the
-/// directions of a coarse grid, because the projection of a strong lens folds outside its domain.
-pub(super) fn direction(camera: &Intrinsics, pixel: DVec2) -> Option<DVec3> {
+/// Returns the ray that is projected to a position, px; `None` if there is none. Its direction has a z of one.
+pub(super) fn ray(camera: &Intrinsics, pixel: DVec2) -> Option<Ray> {
+    if camera.model == CameraModel::Orthographic {
+        let origin = (pixel - DVec2::new(camera.cx, camera.cy)) / DVec2::new(camera.fx, camera.fy);
+        return Some(Ray { origin: origin.extend(0.0), direction: DVec3::Z });
+    }
+    direction(camera, pixel).map(|direction| Ray { origin: DVec3::ZERO, direction })
+}
+
+/// Returns the direction from the camera's centre. Newton's method from the directions of a coarse grid, because the projection of a
+/// strong lens folds outside its domain.
+fn direction(camera: &Intrinsics, pixel: DVec2) -> Option<DVec3> {
     // For an angle θ, a fisheye's projection is far closer to linear in θ than in tan θ.
     let (fisheye, max_radius) = (camera.model.is_fisheye(), camera.max_radius());
     let ray = |s: DVec2| {

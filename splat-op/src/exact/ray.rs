@@ -4,12 +4,19 @@ use glam::{DMat2, DMat3, DVec3};
 
 /// A Gaussian in the camera's frame or in coordinates that are a linear map of that frame.
 pub(super) struct Solid {
-    /// Centre relative to the origin of the rays.
+    /// Centre relative to the camera's centre.
     centre: DVec3,
     /// Inverse of the covariance.
     precision: DMat3,
     /// The map of [`Solid::on_screen`] with the translation that takes the direction to the centre to `(0, 0, 1)`.
     on_screen: DMat3,
+}
+
+/// A ray in the camera's frame.
+#[derive(Clone, Copy)]
+pub(super) struct Ray {
+    pub origin: DVec3,
+    pub direction: DVec3,
 }
 
 /// Maximum of a Gaussian along a ray.
@@ -41,15 +48,15 @@ impl Solid {
         Self { centre: DVec3::Z, precision, on_screen }
     }
 
-    /// The ray with a direction in the camera's frame, in the coordinates of [`Solid::on_screen`].
-    pub fn on_screen_ray(&self, direction: DVec3) -> DVec3 {
-        self.on_screen * direction
+    /// The ray in the coordinates of the Gaussian.
+    pub fn on_screen_ray(&self, ray: Ray) -> Ray {
+        Ray { direction: self.on_screen * ray.direction, ..ray }
     }
 
-    pub fn meet(&self, direction: DVec3) -> Met {
+    pub fn meet(&self, Ray { origin, direction }: Ray) -> Met {
         let towards = self.precision * direction;
-        let at = towards.dot(self.centre) / towards.dot(direction);
-        let offset = at * direction - self.centre;
+        let at = towards.dot(self.centre - origin) / towards.dot(direction);
+        let offset = origin + at * direction - self.centre;
         Met { at, value: (-0.5 * offset.dot(self.precision * offset)).exp() }
     }
 }

@@ -6,7 +6,7 @@ use burn::tensor::Tensor;
 
 use super::options::RenderOptions;
 use super::splats::{Colour, Splats};
-use crate::camera::{Camera, Intrinsics};
+use crate::camera::{Camera, CameraModel, Intrinsics};
 use crate::check::{Reference, check_positive};
 use crate::error::SplatError;
 use crate::intersect::tile_grid;
@@ -50,6 +50,11 @@ impl<'a> Checked<'a> {
 
     pub fn camera(&self, camera: &Camera) -> Result<(), SplatError> {
         camera.intrinsics.check()?;
+        if self.options.along_rays() && camera.intrinsics.model == CameraModel::Orthographic {
+            let found = "RayMax for an orthographic camera".into();
+            let expected = "Affine, whose ellipse is the maximum along parallel rays";
+            return Err(SplatError::Value { field: "projection", found, expected });
+        }
         self.pose(camera)
     }
 

@@ -6,13 +6,13 @@ use super::checked::Checked;
 use super::projected::Projected;
 use super::splats::{Colour, Splats};
 use crate::backend::apply;
-use crate::camera::Camera;
+use crate::camera::{Camera, CameraModel};
 use crate::error::SplatError;
 use crate::options::RenderOptions;
 use crate::project::{COLUMNS, ProjectSpec};
 use crate::sh::operation::EvaluateSh;
 
-/// Evaluates spherical harmonics for the directions from a camera to Gaussians.
+/// Evaluates spherical harmonics for the directions from a camera to Gaussians; those of an orthographic camera are its axis.
 ///
 /// Takes coefficients `[N, (degree+1)², 3]`, degree 0 to 4, and centres `means` `[N, 3]`, world frame, scene units. Returns colours
 /// `[N, 3]`, at least 0. Differentiable in the coefficients, the centres and the pose. Equations and sources: [`crate::sh`].
@@ -23,6 +23,14 @@ pub fn evaluate_sh(sh: &Tensor<3>, means: &Tensor<2>, camera: &Camera) -> Result
     let (colour, options) = (Colour::SphericalHarmonics(sh.clone()), RenderOptions::standard());
     check(&colour, means, camera, &options)?;
     Ok(seen(&colour, means, camera, None, &options))
+}
+
+/// Centres and a pose in place of an orthographic camera's, for which all directions are those of its rays: the last row of the pose's
+/// matrix.
+fn along_axis(pose: &Tensor<2>, count: usize) -> (Tensor<2>, Tensor<2>) {
+    let axis = pose.clone().narrow(0, 2, 1).narrow(1, 0, 3).expand([count, 3]);
+    let identity = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]];
+    (axis, Tensor::<2>::from_floats(identity, &pose.device()).cast(pose.dtype()))
 }
 
 /// Returns the colour or features `[N, C]` of each Gaussian as a camera sees it.
@@ -91,11 +99,15 @@ pub(super) fn seen(
     // A ray may hit a Gaussian whose ellipse lies outside the picture.
     let visible = projected.filter(|_| !options.along_rays());
     let intrinsics = visible.map_or(camera.intrinsics, |visible| *visible.intrinsics());
-    let spec = ProjectSpec { intrinsics, options: *options };
+    let spec = ProjectSpec { intrinsics, options: *options, factors: false };
     let evaluate = |sh: &Tensor<3>, means: Tensor<2>, ellipses: Option<Tensor<2>>| {
         let coefficients = options.sh_degree.map_or(usize::MAX, |degree| (degree + 1) * (degree + 1));
         let sh = if coefficients < sh.dims()[1] { sh.clone().narrow(1, 0, coefficients) } else { sh.clone() };
-        let inputs = [sh.into(), means.into(), (&camera.cam_from_world).into(), ellipses.into()];
+        let (means, pose) = match camera.intrinsics.model {
+            CameraModel::Orthographic if means.dims()[0] > 0 => along_axis(&camera.cam_from_world, means.dims()[0]),
+            _ => (means, camera.cam_from_world.clone()),
+        };
+        let inputs = [sh.into(), means.into(), pose.into(), ellipses.into()];
         apply(EvaluateSh(spec), inputs).float(0)
     };
     let ellipses = visible.map(|visible| &visible.packed);

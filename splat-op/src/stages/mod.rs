@@ -17,9 +17,11 @@ pub mod rasterize_rays;
 // Their inputs, checks and results with the functions that make them, and all stages in one call.
 pub(crate) mod checked;
 pub(crate) mod colour;
+mod covariances;
 pub(crate) mod intersections;
 pub(crate) mod normals;
 pub mod options;
+pub(crate) mod panorama;
 pub(crate) mod projected;
 pub(crate) mod render;
 pub(crate) mod rendered;

@@ -5,7 +5,7 @@ use burn::tensor::{Bool, Int, Tensor};
 use super::checked::Checked;
 use super::splats::Splats;
 use crate::backend::custom_grad::{constant, plain};
-use crate::camera::Camera;
+use crate::camera::{Camera, CameraModel};
 use crate::error::SplatError;
 use crate::options::RenderOptions;
 
@@ -55,7 +55,11 @@ pub(super) fn facing(splats: &Splats, camera: &Camera) -> Tensor<2> {
     let translation = pose.narrow(1, 3, 1).transpose();
     let mean_cam = plain(&splats.means).matmul(rotation.clone()) + translation;
     let normal_cam = plain(&normal).matmul(rotation);
-    let away = (mean_cam * normal_cam).sum_dim(1).greater_elem(0.0).expand([count, 3]);
+    let along = match camera.intrinsics.model {
+        CameraModel::Orthographic => normal_cam.narrow(1, 2, 1),
+        _ => (mean_cam * normal_cam).sum_dim(1),
+    };
+    let away = along.greater_elem(0.0).expand([count, 3]);
     let turned = normal.clone().neg();
     normal.mask_where(lifted(away), turned)
 }

@@ -3,6 +3,7 @@
 use burn::tensor::{Bool, Tensor};
 
 use super::checked::{Checked, packed_need};
+use super::covariances::factored;
 use super::splats::{Extras, Splats};
 use crate::backend::apply;
 use crate::camera::{Camera, Intrinsics};
@@ -143,8 +144,8 @@ impl Ellipses {
 
 /// Projects Gaussians onto a camera's picture: EWA splatting (Zwicker et al. 2001), as in Kerbl et al. 2023, section 4.
 ///
-/// Returns `N` ellipses, in px. Differentiable in the means, rotations, scales, opacities and the pose. Of `extras`, only
-/// `mean2d_probe` is read.
+/// Returns `N` ellipses, in px. Differentiable in the means, rotations, scales or covariances, opacities and the pose. Of `extras`, only
+/// `covariances` and `mean2d_probe` are read.
 ///
 /// A Gaussian is culled if one of its values is not finite, if its quaternion is zero, if the camera z of its centre is at most
 /// `options.near` or at least `options.far`, if it reaches at most `options.radius_clip`, or if its centre lies outside the domain of the
@@ -162,13 +163,20 @@ pub fn project(
     let checked = Checked::gaussians(splats, options)?;
     checked.camera(camera)?;
     let probe = checked.probe("mean2d_probe", extras.mean2d_probe.as_ref())?;
-    Ok(projected(&checked, splats, camera, probe))
+    let (splats, factors) = factored(&checked, splats, extras)?;
+    Ok(projected(&checked, &splats, factors, camera, probe))
 }
 
-/// [`project`](fn@project) of inputs that have been checked.
-pub(super) fn projected(checked: &Checked, splats: &Splats, camera: &Camera, mean2d_probe: Tensor<2>) -> Projected {
+/// [`project`](fn@project) of inputs that have been checked, with the rotations and scales of [`factored`].
+pub(super) fn projected(
+    checked: &Checked,
+    splats: &Splats,
+    factors: bool,
+    camera: &Camera,
+    mean2d_probe: Tensor<2>,
+) -> Projected {
     let (intrinsics, options) = (camera.intrinsics, checked.options);
-    let spec = ProjectSpec { intrinsics, options: options.of_project(&intrinsics) };
+    let spec = ProjectSpec { intrinsics, options: options.of_project(&intrinsics), factors };
     let inputs = Geometry {
         means: (&splats.means).into(),
         rotations: (&splats.rotations).into(),

@@ -6,6 +6,7 @@ use burn::tensor::Tensor;
 
 use super::checked::Checked;
 use super::colour::seen;
+use super::covariances::factored;
 use super::intersections::listed;
 use super::normals::facing;
 use super::projected::projected;
@@ -69,6 +70,7 @@ pub fn render_each(
     let channels = splats.colour.channels();
     let checked = Checked::gaussians(splats, options)?;
     checked.colour(&splats.colour)?;
+    let (shapes, factors) = factored(&checked, splats, extras)?;
     let mean2d_probe = checked.probe("mean2d_probe", extras.mean2d_probe.as_ref())?;
     let mean2d_abs_probe = checked.probe("mean2d_abs_probe", extras.mean2d_abs_probe.as_ref())?;
     let backgrounds = match &extras.backgrounds {
@@ -89,7 +91,7 @@ pub fn render_each(
         checked.picture(&camera.intrinsics, channels + if options.normals { 3 } else { 0 })?;
     }
     let one = |(camera, mut background): (&Camera, Tensor<1>)| {
-        let projected = projected(&checked, splats, camera, mean2d_probe.clone());
+        let projected = projected(&checked, &shapes, factors, camera, mean2d_probe.clone());
         let mut features = seen(&splats.colour, &splats.means, camera, Some(&projected), options);
         if options.normals {
             features = with_three(features, facing(splats, camera));

@@ -38,6 +38,22 @@ pub struct Rendered<const D: usize> {
     pub visible: Option<Tensor<2, Bool>>,
 }
 
+impl Rendered<3> {
+    /// A picture with those outputs that the options ask for, of which `depth` serves two. Others are absent.
+    pub(super) fn of(colour: Tensor<3>, alpha: Tensor<3>, depth: Option<Tensor<3>>, options: &RenderOptions) -> Self {
+        let expected_depth = depth.clone().filter(|_| options.expected_depth);
+        Self {
+            depth: depth.filter(|_| options.depth),
+            expected_depth: expected_depth.map(|depth| depth / alpha.clone().clamp_min(1e-10)),
+            normals: None,
+            radii: None,
+            visible: None,
+            colour,
+            alpha,
+        }
+    }
+}
+
 impl<const D: usize> Rendered<D> {
     /// Combines pictures with the same outputs, one output after the other: their mean, for example. Radii, and what is visible, are those
     /// of all pictures in turn.
@@ -131,14 +147,8 @@ pub(crate) fn blended(checked: &Checked, projected: &Projected, lists: &Intersec
     let mut picture = |i: usize| planes.float::<3>(i).permute([1, 2, 0]);
     let (colour, alpha) = (picture(0), picture(1));
     let depth = spec.options.depth.then(|| picture(2));
-    let expected_depth = depth.clone().filter(|_| options.expected_depth);
-    Rendered {
-        depth: depth.filter(|_| options.depth),
-        expected_depth: expected_depth.map(|depth| depth / alpha.clone().clamp_min(1e-10)),
-        normals: None,
-        radii: options.radii.then(|| projected.radii().unsqueeze_dim(0)),
-        visible: options.visible.then(|| projected.visible().unsqueeze_dim(0)),
-        colour,
-        alpha,
-    }
+    let mut rendered = Rendered::of(colour, alpha, depth, options);
+    rendered.radii = options.radii.then(|| projected.radii().unsqueeze_dim(0));
+    rendered.visible = options.visible.then(|| projected.visible().unsqueeze_dim(0));
+    rendered
 }

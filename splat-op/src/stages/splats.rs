@@ -26,6 +26,11 @@ pub struct Extras {
     pub background: Option<Tensor<1>>,
     /// `[B, C]`: a background for each of the cameras of [`render`](fn@crate::render), instead of `background`.
     pub backgrounds: Option<Tensor<2>>,
+    /// `[N, 3, 3]`: covariances, world frame, scene units squared, instead of the rotations and scales of the Gaussians, whose values are then
+    /// not read. The lower triangles are read. A Gaussian whose covariance is not positive definite in its float type, such as one that is flat
+    /// or a point, is culled; a small multiple of the identity makes it visible. In f32 axes may differ in length by a factor of a few
+    /// hundred. With [`Projection::Affine`](crate::Projection) only.
+    pub covariances: Option<Tensor<3>>,
     /// `[N, 2]`: tracked leaf tensor whose gradient becomes `∂L/∂mean2d` at the projected centres, per px, summed over the
     /// cameras. (Burn keeps no gradients of intermediate tensors.) Its values are not read. The field's densification threshold,
     /// 2e-4, is per unit of normalised device coordinates: multiply the gradient by `[width / 2, height / 2]` before comparing.
@@ -51,6 +56,7 @@ macro_rules! builders {
 builders! {
     with_background(background: Tensor<1>);
     with_backgrounds(backgrounds: Tensor<2>);
+    with_covariances(covariances: Tensor<3>);
     with_mean2d_probe(mean2d_probe: Tensor<2>);
     with_mean2d_abs_probe(mean2d_abs_probe: Tensor<2>);
 }

@@ -6,6 +6,9 @@ use crate::camera::CameraModel;
 pub const FOX: (CameraModel, [f64; 8]) =
     (CameraModel::OpenCv, [0.056_265, -0.079_533, -0.000_75, -0.000_204, 0.0, 0.0, 0.0, 0.0]);
 
+/// A camera with parallel rays.
+pub const ORTHOGRAPHIC: (CameraModel, [f64; 8]) = (CameraModel::Orthographic, [0.0; 8]);
+
 /// One or two moderate lenses of each model, with all coefficients non-zero.
 pub fn lenses() -> Vec<(CameraModel, [f64; 8])> {
     vec![

@@ -1,7 +1,7 @@
 //! Render and gradients of a scene by the operation, on any device and float type.
 
 use burn::tensor::{DType, Device, Tensor};
-use splat_op::{Camera, Colour, Extras, RawSplats, Splats, activate, project, render};
+use splat_op::{Camera, Colour, Extras, Panorama, RawSplats, Splats, activate, project, render_view};
 
 use crate::scene::{HardScene, OutputWeights, Paint};
 use crate::tensors::{Named, host, leaf, tensor};
@@ -105,12 +105,15 @@ pub fn evaluate(scene: &HardScene, weights: &OutputWeights, device: &Device, dty
     let background: Tensor<1> = leaf(&scene.background, [scene.channels()], &device, dtype);
     let probe = Tensor::zeros([scene.count(), 2], (&device, dtype)).require_grad();
     let extras = Extras::default().with_background(background.clone()).with_mean2d_probe(probe.clone());
-    let out = render(&splats, std::slice::from_ref(&camera), &extras, &scene.options)
-        .unwrap_or_else(|error| panic!("{}: {error}", scene.label));
+    let out = match scene.panorama {
+        true => panorama(scene, &device).render(&splats, &camera.cam_from_world, &extras, &scene.options),
+        false => render_view(&splats, &camera, &extras, &scene.options),
+    };
+    let out = out.unwrap_or_else(|error| panic!("{}: {error}", scene.label));
     let depth = out.depth.expect("depth was asked for");
 
     let [height, width] = [scene.intrinsics.height, scene.intrinsics.width];
-    let weight = |values: &[f64], channels| tensor(values, [1, height, width, channels], &device, dtype);
+    let weight = |values: &[f64], channels| tensor(values, [height, width, channels], &device, dtype);
     let loss = (out.colour.clone() * weight(&weights.image, scene.channels())).sum()
         + (out.alpha.clone() * weight(&weights.alpha, 1)).sum()
         + (depth.clone() * weight(&weights.depth, 1)).sum();
@@ -134,13 +137,25 @@ pub fn evaluate(scene: &HardScene, weights: &OutputWeights, device: &Device, dty
     Outputs::new(scene, [host(out.colour), host(out.alpha), host(depth)], gradients)
 }
 
-/// Indices of the Gaussians that the projection culls.
+fn panorama(scene: &HardScene, device: &Device) -> Panorama {
+    let size = &scene.intrinsics;
+    Panorama::new(size.width, size.height, device).unwrap_or_else(|error| panic!("{}: {error}", scene.label))
+}
+
+/// Indices of the Gaussians that the projection culls, on all faces of a panorama.
 pub fn culled(scene: &HardScene, device: &Device, dtype: DType) -> Vec<usize> {
     let Leaves { splats, camera, .. } = leaves(scene, device, dtype);
-    let projected = project(&splats, &camera, &Extras::default(), &scene.options)
-        .unwrap_or_else(|error| panic!("{}: {error}", scene.label));
-    let depths = host(projected.ellipses().depth);
-    depths.iter().enumerate().filter(|(_, depth)| **depth == 0.0).map(|(i, _)| i).collect()
+    let cameras = match scene.panorama {
+        true => panorama(scene, device).faces(&camera.cam_from_world).to_vec(),
+        false => vec![camera],
+    };
+    let depths = cameras.iter().map(|camera| {
+        let projected = project(&splats, camera, &Extras::default(), &scene.options)
+            .unwrap_or_else(|error| panic!("{}: {error}", scene.label));
+        host(projected.ellipses().depth)
+    });
+    let depths: Vec<Vec<f64>> = depths.collect();
+    (0..scene.count()).filter(|&i| depths.iter().all(|depths| depths[i] == 0.0)).collect()
 }
 
 /// The opacities after the projection, in f64: compensated, if the scene's options say so.

@@ -10,6 +10,7 @@ use crate::ceiling::{ROW_EXCEPTIONS, ROW_TOLERANCE, SMALLEST, ceiling_used};
 use crate::compare::{largest, norm, relative_error, worst};
 use crate::evaluate::{OF_NO_SPLAT, Outputs, culled, evaluate};
 use crate::number::Wide;
+use crate::panorama::asymmetries;
 use crate::random::Random;
 use crate::scene::{HardScene, OutputWeights, Paint, STANDARD, TruthSource};
 use crate::tensors::Named;
@@ -140,9 +141,8 @@ impl CaseReference {
                 }
             }
         }
-        // The textbook knows no lenses.
-        let known = scene.paint == Paint::Features(scene.channels()) && scene.intrinsics.model == CameraModel::Pinhole;
-        let condition = if known { textbook::condition(&scene) } else { 1.0 };
+        let known = scene.paint == Paint::Features(scene.channels());
+        let condition = if known && is_pinhole(&scene) { textbook::condition(&scene) } else { 1.0 };
         let mut reference = Self { scene, weights, expected, spread, kept, condition, remarks: Vec::new() };
         reference.check_itself(&plain);
         reference
@@ -155,6 +155,9 @@ impl CaseReference {
         if !finite(&self.expected) || !finite(&self.spread) {
             self.remarks.push("the reference is not finite".into());
         }
+        if self.scene.panorama {
+            self.remarks.extend(asymmetries(&self.scene, &self.weights, plain));
+        }
         let outcome = self.compare(plain, F64_SHARE);
         self.remarks.extend(outcome.failures.into_iter().map(|failure| format!("f64 against reference: {failure}")));
         let options = &self.scene.options;
@@ -165,7 +168,8 @@ impl CaseReference {
             true => (self.condition.max(solid_condition(&self.scene)), 1e6, 1e-13),
             false => (self.condition, 1e9, 1e-14),
         };
-        let known = self.scene.truth == TruthSource::Wide || along_rays(options);
+        let parallel = self.scene.intrinsics.model == CameraModel::Orthographic;
+        let known = self.scene.truth == TruthSource::Wide || along_rays(options) || parallel;
         let features = self.scene.paint == Paint::Features(self.scene.channels());
         if known && features && !self.scene.stored && !cuts && !limited && condition < most {
             let found = exact(&self.scene);
@@ -229,7 +233,8 @@ impl CaseReference {
     fn textbook(&self) -> Option<CaseOutcome> {
         let scene = &self.scene;
         let pairs = scene.count() * self.kept.len();
-        let knows = scene.paint == Paint::Features(scene.channels()) && !along_rays(&scene.options);
+        let knows =
+            scene.paint == Paint::Features(scene.channels()) && !along_rays(&scene.options) && is_pinhole(scene);
         (knows && pairs <= TEXTBOOK_PAIRS).then(|| {
             let found = textbook::evaluate::<f32>(scene, &self.weights, Backward::Dividing);
             self.compare(&found, 1.0)
@@ -349,6 +354,11 @@ fn kept(scene: &HardScene) -> Vec<bool> {
         variants.push(picture(options.with_transmittance_min(options.transmittance_min * factor)));
     }
     (0..pixels).map(|pixel| variants.iter().all(|variant| variant[pixel] == plain[pixel])).collect()
+}
+
+/// Whether the textbook knows the camera.
+fn is_pinhole(scene: &HardScene) -> bool {
+    scene.intrinsics.model == CameraModel::Pinhole && !scene.panorama
 }
 
 /// Whether the options ask for per-ray rasterization, which the textbook does not cover.

@@ -16,6 +16,7 @@ pub mod cases;
 pub mod evaluate;
 pub mod judge;
 pub mod number;
+pub mod panorama;
 pub mod scene;
 pub mod scratch;
 pub mod table;

@@ -65,6 +65,8 @@ pub struct HardScene {
     /// Pose, camera from world, `[3, 4]`.
     pub pose: Vec<f64>,
     pub intrinsics: Intrinsics,
+    /// Whether the picture is a panorama; of the intrinsics, only its size counts then.
+    pub panorama: bool,
     pub options: RenderOptions,
     /// Number of neighbours, the last rows. They lie beside the hard Gaussians without overlap and must not be changed by them.
     pub neighbours: usize,
@@ -152,6 +154,7 @@ impl HardScene {
             background: vec![0.1, 0.2, 0.3],
             pose: IDENTITY.to_vec(),
             intrinsics: camera(),
+            panorama: false,
             options: SMOOTH,
             neighbours: 0,
             stored: false,
@@ -187,6 +190,12 @@ impl HardScene {
 
     pub fn with_camera(self, intrinsics: Intrinsics) -> Self {
         Self { intrinsics, ..self }
+    }
+
+    /// Declares the picture a panorama of `width` × `height` px.
+    pub fn as_panorama(self, width: usize, height: usize) -> Self {
+        let intrinsics = Intrinsics::centred(width, height, 1.0);
+        Self { intrinsics, panorama: true, truth: TruthSource::Twin, ..self }
     }
 
     pub fn with_truth(self, truth: TruthSource) -> Self {

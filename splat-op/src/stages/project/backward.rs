@@ -192,9 +192,15 @@ pub(crate) fn gaussian_backward(
                 of.scale = grad_m0.by_axis(p.x.j).plus(grad_m1.by_axis(p.y.j));
             }
             if comptime!(through_rows) {
-                let grad_j = (grad_m0.by_axis(g.scale), grad_m1.by_axis(g.scale));
+                let sizes = g.sizes(comptime!(camera.factors));
+                let grad_j = (grad_m0.by_axis(sizes), grad_m1.by_axis(sizes));
                 let seen = seen_backward(&p, camera, grad_j, grad);
                 world_backward(&mut of, &seen, g, &p, pose, wanted);
+                if comptime!(camera.factors) {
+                    let c = pose.matrix.transposed().times(seen.turned);
+                    of.rotation = Quaternion { w: c.x.x, x: c.y.x, y: c.y.y, z: c.z.x };
+                    of.scale = Vec3::new(c.z.y, c.z.z, 0.0);
+                }
             }
         }
     }

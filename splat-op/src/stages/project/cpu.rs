@@ -60,8 +60,8 @@ impl<F: Real> Parameters<F> {
     }
 }
 
-/// What is computed of each Gaussian: a row of `C` numbers, and its gradient. `BENDS` says whether the camera has a lens; it keeps
-/// lenses out of the code for pinholes.
+/// What is computed of each Gaussian: a row of `C` numbers, and its gradient. `BENDS` says whether the camera has a lens, or Gaussians have
+/// factors; it keeps both out of the code of plain renders.
 pub(crate) trait GaussianStage<const C: usize> {
     /// Rows of eight Gaussians.
     fn rows<S: Simd, F: Real, const BENDS: bool>(
@@ -109,7 +109,7 @@ impl GaussianStage<COLUMNS> for ProjectStage {
 /// `[N, 7]` packed ellipses.
 pub(crate) fn project_cpu<F: Real>(inputs: Geometry<&[F]>, spec: &ProjectSpec) -> Vec<F> {
     match spec.intrinsics.model {
-        CameraModel::Pinhole => stage_rows::<F, ProjectStage, COLUMNS, false>(inputs, spec),
+        CameraModel::Pinhole if !spec.factors => stage_rows::<F, ProjectStage, COLUMNS, false>(inputs, spec),
         _ => stage_rows::<F, ProjectStage, COLUMNS, true>(inputs, spec),
     }
 }
@@ -122,7 +122,9 @@ pub(crate) fn project_backward_cpu<F: Real>(
     needs: Geometry<bool>,
 ) -> Geometry<Vec<F>> {
     match spec.intrinsics.model {
-        CameraModel::Pinhole => stage_gradients::<F, ProjectStage, COLUMNS, false>(inputs, grad, spec, needs),
+        CameraModel::Pinhole if !spec.factors => {
+            stage_gradients::<F, ProjectStage, COLUMNS, false>(inputs, grad, spec, needs)
+        }
         _ => stage_gradients::<F, ProjectStage, COLUMNS, true>(inputs, grad, spec, needs),
     }
 }

@@ -27,6 +27,9 @@ pub(crate) struct ProjectCamera {
     pub antialias: bool,
     #[cube(comptime)]
     pub clips: bool,
+    /// Whether Gaussians have factors of covariances.
+    #[cube(comptime)]
+    pub factors: bool,
 }
 
 /// What the kernels read of Gaussians, and the pose of the camera.
@@ -67,6 +70,25 @@ pub(crate) struct Gaussian {
 
 #[cube]
 impl Gaussian {
+    /// The matrix in place of `R`, of which `unit` is the quaternion.
+    fn world_from_gaussian(&self, unit: &Quaternion, #[comptime] factors: bool) -> Mat3 {
+        if comptime!(factors) {
+            let (q, zero) = (self.rotation, 0.0f32.runtime());
+            Mat3 {
+                x: Vec3::new(q.w, zero, zero),
+                y: Vec3::new(q.x, q.y, zero),
+                z: Vec3::new(q.z, self.scale.x, self.scale.y),
+            }
+        } else {
+            unit.matrix()
+        }
+    }
+
+    /// The numbers in place of the scales.
+    pub fn sizes(&self, #[comptime] factors: bool) -> Vec3 {
+        if comptime!(factors) { Vec3::new(1.0, 1.0, 1.0) } else { self.scale }
+    }
+
     fn finite(&self) -> bool {
         let (m, q, s) = (self.mean, self.rotation, self.scale);
         let mean = finite(m.x) && finite(m.y) && finite(m.z);
@@ -182,9 +204,9 @@ fn within_domain(drawn: bool, bent: ComptimeOption<LensProjection>) -> bool {
 pub(crate) fn project_one(gaussian: &Gaussian, pose: &Pose, camera: &ProjectCamera) -> ProjectionTerms {
     let mean_cam = pose.apply(gaussian.mean);
     let (quaternion, quaternion_length) = gaussian.rotation.unit();
-    let world_from_gaussian = quaternion.matrix();
+    let world_from_gaussian = gaussian.world_from_gaussian(&quaternion, comptime!(camera.factors));
     let cam_from_gaussian = pose.matrix.times(world_from_gaussian);
-    let (depth, last, scale) = (mean_cam.z, cam_from_gaussian.z, gaussian.scale);
+    let (depth, last, scale) = (mean_cam.z, cam_from_gaussian.z, gaussian.sizes(comptime!(camera.factors)));
     let (x, y, bent) = seen_rows(mean_cam, cam_from_gaussian, scale, camera);
 
     let sigma_u = Vec3::new(x.m.length(), camera.blur_sigma, 0.0).length();

@@ -10,7 +10,7 @@ use super::{COLUMNS, Geometry};
 use crate::gpu::{Buffer, UNITS};
 use crate::testing::ceiling::{PerturbedReference, to_f32};
 use crate::testing::gpu::gpus;
-use crate::testing::lenses::lenses;
+use crate::testing::lenses::{ORTHOGRAPHIC, lenses};
 
 fn check_forward(what: &str, scene: &StageInputs, view: &TestCamera) -> f64 {
     let classes = scene.classes(view, false);
@@ -93,7 +93,7 @@ fn backward_agrees_with_the_twin() {
 
 #[test]
 fn every_lens_agrees_with_the_twin() {
-    for (i, lens) in lenses().into_iter().enumerate() {
+    for (i, lens) in lenses().into_iter().chain([ORTHOGRAPHIC]).enumerate() {
         let view = TestCamera::new(1, 0.3, i % 2 == 1).with_lens(lens);
         for wild in [false, true] {
             let (seed, what) = (200 + 2 * i as u64, format!("{lens:?}, wild {wild}"));
@@ -107,7 +107,7 @@ fn every_lens_agrees_with_the_twin() {
 /// The polynomials of a fisheye differ between the float types.
 #[test]
 fn the_twin_in_f32_agrees_with_itself_in_f64_for_every_lens() {
-    for (i, lens) in lenses().into_iter().enumerate() {
+    for (i, lens) in lenses().into_iter().chain([ORTHOGRAPHIC]).enumerate() {
         let view = TestCamera::new(1, 0.3, i % 2 == 1).with_lens(lens);
         let scene = StageInputs::random(300 + i as u64, 1_500, &view, false);
         let classes = scene.classes(&view, false);

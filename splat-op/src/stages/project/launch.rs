@@ -28,6 +28,7 @@ pub(crate) fn project_camera(spec: &ProjectSpec) -> ProjectCameraLaunch {
         distortion(camera).into(),
         options.antialias,
         options.radius_clip > 0.0,
+        spec.factors,
     )
 }
 

@@ -6,6 +6,7 @@
 //!
 //! ```text
 //! perspective   s = (x, y)/z     bₖ = (rowₖ − sₖ last) / z
+//! orthographic  s = (x, y)       bₖ = rowₖ
 //! fisheye       s = α p          bₖ = (α rowₖ + pₖ (β p·row − last)) / R       (p, c) = (x, y, z)/R,  R = |(x, y, z)|
 //!                                   = (c rowₖ − β p⊥ₖ p⊥·row − pₖ last) / R      p⊥ = (−p_y, p_x)
 //! ```
@@ -21,7 +22,8 @@
 //! ```
 //!
 //! The rows of `J W R` are `jᵢ = fᵢ Σₖ Aᵢₖ bₖ`. As for a pinhole, the slopes at which a perspective lens's `A` and `b` are evaluated
-//! are clamped near the picture. The angles of a fisheye are not clamped, because its Jacobian is exact everywhere.
+//! are clamped near the picture. The angles of a fisheye are not clamped, because its Jacobian is exact everywhere. An orthographic
+//! camera has no planar map, and its centre's z gets no gradient but that of the depth.
 //!
 //! For the angle `θ` from the axis, `α = θ/sin θ`, `β = (cos θ − α)/sin² θ` and, for the gradient,
 //! `δ = −(2 cos θ + 3β)/sin² θ`. They are smooth, but these forms are 0/0 on the axis and differences of almost equal numbers near

@@ -45,7 +45,17 @@ fn first_backward(bent: &LensProjection, grad_base: (Vec3, Vec3), grad_held: Vec
     #[comptime]
     match bent.perspective {
         ComptimeOption::Some(step) => perspective_backward(bent, &step, grad_base, grad_held, grad_centre),
-        ComptimeOption::None => fisheye_backward(bent, &bent.fisheye.unwrap(), grad_base, grad_held.plus(grad_centre)),
+        ComptimeOption::None =>
+        {
+            #[comptime]
+            match bent.fisheye {
+                ComptimeOption::Some(step) => fisheye_backward(bent, &step, grad_base, grad_held.plus(grad_centre)),
+                ComptimeOption::None => SeenGrad {
+                    turned: Mat3 { x: grad_base.0, y: grad_base.1, z: Vec3::new(0.0, 0.0, 0.0) },
+                    centre: Vec3::new(grad_centre.x, grad_centre.y, 0.0),
+                },
+            }
+        }
     }
 }
 

@@ -150,6 +150,7 @@ pub(crate) struct LensProjection {
     pub base_x: Vec3,
     pub base_y: Vec3,
     pub rows: Mat3,
+    /// Terms of the first step; an orthographic camera's has none.
     pub perspective: ComptimeOption<Perspective>,
     pub fisheye: ComptimeOption<Fisheye>,
 }
@@ -174,6 +175,8 @@ pub(crate) fn bent_rows(
 ) -> (JacobianRow, JacobianRow, LensProjection) {
     let bent = if comptime!(distortion.model.is_fisheye()) {
         fisheye(mean_cam, rows, distortion)
+    } else if comptime!(matches!(distortion.model, CameraModel::Orthographic)) {
+        orthographic(mean_cam, rows, distortion)
     } else {
         perspective(mean_cam, rows, x_axis, y_axis, distortion)
     };
@@ -238,6 +241,22 @@ fn fisheye(mean_cam: Vec3, rows: Mat3, distortion: &Distortion) -> LensProjectio
         rows,
         perspective: ComptimeOption::new_None(),
         fisheye: ComptimeOption::new_Some(Fisheye { p, c, alpha, beta, delta, lean, across, inverse_length }),
+    }
+}
+
+#[cube]
+fn orthographic(mean_cam: Vec3, rows: Mat3, distortion: &Distortion) -> LensProjection {
+    let s = Vec2::new(mean_cam.x, mean_cam.y);
+    let at = distortion.at(s);
+    LensProjection {
+        within: s.dot(s) < distortion.max_radius_squared,
+        centre: at,
+        held: at,
+        base_x: rows.x,
+        base_y: rows.y,
+        rows,
+        perspective: ComptimeOption::new_None(),
+        fisheye: ComptimeOption::new_None(),
     }
 }
 

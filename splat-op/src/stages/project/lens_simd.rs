@@ -161,6 +161,7 @@ struct FisheyeSimd<S: Simd, F: Real> {
 }
 
 enum FirstStep<S: Simd, F: Real> {
+    Orthographic,
     Perspective(PerspectiveSimd<S, F>),
     Fisheye(FisheyeSimd<S, F>),
 }
@@ -193,7 +194,10 @@ impl<S: Simd, F: Real> LensProjectionSimd<S, F> {
         rows: &Matrix3<Lanes<S, F>>,
         [low, high]: [[Lanes<S, F>; 2]; 2],
     ) -> Self {
-        let (first, s, slope, base) = if distortion.model.is_fisheye() {
+        let (first, s, slope, base) = if distortion.model == CameraModel::Orthographic {
+            let s = [mean_cam[0], mean_cam[1]];
+            (FirstStep::Orthographic, s, s, [rows[0], rows[1]])
+        } else if distortion.model.is_fisheye() {
             let step = FisheyeSimd::new(mean_cam, rows);
             let (s, base) = ([step.alpha * step.p[0], step.alpha * step.p[1]], step.rows(rows));
             (FirstStep::Fisheye(step), s, s, base)
@@ -246,6 +250,11 @@ impl<S: Simd, F: Real> LensProjectionSimd<S, F> {
         let by = &self.centre.by;
         let grad_s = each!([0, 1], |k| grad_seen_at[0] * by[0][k] + grad_seen_at[1] * by[1][k]);
         match &self.first {
+            FirstStep::Orthographic => {
+                let zero = F::Lanes::<S>::splat(grad_s[0].token(), F::ZERO);
+                let [x, y] = grad_base;
+                LensProjectionGrad { mean_cam: [grad_s[0], grad_s[1], zero], rows: [x, y, [zero; 3]] }
+            }
             FirstStep::Perspective(step) => step.backward(self, grad_base, grad_slope, grad_s),
             FirstStep::Fisheye(step) => {
                 step.backward(&self.rows, grad_base, [grad_s[0] + grad_slope[0], grad_s[1] + grad_slope[1]])

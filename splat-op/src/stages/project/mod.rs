@@ -15,6 +15,9 @@
 //! the Gaussian is `exp(−(u² + v²)/2)`. No term cancels however thin the Gaussian is. The factor holds standard
 //! deviations instead of variances, so that it stays in range where their squares would overflow.
 //!
+//! A covariance `C Cᵀ` in the world frame takes `C` in place of `R diag(s)`, a lower triangle: `rotations` holds
+//! `C₀₀, C₁₀, C₁₁, C₂₀`, and `scales` `C₂₁, C₂₂` and a number that is not read.
+//!
 //! `lens.rs` has the `J` of lenses other than the pinhole.
 //!
 //! Shapes: means `[N, 3]`, rotations `[N, 4]`, scales `[N, 3]`, opacities `[N]`, pose `[3, 4]` → packed `[N, 7]`.
@@ -126,4 +129,6 @@ pub(crate) struct ProjectSpec {
     pub intrinsics: Intrinsics,
     /// Render options.
     pub options: RenderOptions,
+    /// Whether rotations and scales hold factors of covariances; see the module.
+    pub factors: bool,
 }

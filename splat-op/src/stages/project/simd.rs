@@ -26,6 +26,8 @@ pub(crate) struct ProjectCameraSimd<L> {
     /// `√blur`
     pub blur_sigma: L,
     pub(super) antialias: bool,
+    /// Whether Gaussians have factors of covariances.
+    pub(super) factors: bool,
     /// `None` for a pinhole.
     pub distortion: Option<DistortionSimd<L>>,
 }
@@ -47,6 +49,7 @@ impl<F: Real> ProjectCameraSimd<F> {
             clip_sigma: (options.radius_clip > 0.0).then(|| F::of(options.radius_clip / RADIUS_SIGMAS)),
             blur_sigma: F::of(options.blur).sqrt(),
             antialias: options.antialias,
+            factors: spec.factors,
             distortion: DistortionSimd::new(camera),
         }
     }
@@ -70,6 +73,7 @@ impl<F: Real> ProjectCameraSimd<F> {
             },
             blur_sigma: lanes(self.blur_sigma),
             antialias: self.antialias,
+            factors: self.factors,
             #[allow(clippy::manual_map, reason = "a closure may be left out of line, without vector instructions")]
             distortion: match &self.distortion {
                 Some(distortion) => Some(distortion.lanes(simd)),
@@ -134,7 +138,7 @@ pub(crate) struct ProjectionTermsSimd<S: Simd, F: Real> {
 }
 
 impl<S: Simd, F: Real> ProjectionTermsSimd<S, F> {
-    /// Projects eight Gaussians. `BENDS` says whether the camera has a lens; it keeps lenses out of the code for pinholes.
+    /// Projects eight Gaussians. `BENDS` as in [`GaussianStage`](super::cpu::GaussianStage).
     #[inline(always)]
     pub fn new<const BENDS: bool>(
         simd: S,
@@ -150,7 +154,11 @@ impl<S: Simd, F: Real> ProjectionTermsSimd<S, F> {
         let mut ratio = [x / z, y / z];
         let (quaternion, quaternion_length) = unit_quaternion::<S, F>(simd, g.rotation);
         let mut seen = g.all(finite) & z.simd_gt(camera.near) & z.simd_gt(zero) & z.simd_lt(camera.far) & finite(z);
-        let world_from_gaussian = rotation_of(one, quaternion);
+        let (mut world_from_gaussian, mut sizes) = (rotation_of(one, quaternion), g.scale);
+        if BENDS && camera.factors {
+            let ([xx, yx, yy, zx], [zy, zz, _]) = (g.rotation, g.scale);
+            (world_from_gaussian, sizes) = ([[xx, zero, zero], [yx, yy, zero], [zx, zy, zz]], [one; 3]);
+        }
         let cam_from_gaussian = matmul(&camera.rotation, &world_from_gaussian);
 
         let slope = [ratio[0].max(camera.low[0]).min(camera.high[0]), ratio[1].max(camera.low[1]).min(camera.high[1])];
@@ -168,7 +176,7 @@ impl<S: Simd, F: Real> ProjectionTermsSimd<S, F> {
             bent = Some(found);
         }
         seen = seen & finite(ratio[0]) & finite(ratio[1]) & quaternion_length.simd_gt(zero);
-        let m = [hadamard(j[0], g.scale), hadamard(j[1], g.scale)];
+        let m = [hadamard(j[0], sizes), hadamard(j[1], sizes)];
 
         let sigma_u = norm::<S, F>(simd, [norm::<S, F>(simd, m[0]), camera.blur_sigma, zero]);
         let n = scale(m[0], one / sigma_u);

@@ -5,7 +5,7 @@ use fearless_simd::prelude::*;
 use super::Ellipse;
 use super::lens_simd::LensProjectionGrad;
 use super::simd::{GaussiansSimd, ProjectCameraSimd, ProjectionTermsSimd};
-use crate::linalg::{Matrix3, add, cross, dot, hadamard, matvec, scale, sub, transposed_matvec};
+use crate::linalg::{Matrix3, add, cross, dot, hadamard, matmul, matvec, scale, sub, transpose, transposed_matvec};
 use crate::simd::each;
 use crate::simd::lanes::{MaskOf, Vector, norm};
 use crate::simd::real::Real;
@@ -99,12 +99,19 @@ impl<S: Simd, F: Real> ProjectionTermsSimd<S, F> {
         let takes_part = self.seen & any_not_zero::<S, F>(&grad.to_row());
         let (grad_m, opacity) = self.factor_backward(camera, g.opacity, grad);
         let scales = add(hadamard(grad_m[0], self.j[0]), hadamard(grad_m[1], self.j[1]));
-        let grad_j = [hadamard(grad_m[0], g.scale), hadamard(grad_m[1], g.scale)];
-        let through = self.rows_backward::<BENDS>(camera, grad_j, grad);
-        GradientsSimd {
-            parameters: self.parameters_backward(camera, g, takes_part, &through, ShapeGrad { scales, opacity }, pose),
-            mean2d: each!(grad.mean_px, |value| takes_part.select(value, zero)),
+        let mut grad_j = [hadamard(grad_m[0], g.scale), hadamard(grad_m[1], g.scale)];
+        if BENDS && camera.factors {
+            grad_j = grad_m;
         }
+        let through = self.rows_backward::<BENDS>(camera, grad_j, grad);
+        let mut parameters =
+            self.parameters_backward(camera, g, takes_part, &through, ShapeGrad { scales, opacity }, pose);
+        if BENDS && camera.factors {
+            let [x, y, z] = matmul(&transpose(&camera.rotation), &through.rows);
+            parameters.rotation = each!([x[0], y[0], y[1], z[0]], |value| takes_part.select(value, zero));
+            parameters.scale = each!([z[1], z[2], zero], |value| takes_part.select(value, zero));
+        }
+        GradientsSimd { parameters, mean2d: each!(grad.mean_px, |value| takes_part.select(value, zero)) }
     }
 
     /// Gradients of the Gaussians that take part from those of the centre in the camera's frame and of `W R`, of the scales and of the

@@ -66,7 +66,7 @@ impl TestCamera {
         let ([width, height], [fx, fy, cx, cy]) = (self.size, [lens[0], lens[1], lens[2], lens[3]]);
         let distortion = std::array::from_fn(|i| lens[4 + i]);
         let intrinsics = Intrinsics { model: self.model, distortion, width, height, fx, fy, cx, cy };
-        ProjectSpec { intrinsics, options: self.options }
+        ProjectSpec { intrinsics, options: self.options, factors: false }
     }
 
     /// Limits to which the Jacobian's slopes are clamped: low and high along x, then along y.
@@ -203,7 +203,8 @@ pub(super) fn margins(tensors: &[Vec<f64>], view: &TestCamera) -> Vec<Vec<f64>> 
         let slope = (x / z).hypot(y / z);
         let (fisheye, max_radius) = (view.model.is_fisheye(), spec.intrinsics.max_radius());
         near.extend([z / view.options.near - 1.0, if fisheye { slope.atan() } else { slope } / max_radius - 1.0]);
-        let slopes = if fisheye { [f64::NAN; 4] } else { [x / z, x / z, y / z, y / z] };
+        let clamped = !fisheye && view.model != CameraModel::Orthographic;
+        let slopes = if clamped { [x / z, x / z, y / z, y / z] } else { [f64::NAN; 4] };
         rest.extend(slopes.iter().zip(limits).map(|(slope, limit)| (slope - limit) / (1.0 + limit.abs())));
         rest.push(if view.options.antialias { areas[i] / blurred[i] / COMPENSATION_MIN - 1.0 } else { f64::NAN });
     }

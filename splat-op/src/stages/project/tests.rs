@@ -6,7 +6,7 @@ use crate::camera::{CameraModel, Intrinsics};
 use crate::options::RenderOptions;
 use crate::simd::real::Real;
 use crate::testing::finite::{check_gradient, inner_product};
-use crate::testing::lenses::{FOX, lenses};
+use crate::testing::lenses::{FOX, ORTHOGRAPHIC, lenses};
 use crate::testing::random::Random;
 
 const ALL: Geometry<bool> =
@@ -14,7 +14,7 @@ const ALL: Geometry<bool> =
 
 fn spec(antialias: bool) -> ProjectSpec {
     let intrinsics = Intrinsics { fx: 35.0, fy: 31.0, cx: 18.0, cy: 15.5, ..Intrinsics::centred(40, 28, 35.0) };
-    ProjectSpec { intrinsics, options: RenderOptions::standard().with_antialias(antialias) }
+    ProjectSpec { intrinsics, options: RenderOptions::standard().with_antialias(antialias), factors: false }
 }
 
 fn with_lens(spec: ProjectSpec, (model, distortion): (CameraModel, [f64; 8])) -> ProjectSpec {
@@ -95,7 +95,7 @@ fn every_gradient_agrees_with_finite_differences() {
 
 #[test]
 fn every_gradient_through_every_lens_agrees_with_finite_differences() {
-    for (i, lens) in lenses().into_iter().enumerate() {
+    for (i, lens) in lenses().into_iter().chain([ORTHOGRAPHIC]).enumerate() {
         for antialias in [false, true] {
             let (scene, spec) = (StageInputs::random(20 + i as u64, 20), with_lens(spec(antialias), lens));
             let grad = Random::new(120 + i as u64).fill(20 * COLUMNS, -1.0, 1.0);
@@ -142,6 +142,22 @@ fn a_lens_without_coefficients_is_a_pinhole() {
         for (found, expected) in found.iter().zip(&pinhole) {
             assert!((found - expected).abs() <= 1e-12 * (1.0 + expected.abs()), "{model:?}: {found} {expected}");
         }
+    }
+}
+
+/// Along parallel rays nothing but the depth depends on the distance, and the picture is a scaled view along the axis.
+#[test]
+fn parallel_rays_know_no_distance() {
+    let (mut scene, spec) = (StageInputs::random(60, 20), with_lens(spec(true), ORTHOGRAPHIC));
+    scene.0[4] = vec![1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0];
+    let rows = scene.project(&spec);
+    for (row, mean) in rows.chunks_exact(COLUMNS).zip(scene.0[0].chunks_exact(3)) {
+        assert_eq!(row[..2], [35.0 * mean[0] + 18.0, 31.0 * mean[1] + 15.5]);
+        assert_eq!(row[5], mean[2]);
+    }
+    scene.0[0].iter_mut().skip(2).step_by(3).for_each(|z| *z *= 7.0);
+    for (near, far) in rows.chunks_exact(COLUMNS).zip(scene.project(&spec).chunks_exact(COLUMNS)) {
+        assert_eq!((&near[..5], near[6], 7.0 * near[5]), (&far[..5], far[6], far[5]));
     }
 }
 

@@ -42,7 +42,7 @@ impl Scene {
 
     fn specs(&self) -> (ProjectSpec, RasterizeSpec) {
         let Self { intrinsics, options, .. } = *self;
-        let project = ProjectSpec { intrinsics, options: options.of_project(&intrinsics) };
+        let project = ProjectSpec { intrinsics, options: options.of_project(&intrinsics), factors: false };
         (project, RasterizeSpec { intrinsics, options })
     }
 

@@ -56,7 +56,8 @@ impl StageInputs {
             cam_from_world: &pose,
             mean2d: &[],
         };
-        let project = ProjectSpec { intrinsics: spec.intrinsics, options: options.of_project(&spec.intrinsics) };
+        let project =
+            ProjectSpec { intrinsics: spec.intrinsics, options: options.of_project(&spec.intrinsics), factors: false };
         let (packed, slopes) = (project_cpu(geometry, &project), ray_space_cpu(geometry, &project));
         let features = random.fill(count * channels, -1.0, 1.0);
         let inputs = [packed, slopes, features, random.fill(channels, -1.0, 1.0)];

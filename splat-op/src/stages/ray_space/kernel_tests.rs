@@ -67,7 +67,11 @@ fn inputs<F>(tensors: &[Vec<F>]) -> Geometry<&'_ [F]> {
 fn specs() -> [ProjectSpec; 2] {
     [0.3, 0.0].map(|blur| {
         let options = RenderOptions { blur: f64::from(blur as f32), near: 0.0, ..RenderOptions::standard() };
-        ProjectSpec { intrinsics: CAMERA, options: options.with_projection(Projection::RayMax).of_project(&CAMERA) }
+        ProjectSpec {
+            intrinsics: CAMERA,
+            options: options.with_projection(Projection::RayMax).of_project(&CAMERA),
+            factors: false,
+        }
     })
 }
 

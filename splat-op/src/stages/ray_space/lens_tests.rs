@@ -21,7 +21,11 @@ fn spec((model, distortion): (CameraModel, [f64; 8]), focal: f64) -> ProjectSpec
     let plain = Intrinsics { fy: 0.95 * focal, cx: 76.0, cy: 59.5, ..Intrinsics::centred(160, 112, focal) };
     let options = RenderOptions { blur: 0.3f32.into(), near: 0.0, ..RenderOptions::standard() };
     let intrinsics = Intrinsics { model, distortion, ..plain };
-    ProjectSpec { intrinsics, options: options.with_projection(Projection::RayMax).of_project(&intrinsics) }
+    ProjectSpec {
+        intrinsics,
+        options: options.with_projection(Projection::RayMax).of_project(&intrinsics),
+        factors: false,
+    }
 }
 
 /// Means, rotations, scales, opacities and pose of Gaussians up to `slope` from the axis, as slopes; a few lie behind the camera.

@@ -20,7 +20,7 @@ const CAMERA: Intrinsics = Intrinsics { fx: 35.0, fy: 31.0, cx: 18.0, cy: 15.5, 
 
 fn spec(blur: f64) -> ProjectSpec {
     let options = RenderOptions { blur, ..RenderOptions::standard() }.with_projection(Projection::RayMax);
-    ProjectSpec { intrinsics: CAMERA, options: options.of_project(&CAMERA) }
+    ProjectSpec { intrinsics: CAMERA, options: options.of_project(&CAMERA), factors: false }
 }
 
 /// Means, rotations, scales, opacities, pose.

@@ -15,7 +15,7 @@ pub(super) const COEFFICIENTS: usize = 9;
 
 pub(super) fn spec(alpha_min: f64) -> ProjectSpec {
     let intrinsics = Intrinsics { fx: 60.0, fy: 64.0, cx: 33.0, cy: 27.5, ..Intrinsics::centred(70, 52, 60.0) };
-    ProjectSpec { intrinsics, options: RenderOptions { alpha_min, ..RenderOptions::standard() } }
+    ProjectSpec { intrinsics, options: RenderOptions { alpha_min, ..RenderOptions::standard() }, factors: false }
 }
 
 /// Means, rotations, scales, opacities, harmonics, pose and gradient of the colours.
