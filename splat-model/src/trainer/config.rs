@@ -39,6 +39,9 @@ pub struct TrainConfig {
     pub moment_bits: MomentBits,
     /// Strategy of density control and its options.
     pub density: DensityConfig,
+    /// Whether steps take nothing but the rasterizer as custom operations (see [`splat_op::in_tensor_code`]): false. Results are the same
+    /// up to rounding, and several times slower.
+    pub plain: bool,
     /// Schedule of the photographs' size.
     pub resolution: Resolution,
     /// The background behind the Gaussians and behind photographs with alpha: RGB, 0 to 1. The initial value of a learned
@@ -94,6 +97,7 @@ impl Default for TrainConfig {
             learning_rates: LearningRates::default(),
             moment_bits: MomentBits::default(),
             density: DensityConfig::default(),
+            plain: false,
             resolution: Resolution::FULL,
             background: [0.0; 3],
             antialias: false,
@@ -149,8 +153,11 @@ impl TrainConfig {
     /// Checks whether the options can be combined.
     ///
     /// # Errors
-    /// If effects on ellipses are combined with a render that has no ellipses.
+    /// If effects on ellipses are combined with a render that has no ellipses, or moments of few bits with tensor code.
     pub fn check(&self) -> Result<(), TrainError> {
+        if self.plain && self.moment_bits != MomentBits::ThirtyTwo {
+            return Err(TrainError::PlainMoments(self.moment_bits));
+        }
         let along_rays = self.dials.apply(RenderOptions::standard()).projection != Projection::Affine;
         if along_rays && self.optics.any() { Err(TrainError::Ellipses) } else { Ok(()) }
     }
