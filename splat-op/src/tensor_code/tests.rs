@@ -135,6 +135,8 @@ fn bilateral_grids() {
     });
 }
 
+type Change = fn(&Projected, &Tensor<1>, f64) -> Result<Projected, SplatError>;
+
 /// Ellipses of Gaussians in and around the picture, of which the last is behind the camera.
 #[test]
 fn motion_blur_and_rolling_shutters() {
@@ -156,8 +158,7 @@ fn motion_blur_and_rolling_shutters() {
     };
     let rows: Vec<f64> = (0..count).flat_map(&mut row).collect();
     let twist = vec![0.125, -0.09375, 0.1875, 0.375, -0.3125, 0.125];
-    let changes: [(&str, fn(&Projected, &Tensor<1>, f64) -> Result<Projected, SplatError>); 2] =
-        [("motion blur", blurred), ("rolling shutter", rolled)];
+    let changes: [(&str, Change); 2] = [("motion blur", blurred), ("rolling shutter", rolled)];
     for (name, change) in changes {
         compare(name, &[rows.clone(), twist.clone()], &|of| {
             let projected = Projected::of(shaped(&of[0], [count, 7]), camera);
