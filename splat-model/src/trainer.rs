@@ -21,7 +21,7 @@ use burn::tensor::{Device, Tensor};
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
-use splat_op::RenderOptions;
+use splat_op::{RenderOptions, in_tensor_code};
 
 use crate::accuracy::Setting;
 use crate::capture::{Photo, Photograph, PointCloud, PointsSeen};
@@ -282,7 +282,14 @@ impl Trainer {
     ///
     /// # Errors
     /// Errors of [`Self::step`]. `look` may not have been called then.
-    pub fn step_and_look(&mut self, mut look: impl FnMut(&Self)) -> Result<StepReport, TrainError> {
+    pub fn step_and_look(&mut self, look: impl FnMut(&Self)) -> Result<StepReport, TrainError> {
+        match self.config.plain {
+            true => in_tensor_code(|| self.take_step(look)),
+            false => self.take_step(look),
+        }
+    }
+
+    fn take_step(&mut self, mut look: impl FnMut(&Self)) -> Result<StepReport, TrainError> {
         let shared = self.ranks.count() > 1;
         let begins = shared && !mem::replace(&mut self.agreed, true);
         if begins {

@@ -58,11 +58,13 @@ pub mod exact;
 mod gpu;
 mod limits;
 mod linalg;
+mod product;
 mod read;
 mod record;
 mod simd;
 mod stages;
 mod tasks;
+mod tensor_code;
 #[doc(hidden)]
 pub mod test_hooks;
 #[cfg(test)]
@@ -76,6 +78,7 @@ pub use backend::custom_grad::with_gradient;
 pub use camera::{Camera, CameraModel, Intrinsics, Projector};
 pub use effects::{bilateral, colour_map, depth_miss, environment, optics, pose, smooth};
 pub use error::SplatError;
+pub use product::product;
 pub use read::read_back;
 pub use stages::colour::{colours, colours_up_to, evaluate_sh, visible_colours};
 pub use stages::intersections::{Intersections, intersect};
@@ -88,6 +91,7 @@ pub use stages::rendered::{Rendered, rasterize};
 pub use stages::splats::{Colour, Extras, Splats};
 // Three names of stages are those of a function and of a module.
 pub use stages::{intersect, options, project, rasterize, rasterize_rays, ray_space, sh};
+pub use tensor_code::{in_tensor_code, is_tensor_code};
 pub use training::activate::RawSplats;
 pub use training::{activate, adam, argsort, loss};
 // Re-exports of the crates in public signatures, so that callers use the same versions.

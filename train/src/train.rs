@@ -170,6 +170,10 @@ pub struct TrainArgs {
     /// Accuracy of the renders.
     #[command(flatten, next_help_heading = ACCURACY)]
     pub accuracy: AccuracyArgs,
+    /// Compute everything but the rasterizer in tensor code: the same results up to rounding, slower, to check the operations
+    #[arg(long, help_heading = ACCURACY)]
+    #[serde(default)]
+    pub plain: bool,
     /// Background: black, white, R,G,B, random, learned or environment
     ///
     /// Background behind the scene: black, white, R,G,B from 0 to 1, random (a new colour at each step), learned,
@@ -328,7 +332,7 @@ impl TrainArgs {
         let steps = self.time.map_or(self.steps.unwrap_or(config.steps), |_| GUESS);
         config = self.schedule(config, steps);
         config.sh_degree = self.sh_degree.unwrap_or(config.sh_degree);
-        config.moment_bits = self.moment_bits;
+        (config.moment_bits, config.plain) = (self.moment_bits, self.plain);
         config.lambda = self.ssim_weight;
         config.density = self.strategy.config().with_max_splats(self.max_splats);
         match (&mut config.density, self.grad_threshold) {

@@ -1,22 +1,21 @@
 //! A scene in training, and the one edit of its rows: the only place that changes rows of parameters and of their moments.
 
+mod edit;
 mod gradients;
 mod state;
 mod step;
-
-use std::ops::Range;
 
 use burn::module::ParamId;
 use burn::tensor::{Int, Tensor};
 use splat_op::Splats;
 
+pub use self::edit::RowEdit;
 pub use self::gradients::{Gradients, GroupGradients};
 pub use self::step::StepRates;
-use self::step::{on, replace, take};
-use super::pick::all_rows;
-use crate::gaussians::{BASE_GROUPS, Gaussians, Group, NewRows, RowsError, SH, parameter, row_blocks};
+use self::step::replace;
+use crate::gaussians::{BASE_GROUPS, Gaussians, Group, RowsError, SH, row_blocks};
 use crate::optim::MomentBits;
-use crate::optim::moments::{Moments, Stored, followed, gathered, grown};
+use crate::optim::moments::{Moments, grown};
 
 /// A scene in training: parameters and moments, always with the same rows.
 #[derive(Clone, Debug)]
@@ -27,90 +26,6 @@ pub struct Trained {
     pub(crate) moments: Vec<Vec<Moments<2>>>,
     /// The mark of the last step on a GPU (see [`splat_op::adam`]), and the coefficients that it holds for.
     mark: Option<(ParamId, Tensor<1, Int>)>,
-}
-
-/// One edit of all rows of a scene, on its device: where each row comes from, which rows are new, and what is different in them.
-/// Every group follows it, whatever groups there are.
-#[derive(Clone, Debug)]
-pub struct RowEdit {
-    /// `[M]`: the row that each row comes from. A row may come from one that others come from too.
-    source: Tensor<1, Int>,
-    /// Number of rows that stay, with their moments. The rows after them are new: their moments are zero.
-    kept: usize,
-    /// Values of the new rows that differ from those that they come from, `[new rows, numbers per row]`, by group.
-    changes: Vec<(&'static str, Tensor<2>)>,
-}
-
-impl RowEdit {
-    /// Keeps the rows `keep`, `[K]`, in this order, and appends a new row for each of `copied`, `[F]`, with the same values,
-    /// or those of [`NewRows`].
-    pub fn new(keep: Tensor<1, Int>, copied: Tensor<1, Int>) -> Self {
-        let kept = keep.dims()[0];
-        let source = if copied.dims()[0] == 0 { keep } else { Tensor::cat(vec![keep, copied], 0) };
-        Self { source, kept, changes: Vec::new() }
-    }
-
-    /// Gives the new rows other values of the group of that name, `[F, …]`.
-    pub fn with<const D: usize>(mut self, group: &'static str, values: Tensor<D>) -> Self {
-        let rows = values.dims()[0];
-        let numbers = values.shape().num_elements();
-        self.changes.push((group, values.reshape([rows, numbers.checked_div(rows).unwrap_or(0)])));
-        self
-    }
-
-    fn added(&self) -> usize {
-        self.source.dims()[0] - self.kept
-    }
-
-    /// The values of the new rows of a group, if they differ from those that they come from.
-    fn change(&self, group: &Group) -> Option<Tensor<2>> {
-        let named = self.changes.iter().rev().find(|(name, _)| *name == group.name());
-        named.map(|(_, values)| values.clone()).or_else(|| match group.options().new_rows {
-            NewRows::Copied => None,
-            NewRows::Filled(value) => {
-                let values = group.blocks[0].val().inner();
-                Some(Tensor::full([self.added(), group.width()], value, (&values.device(), values.dtype())))
-            }
-        })
-    }
-
-    /// Edits a group and its moments, whose rows have `width` numbers afterwards: new numbers are zero.
-    fn apply(&self, group: &mut Group, moments: &mut Vec<Moments<2>>, width: usize) {
-        let device = group.blocks[0].val().device();
-        let change = self.change(group);
-        let blocks = row_blocks(group.name(), self.source.dims()[0], width, &device);
-        let part = |rows: &Range<usize>| {
-            let source = match rows.is_empty() || rows.len() == self.source.dims()[0] {
-                true => self.source.clone(),
-                false => self.source.clone().narrow(0, rows.start, rows.len()),
-            };
-            (source, self.kept.clamp(rows.start, rows.end) - rows.start)
-        };
-        // One after the other, so that no more than one of them is in memory twice.
-        let old: Vec<Stored<2>> = moments.iter_mut().map(Moments::take).collect();
-        let of_block = |rows: &Range<usize>| {
-            let (source, kept) = part(rows);
-            let mut moments = Moments::gathered(&old, &source, kept);
-            moments.grow(width);
-            moments
-        };
-        *moments = blocks.iter().map(of_block).collect();
-        drop(old);
-        let old: Vec<_> = group.blocks.iter_mut().map(take).collect();
-        let of_block = |rows: &Range<usize>| {
-            let (source, kept) = part(rows);
-            let values = match change.as_ref().filter(|_| kept < rows.len()) {
-                None => gathered(&old, &source),
-                Some(new) if rows.len() == self.source.dims()[0] => followed(&old, &source, kept, new.clone()),
-                Some(new) => {
-                    let first = rows.start + kept - self.kept;
-                    followed(&old, &source, kept, new.clone().narrow(0, first, rows.len() - kept))
-                }
-            };
-            parameter(on(&device, grown(values, width)))
-        };
-        group.blocks = blocks.iter().map(of_block).collect();
-    }
 }
 
 impl Trained {
@@ -152,24 +67,12 @@ impl Trained {
     /// # Errors
     /// If a change is of no group, or has another number of rows or of numbers. Nothing changes then.
     pub fn edit(&mut self, edit: &RowEdit) -> Result<(), RowsError> {
-        edit.changes.iter().try_for_each(|(name, values)| self.check(name, values, edit.added()))?;
+        edit.check(&self.gaussians)?;
         for (group, moments) in self.gaussians.groups.iter_mut().zip(&mut self.moments) {
             let width = group.width();
             edit.apply(group, moments, width);
         }
         Ok(())
-    }
-
-    fn check(&self, name: &str, values: &Tensor<2>, count: usize) -> Result<(), RowsError> {
-        let width = self.gaussians.group(name).map_or(0, Group::width);
-        let (found, expected) = (values.shape().num_elements(), count * width);
-        match found == expected && width > 0 {
-            true => Ok(()),
-            false => {
-                let (field, sh_degree) = (name.to_owned(), self.gaussians.sh_degree());
-                Err(RowsError::Length { field, found, expected, count, sh_degree })
-            }
-        }
     }
 
     /// Extends the spherical harmonics to `degree`. New coefficients and their moments are zero, as if they had been there
@@ -188,8 +91,7 @@ impl Trained {
             let values = block.val().inner();
             return replace(block, grown(values, wanted));
         }
-        let rows = all_rows(count, &device.inner());
-        RowEdit { source: rows, kept: count, changes: Vec::new() }.apply(group, moments, wanted);
+        RowEdit::none(count, &device.inner()).apply(group, moments, wanted);
     }
 
     /// Replaces the opacities' logits, and resets the groups that have a value for it ([`GroupOptions::reset`]). The moments of both

@@ -19,7 +19,7 @@ use rand::{Rng, RngExt};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use splat_op::sh::{harmonics, sh_degree};
-use splat_op::{Intrinsics, Rendered, environment};
+use splat_op::{Intrinsics, Rendered, environment, product};
 use thiserror::Error;
 
 use super::learned::{EffectContext, Falling, Learned};
@@ -247,7 +247,7 @@ impl Environment {
     fn behind(&mut self, image: Tensor<3>, alpha: Tensor<3>, view: usize, camera: &Intrinsics) -> Tensor<3> {
         let directions = Tensor::from_inner(self.directions_of(camera));
         let rotation = Tensor::from_inner(self.rotations[view].clone());
-        over(&image, &alpha, &directions, &rotation.matmul(self.coefficients.tracked()))
+        over(&image, &alpha, &directions, &product(rotation, self.coefficients.tracked()))
     }
 
     fn directions_of(&mut self, camera: &Intrinsics) -> Tensor<3> {

@@ -8,7 +8,9 @@
 //! For a pinhole and a small motion, [`splat_op::optics`] changes the ellipses of one render instead. The average of renders from
 //! these poses holds for any camera and any motion.
 
-use burn::tensor::{Tensor, TensorData};
+use burn::tensor::Tensor;
+use splat_op::pose::cross_matrix;
+use splat_op::product;
 
 /// Terms of the series in [`poses`]: enough for all digits of an f64 for rotations by up to half a turn.
 const TERMS: usize = 14;
@@ -30,11 +32,11 @@ pub fn pose_at(cam_from_world: &Tensor<2>, twist: &Tensor<1>, t: f64) -> Tensor<
     let moved = (twist.clone().narrow(0, 3, 3) * t).unsqueeze_dim::<2>(1);
     let [a, b, c] = series(theta.clone().square().sum());
     let cross = cross_matrix(&theta);
-    let twice = cross.clone().matmul(cross.clone());
+    let twice = product(cross.clone(), cross.clone());
     // Multiplies `I + x [θ] + y [θ]²` with a matrix. The identity's part is added without a product.
     let turned = |of: Tensor<2>, first: &Tensor<2>, second: &Tensor<2>| {
         let change = cross.clone() * first.clone() + twice.clone() * second.clone();
-        of.clone() + change.matmul(of)
+        of.clone() + product(change, of)
     };
     let posed = turned(cam_from_world.clone(), &a, &b);
     let moved = turned(moved, &b, &c);
@@ -52,18 +54,6 @@ fn series(squared: Tensor<1>) -> [Tensor<2>; 3] {
         let sum = (1..TERMS).rev().fold(last, |sum, n| (sum * squared.clone() / ratio(n)).neg() + 1.0);
         sum / (if k == 3 { 6.0 } else { k as f64 })
     })
-}
-
-/// `[3, 3]`: the matrix of the cross product with `v`, `[3]`.
-fn cross_matrix(v: &Tensor<1>) -> Tensor<2> {
-    // The signs with which each component of `v` enters the matrix, row-major.
-    const PLACES: [[f64; 9]; 3] = [
-        [0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0],
-        [0.0, 0.0, 1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0],
-        [0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0],
-    ];
-    let places = Tensor::<2>::from_data(TensorData::from(PLACES), (&v.device(), v.dtype()));
-    v.clone().unsqueeze::<2>().matmul(places).reshape([3, 3])
 }
 
 #[cfg(test)]

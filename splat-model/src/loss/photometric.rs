@@ -1,8 +1,9 @@
 //! The loss of 3D Gaussian splatting.
 
 use burn::tensor::Tensor;
+use splat_op::is_tensor_code;
 
-use super::ssim::{Truth, planes};
+use super::ssim::{Truth, planes, ssim};
 use super::with_gradient;
 
 /// `mean |image − truth|` over pixels and channels, `[1]`.
@@ -26,10 +27,15 @@ pub const DEFAULT_LAMBDA: f64 = 0.2;
 ///
 /// `image` is `[H, W, C]`, 0 to 1, and may be tracked; `lambda` is 0 to 1, usually [`DEFAULT_LAMBDA`]. One operation computes
 /// the value and the gradient (see [`splat_op::loss`]), so `backward` costs one elementwise product. The value equals
-/// `l1(..) * (1 − λ) + (1 − ssim(..)) * λ`, tensor code that can be composed differently.
+/// `l1(..) * (1 − λ) + (1 − ssim(..)) * λ`, tensor code that can be composed differently, and is what runs in
+/// [tensor code](splat_op::in_tensor_code).
 ///
 /// The subgradient at `image = truth` is 0, as for [`l1()`].
 pub fn photometric(image: Tensor<3>, truth: &Truth, lambda: f64) -> Tensor<1> {
+    if is_tensor_code() {
+        let photograph = if image.is_autodiff() { Tensor::from_inner(truth.image()) } else { truth.image() };
+        return l1(image.clone(), photograph.clone()) * (1.0 - lambda) + (ssim(image, photograph).neg() + 1.0) * lambda;
+    }
     let variable = planes(image);
     let (value, gradient) = truth.loss(&variable.clone().inner(), lambda, variable.is_tracked());
     match gradient {

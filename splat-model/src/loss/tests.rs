@@ -1,6 +1,7 @@
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use splat_op::in_tensor_code;
 
 use super::regularise;
 use super::*;
@@ -166,6 +167,14 @@ fn gradients_are_those_of_finite_differences() {
                 let absolute: Vec<f64> = moved.values.iter().zip(&b.values).map(|(a, b)| (a - b).abs()).collect();
                 0.8 * mean(&absolute) + 0.2 * (1.0 - mean(&reference_map(moved, &b)))
             });
+
+            let in_tensors = || {
+                let truth = Truth::new(tensor(&b));
+                differentiate(tensor(&a), |image| photometric(image, &truth, DEFAULT_LAMBDA)).1
+            };
+            for (plain, closed) in in_tensor_code(in_tensors).iter().zip(&gradient) {
+                assert!((plain - closed).abs() <= 1e-12, "{plain} in tensor code, {closed} in closed form");
+            }
 
             // Compares with autodiff of the plain formulation, under an incoming gradient other than 1.
             let (_, plain) = differentiate(tensor(&a), |image| ssim(image, tensor(&b)) * -3.0);

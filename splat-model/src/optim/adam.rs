@@ -6,6 +6,7 @@ use rayon::prelude::*;
 pub use splat_op::adam::Rates;
 use splat_op::adam::packed::{HostState, PackedFactors, PackedStep, step_on_host, step_packed};
 use splat_op::adam::{Band, Factors, Stepped, has_kernel};
+use splat_op::is_tensor_code;
 
 use super::moments::{Moments, Stored};
 
@@ -121,7 +122,7 @@ impl Adam {
             }
             // Flex works in host memory and hands it over without a copy. One fused pass over it on all cores takes a third
             // of the time of the tensor operations, which are eleven passes on one core.
-            None if from.param.device() == Device::flex() && from.param.dtype() == DType::F32 => {
+            None if from.param.device() == Device::flex() && from.param.dtype() == DType::F32 && !is_tensor_code() => {
                 step_in_host_memory(&factors, from, grad)
             }
             None => step_in_tensors(&factors, from, grad),

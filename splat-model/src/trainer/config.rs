@@ -40,6 +40,9 @@ pub struct TrainConfig {
     pub moment_bits: MomentBits,
     /// Strategy of density control and its options.
     pub density: DensityConfig,
+    /// Whether steps take nothing but the rasterizer as custom operations (see [`splat_op::in_tensor_code`]): false. Results are the same
+    /// up to rounding, and several times slower.
+    pub plain: bool,
     /// Schedule of the photographs' size.
     pub resolution: Resolution,
     /// The background behind the Gaussians and behind photographs with alpha: RGB, 0 to 1. The initial value of a learned
@@ -95,6 +98,7 @@ impl Default for TrainConfig {
             learning_rates: LearningRates::default(),
             moment_bits: MomentBits::default(),
             density: DensityConfig::default(),
+            plain: false,
             resolution: Resolution::FULL,
             background: [0.0; 3],
             antialias: false,
@@ -150,7 +154,8 @@ impl TrainConfig {
     /// Checks each option and whether they can be combined.
     ///
     /// # Errors
-    /// If an option is out of range, or effects on ellipses are combined with a render that has no ellipses.
+    /// If an option is out of range, if effects on ellipses are combined with a render that has no ellipses, or moments of few bits with tensor
+    /// code.
     pub fn check(&self) -> Result<(), TrainError> {
         let along_rays = self.dials.apply(RenderOptions::standard()).projection != Projection::Affine;
         match () {
@@ -159,6 +164,9 @@ impl TrainConfig {
             () if !self.resolution.is_valid() => Err(TrainError::Resolution(self.resolution)),
             () if self.sh_degree > SH_DEGREE_MAX => Err(TrainError::ShDegree(self.sh_degree)),
             () if along_rays && self.optics.any() => Err(TrainError::Ellipses),
+            () if self.plain && self.moment_bits != MomentBits::ThirtyTwo => {
+                Err(TrainError::PlainMoments(self.moment_bits))
+            }
             () => Ok(()),
         }
     }

@@ -7,6 +7,7 @@ use super::Resolution;
 use super::ranks::RankError;
 use crate::capture::{CaptureError, PointsSeen};
 use crate::gaussians::RowsError;
+use crate::optim::MomentBits;
 use crate::state::StateError;
 
 /// The reason why a run cannot start or continue.
@@ -40,6 +41,9 @@ pub enum TrainError {
          compute: leave out one of them (`--effects=-NAME`)"
     )]
     Ellipses,
+    /// Moments of few bits in tensor code.
+    #[error("`moment_bits` is {0} and `plain` is set, expected 32 bits: those of fewer have no tensor code")]
+    PlainMoments(MomentBits),
     /// A background cannot be learned from a photograph with transparent parts.
     #[error(
         "photograph `{0}` has transparent parts, which do not show a background to learn: train with `--effects=-alpha` \

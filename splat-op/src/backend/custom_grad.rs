@@ -1,6 +1,7 @@
 //! A value whose derivative is already known.
 
 use burn::tensor::Tensor;
+use burn::tensor::kind::Autodiff;
 
 use super::*;
 
@@ -53,8 +54,8 @@ pub fn with_gradient<const D: usize>(variable: Tensor<D>, value: Tensor<1>, grad
 }
 
 /// Returns values as constants beside tensors of a device with autodiff, if `beside_tracked` is set, or of one without.
-pub(crate) fn constant<const D: usize>(values: &Tensor<D>, beside_tracked: bool) -> Tensor<D> {
-    if beside_tracked && !values.is_autodiff() { Tensor::from_inner(values.clone()) } else { values.clone() }
+pub(crate) fn constant<const D: usize, K: Autodiff>(values: &Tensor<D, K>, beside_tracked: bool) -> Tensor<D, K> {
+    if beside_tracked { values.clone().autodiff() } else { values.clone() }
 }
 
 /// Returns the values of a tensor, on a device without autodiff.

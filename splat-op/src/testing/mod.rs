@@ -10,3 +10,14 @@ pub mod gpu;
 pub mod lenses;
 #[path = "../../../tests/hard-cases/src/random.rs"]
 pub mod random;
+
+/// Every device: Flex, NdArray and a GPU, where there is one.
+pub fn devices() -> Vec<burn::tensor::Device> {
+    use burn::tensor::Device;
+
+    #[expect(deprecated, reason = "NdArray is the second CPU backend that the project supports")]
+    let mut devices = vec![Device::flex(), Device::ndarray()];
+    #[cfg(feature = "cube")]
+    devices.extend(gpu::device());
+    devices
+}

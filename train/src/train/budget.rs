@@ -47,14 +47,19 @@ impl MemoryEstimate {
         let of_sh = 3 * (config.sh_degree + 1) * (config.sh_degree + 1);
         let moments = [3, 4, 3, 1, of_sh].map(|width| config.moment_bits.bytes(width)).iter().sum::<usize>();
         let values = (PLAIN + of_sh) * size_of::<f32>();
-        // The sum of a batch's gradients, and those of a view.
-        let copies = COPIES + usize::from(config.batch > 1);
         Self {
             photographs: kept.map(Photograph::bytes).sum(),
             prepared: all_prepared.min(config.cache_mib << 20),
-            scene: splats * (copies * values + moments + values.max(RENDERED)),
+            scene: splats * (copies(config) * values + moments + values.max(RENDERED)),
             other: PROGRAM + PIXEL * largest,
         }
+    }
+
+    /// Adds the groups of a program's own, with these numbers in a row, of `splats` Gaussians.
+    pub fn with_groups(mut self, widths: impl Iterator<Item = usize>, config: &TrainConfig, splats: usize) -> Self {
+        let of_row = |width| copies(config) * width * size_of::<f32>() + config.moment_bits.bytes(width);
+        self.scene += splats * widths.map(of_row).sum::<usize>();
+        self
     }
 
     pub fn total(self) -> usize {
@@ -81,6 +86,11 @@ impl MemoryEstimate {
         }
         text
     }
+}
+
+/// Copies of a parameter, of which one is the sum of a batch's gradients beside those of a view.
+fn copies(config: &TrainConfig) -> usize {
+    COPIES + usize::from(config.batch > 1)
 }
 
 /// Returns the memory that programs can still take, bytes, where the system reports it.

@@ -5,6 +5,7 @@ use std::rc::Rc;
 
 use anyhow::{Context, Result};
 use splat_model::capture::Photograph;
+use splat_model::gaussians::{BASE_GROUPS, Group};
 use splat_model::trainer::Trainer;
 use splat_model::trainer::ranks::{Alone, Ranks};
 
@@ -119,8 +120,10 @@ impl Run {
             "{folder}: {train_views} photographs to train on, {test_views} to test on, {points} points"
         ));
         let most = job.config.density.max_splats();
-        progress::note(&MemoryEstimate::of(&train, &test, &job.config, most).said(most, available));
+        let estimate = MemoryEstimate::of(&train, &test, &job.config, most);
         let mut trainer = change(job.trainer(train, kept.is_none(), &ranks)?);
+        let own = trainer.gaussians().groups()[BASE_GROUPS.len()..].iter().map(Group::width);
+        progress::note(&estimate.with_groups(own, &job.config, most).said(most, available));
         let load_s = seconds_since(setup.start);
 
         // All errors in the capture have been found by now: a run that does not begin leaves no files.

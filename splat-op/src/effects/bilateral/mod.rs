@@ -21,6 +21,7 @@ mod kernels;
 pub(crate) mod launch;
 mod operation;
 pub(crate) mod roughness;
+mod tensors;
 #[cfg(test)]
 mod tests;
 
@@ -28,9 +29,11 @@ use burn::tensor::Tensor;
 
 pub use self::roughness::roughness;
 use crate::backend::apply;
+use crate::backend::custom_grad::constant;
 use crate::check::Reference;
 use crate::error::SplatError;
 use crate::record::record;
+use crate::tensor_code::is_tensor_code;
 
 /// Entries of a colour map: three rows of four.
 pub const MAP: usize = 12;
@@ -82,6 +85,10 @@ pub fn slice(image: &Tensor<3>, grid: &Tensor<4>) -> Result<Tensor<3>, SplatErro
     }
     // Pictures come from `rasterize` as planes, so that this moves nothing.
     let planes = image.clone().permute([2, 0, 1]);
+    if is_tensor_code() {
+        let tracked = planes.is_autodiff() || grid.is_autodiff();
+        return Ok(tensors::slice(constant(&planes, tracked), constant(grid, tracked)).permute([1, 2, 0]));
+    }
     let size = SliceSize::new(&planes.dims(), &grid.dims());
     let inputs = Sliced { image: planes.into(), grid: grid.into() };
     let mapped: Tensor<3> = apply(operation::Slice(size), inputs.into_array()).float(0);

@@ -15,7 +15,7 @@ mod tests;
 use burn::tensor::{DType, Int, Tensor};
 
 use crate::abilities::is_gpu;
-use crate::backend::custom_grad::constant;
+use crate::backend::custom_grad::{constant, plain};
 use crate::check::Reference;
 use crate::error::SplatError;
 
@@ -54,11 +54,11 @@ pub fn depth_miss(
     }
     let at = |picture: Tensor<3>, pixels: Tensor<1, Int>| picture.reshape([plane]).select(0, pixels);
     let inside = pixels.clone().clamp(0, plane as i64 - 1);
-    let values = if tracked { alpha.clone().inner() } else { alpha.clone() };
     let exists = inside.clone().equal(pixels.clone());
-    let counts = at(values, inside.clone()).greater_equal_elem(COVERED).bool_and(exists).float().cast(depth.dtype());
+    let counts =
+        at(plain(alpha), inside.clone()).greater_equal_elem(COVERED).bool_and(exists).float().cast(depth.dtype());
     let share = counts.clone() / counts.sum().clamp_min(1.0);
-    let inside = if tracked { Tensor::from_inner(inside) } else { inside };
+    let inside = constant(&inside, tracked);
     let divisor = at(alpha.clone(), inside.clone()).clamp_min(COVERED) * constant(known, tracked);
     Ok(((at(depth.clone(), inside) / divisor - 1.0).abs() * constant(&share, tracked)).sum())
 }

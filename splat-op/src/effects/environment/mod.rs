@@ -20,16 +20,19 @@ mod kernels;
 #[cfg(feature = "cube")]
 pub(crate) mod launch;
 mod operation;
+mod tensors;
 #[cfg(test)]
 mod tests;
 
 use burn::tensor::Tensor;
 
 use crate::backend::apply;
+use crate::backend::custom_grad::constant;
 use crate::check::Reference;
 use crate::error::SplatError;
 use crate::record::record;
 use crate::sh::sh_degree;
+use crate::tensor_code::is_tensor_code;
 
 record! {
     /// Inputs of the composition, or their gradients.
@@ -70,10 +73,17 @@ pub fn over(
         return Err(SplatError::Shape { name: "coefficients", found, expected: COEFFICIENTS, hint });
     }
     // Renders come from `rasterize` as planes, so that this moves nothing.
-    let planes = |picture: &Tensor<3>| picture.clone().permute([2, 0, 1]).into();
+    let planes = |picture: &Tensor<3>| picture.clone().permute([2, 0, 1]);
+    let (image, alpha) = (planes(image), planes(alpha));
+    if is_tensor_code() {
+        let tracked = image.is_autodiff() || coefficients.is_autodiff();
+        let (image, alpha) = (constant(&image, tracked), constant(&alpha, tracked));
+        let (directions, coefficients) = (constant(directions, tracked), constant(coefficients, tracked));
+        return Ok(tensors::over(image, alpha, directions, coefficients).permute([1, 2, 0]));
+    }
     let inputs = Sky {
-        image: planes(image),
-        alpha: planes(alpha),
+        image: image.into(),
+        alpha: alpha.into(),
         directions: directions.into(),
         coefficients: coefficients.into(),
     };

@@ -64,6 +64,7 @@ mod kernel_tests;
 pub(crate) mod launch;
 mod operation;
 mod simd;
+mod tensors;
 #[cfg(test)]
 mod tests;
 
@@ -75,6 +76,7 @@ use crate::check::Reference;
 use crate::error::SplatError;
 use crate::record::record;
 use crate::stages::Projected;
+use crate::tensor_code::is_tensor_code;
 
 /// Largest vertical motion over a rolling shutter, as a share of the picture's height. Faster points are clamped to it.
 pub(crate) const LARGEST_SHARE: f64 = 0.5;
@@ -157,7 +159,10 @@ fn exposed(projected: &Projected, twist: &Tensor<1>, exposure: Exposure, margin:
     }
     let reference = Reference::new("projected", projected.packed())?;
     reference.check("twist", twist, [Some(PARAMETERS)], "[6]")?;
-    let inputs = Exposed { projected: projected.packed().into(), twist: twist.into() };
     let spec = OpticsSpec { intrinsics, exposure, margin };
+    if is_tensor_code() {
+        return tensors::exposed(projected, twist, &spec);
+    }
+    let inputs = Exposed { projected: projected.packed().into(), twist: twist.into() };
     Ok(Projected::of(apply(operation::Expose(spec), inputs.into_array()).float(0), intrinsics))
 }

@@ -1,12 +1,54 @@
 use burn::tensor::{DType, Device, Tensor, TensorData};
 
-use super::cpu::{corrected_backward_cpu, corrected_cpu};
 use super::*;
+use crate::testing::devices;
 use crate::testing::finite::{check_gradient, inner_product};
 use crate::testing::random::Random;
 
+/// Numbers of a pose.
+const POSE: usize = 12;
+
+/// A correction and a pose, or their gradients.
+#[derive(Clone, Copy)]
+struct Corrected<T> {
+    correction: T,
+    cam_from_world: T,
+}
+
+fn tensor(values: &[f64], columns: usize, device: &Device, dtype: DType) -> Tensor<2> {
+    Tensor::from_data(TensorData::new(values.to_vec(), [values.len() / columns, columns]), (device, dtype))
+}
+
+fn host<const D: usize>(tensor: Tensor<D>) -> Vec<f64> {
+    tensor.into_data().iter::<f64>().collect()
+}
+
+/// The corrected pose, and the gradients of its sum with these weights.
+fn found(
+    inputs: Corrected<&[f64]>,
+    weights: &[f64],
+    unit: f64,
+    on: (&Device, DType),
+) -> (Vec<f64>, Corrected<Vec<f64>>) {
+    let tracked = |values: &[f64], columns| Tensor::from_inner(tensor(values, columns, on.0, on.1)).require_grad();
+    let (correction, pose) = (tracked(inputs.correction, 3), tracked(inputs.cam_from_world, 4));
+    let value = corrected(&correction, &pose, unit).unwrap();
+    let gradients = (value.clone() * Tensor::from_inner(tensor(weights, 4, on.0, on.1))).sum().backward();
+    let of = |of: &Tensor<2>| host(of.grad(&gradients).expect("tracked"));
+    (host(value), Corrected { correction: of(&correction), cam_from_world: of(&pose) })
+}
+
+const IN_F64: DType = DType::F64;
+
+fn corrected_of(inputs: Corrected<&[f64]>, unit: f64) -> Vec<f64> {
+    let device = Device::flex();
+    let (correction, pose) =
+        (tensor(inputs.correction, 3, &device, IN_F64), tensor(inputs.cam_from_world, 4, &device, IN_F64));
+    host(corrected(&correction, &pose, unit).unwrap())
+}
+
 /// A correction and a pose that is no rotation, exact in f32.
-pub(super) fn correction(seed: u64, size: f64) -> Corrected<Vec<f64>> {
+fn correction(seed: u64, size: f64) -> Corrected<Vec<f64>> {
     let mut random = Random::new(seed);
     let mut fill = |count: usize, size: f64| -> Vec<f64> {
         random.fill(count, -size, size).iter().map(|value| f64::from(*value as f32)).collect()
@@ -23,10 +65,7 @@ struct Sighted<T> {
 
 /// The miss in f64 and its derivative with respect to the pose.
 fn miss_of(inputs: &Sighted<&[f64]>, scale: f64) -> (f64, Vec<f64>) {
-    let tensor = |values: &[f64], columns: usize| {
-        let data = TensorData::new(values.to_vec(), [values.len() / columns, columns]);
-        Tensor::<2>::from_data(data, (&Device::flex(), DType::F64))
-    };
+    let tensor = |values: &[f64], columns| tensor(values, columns, &Device::flex(), IN_F64);
     let pose = Tensor::from_inner(tensor(inputs.pose, 4)).require_grad();
     let value = miss(&pose, &tensor(inputs.points, 3), &tensor(inputs.directions, 3), scale).unwrap();
     let gradient = pose.grad(&value.backward()).expect("tracked").into_data().try_to_vec::<f64>().unwrap();
@@ -57,11 +96,11 @@ const ROBUST: f64 = 0.0625;
 fn no_correction_is_the_pose_to_the_last_bit_and_others_are_rigid() {
     let Corrected { cam_from_world, .. } = correction(1, 1.0);
     let still = Corrected { correction: &[0.0; 6][..], cam_from_world: &cam_from_world[..] };
-    assert_eq!(corrected_cpu(still, 3.0), cam_from_world);
+    assert_eq!(corrected_of(still, 3.0), cam_from_world);
     let identity: Vec<f64> = (0..POSE).map(|i| if i % 5 == 0 { 1.0 } else { 0.0 }).collect();
     for size in [0.01, 1.0, 300.0] {
         let Corrected { correction, .. } = correction(2, size);
-        let found = corrected_cpu(Corrected { correction: &correction[..], cam_from_world: &identity[..] }, 3.0);
+        let found = corrected_of(Corrected { correction: &correction[..], cam_from_world: &identity[..] }, 3.0);
         for (i, k) in [(0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0)] {
             let product: f64 = (0..3).map(|j| found[4 * i + j] * found[4 * k + j]).sum();
             assert!((product - if i == k { 1.0 } else { 0.0 }).abs() < 1e-12, "rows {i} and {k}: {product}");
@@ -83,15 +122,41 @@ fn gradients_are_those_of_differences() {
     for size in [0.0, 0.05, 2.0] {
         let inputs = correction(3, size);
         let weights = Random::new(4).fill(POSE, -1.0, 1.0);
-        let slices = inputs.each_ref().map(|values| &values[..]);
-        let found = corrected_backward_cpu(slices, &weights, 1.5);
-        let total =
-            |correction: &[f64]| inner_product(&corrected_cpu(Corrected { correction, ..slices }, 1.5), &weights);
-        check_gradient("correction", &inputs.correction, &found, 1, total);
+        let slices = Corrected { correction: &inputs.correction[..], cam_from_world: &inputs.cam_from_world[..] };
+        let (_, of) = found(slices, &weights, 1.5, (&Device::flex(), IN_F64));
+        let total = |inputs: Corrected<&[f64]>| inner_product(&corrected_of(inputs, 1.5), &weights);
+        check_gradient("correction", &inputs.correction, &of.correction, 1, |correction| {
+            total(Corrected { correction, ..slices })
+        });
+        check_gradient("pose", &inputs.cam_from_world, &of.cam_from_world, 1, |cam_from_world| {
+            total(Corrected { cam_from_world, ..slices })
+        });
     }
     let Sighted { pose, points, directions } = sighted(600);
     let at = |pose: &[f64]| miss_of(&Sighted { pose, points: &points[..], directions: &directions[..] }, ROBUST);
     check_gradient("pose", &pose, &at(&pose).1, 1, |pose| at(pose).0);
+}
+
+/// Numbers of about 2, of which sums of a dozen products are taken.
+#[test]
+fn every_device_agrees_with_f64() {
+    let close = |found: &[f64], expected: &[f64], what: &str| {
+        for (found, expected) in found.iter().zip(expected) {
+            assert!((found - expected).abs() < 1e-5, "{what}: {found} instead of {expected}");
+        }
+    };
+    for (seed, size) in [(1, 0.05), (2, 1.0)] {
+        let inputs = correction(seed, size);
+        let weights: Vec<f64> = Random::new(6).fill(POSE, -1.0, 1.0).iter().map(|w| f64::from(*w as f32)).collect();
+        let slices = Corrected { correction: &inputs.correction[..], cam_from_world: &inputs.cam_from_world[..] };
+        let (expected, of_expected) = found(slices, &weights, 1.5, (&Device::flex(), IN_F64));
+        for device in devices() {
+            let (value, of) = found(slices, &weights, 1.5, (&device, DType::F32));
+            close(&value, &expected, &format!("{device:?}: pose"));
+            close(&of.correction, &of_expected.correction, &format!("{device:?}: of the correction"));
+            close(&of.cam_from_world, &of_expected.cam_from_world, &format!("{device:?}: of the pose"));
+        }
+    }
 }
 
 #[test]
@@ -122,16 +187,16 @@ fn tensors_get_their_gradients_and_other_shapes_are_refused() {
     let (given, pose) = (tensor(&correction, [2, 3]).require_grad(), tensor(&cam_from_world, [3, 4]));
     let inputs = sighted(20);
     let (points, directions) = (tensor(&inputs.points, [20, 3]).inner(), tensor(&inputs.directions, [20, 3]).inner());
-    let found = miss(&corrected(&given, &pose, 2.0).unwrap(), &points, &directions, ROBUST).unwrap() * 3.0;
-    let found = given.grad(&found.backward()).unwrap().into_data().try_to_vec::<f32>().unwrap();
+    let value = miss(&corrected(&given, &pose, 2.0).unwrap(), &points, &directions, ROBUST).unwrap() * 3.0;
+    let of_given = given.grad(&value.backward()).unwrap().into_data().try_to_vec::<f32>().unwrap();
     let slices = Corrected { correction: &correction[..], cam_from_world: &cam_from_world[..] };
     let sighted = Sighted {
-        pose: &corrected_cpu(slices, 2.0)[..],
+        pose: &corrected_of(slices, 2.0)[..],
         points: &inputs.points[..],
         directions: &inputs.directions[..],
     };
-    let expected = corrected_backward_cpu(slices, &miss_of(&sighted, ROBUST).1, 2.0);
-    for (found, expected) in found.iter().zip(&expected) {
+    let (_, expected) = found(slices, &miss_of(&sighted, ROBUST).1, 2.0, (&Device::flex(), IN_F64));
+    for (found, expected) in of_given.iter().zip(&expected.correction) {
         assert!((f64::from(*found) - 3.0 * expected).abs() < 1e-5, "{found} instead of {}", 3.0 * expected);
     }
     let wrong = tensor(&cam_from_world, [4, 3]);

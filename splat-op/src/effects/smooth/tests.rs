@@ -1,6 +1,7 @@
 use burn::tensor::{Device, Tensor, TensorData};
 
 use super::*;
+use crate::testing::devices;
 use crate::testing::random::Random;
 
 /// New standard deviations and opacities, and the gradients of the standard deviations and opacities from those of the new opacities.
@@ -9,16 +10,6 @@ struct Found {
     opacities: Vec<f32>,
     of_scales: Vec<f32>,
     of_opacities: Vec<f32>,
-}
-
-/// Every device: Flex, NdArray and a GPU, where there is one.
-fn devices() -> Vec<Device> {
-    #[cfg(feature = "cube")]
-    let gpu = crate::testing::gpu::device();
-    #[cfg(not(feature = "cube"))]
-    let gpu = None;
-    #[expect(deprecated, reason = "Burn still releases it")]
-    [Some(Device::flex()), Some(Device::ndarray()), gpu].into_iter().flatten().collect()
 }
 
 fn found(scales: &[f32], opacities: &[f32], widths: &[f32], grad: &[f32], device: &Device) -> Found {

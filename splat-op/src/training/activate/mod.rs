@@ -31,6 +31,7 @@ mod kernel_tests;
 pub(crate) mod launch;
 mod operation;
 pub(crate) mod rule;
+mod tensors;
 #[cfg(test)]
 mod tests;
 
@@ -41,6 +42,7 @@ pub use rule::{LARGEST, LARGEST_LOG_SCALE};
 use crate::backend::apply;
 use crate::check::Reference;
 use crate::error::SplatError;
+use crate::tensor_code::is_tensor_code;
 
 /// Gaussians with unconstrained parameters, one row each, all of one float type and on one device.
 #[derive(Clone, Debug)]
@@ -72,6 +74,9 @@ pub fn activated(raw: &RawSplats, mark: Option<&Tensor<1, Int>>) -> Result<(Tens
     reference.check("log_scales", &raw.log_scales, [Some(count), Some(3)], "[N, 3]")?;
     reference.check("logit_opacities", &raw.logit_opacities, [Some(count)], "[N]")?;
     reference.check("sh", &raw.sh, [Some(count), None, Some(3)], "[N, K, 3]")?;
+    if is_tensor_code() {
+        return Ok(tensors::activated(raw));
+    }
     let RawSplats { means, rotations, log_scales, logit_opacities, sh } = raw;
     let inputs = [means.into(), rotations.into(), log_scales.into(), logit_opacities.into(), sh.into(), mark.into()];
     let mut found = apply(operation::Activated, inputs);
@@ -82,7 +87,11 @@ pub fn activated(raw: &RawSplats, mark: Option<&Tensor<1, Int>>) -> Result<(Tens
 ///
 /// Reading the result waits for the device; tensor code on it does not.
 pub fn non_finite<const D: usize>(values: &Tensor<D>) -> Tensor<1, Int> {
-    apply(operation::NonFinite, [values.clone().inner().into()]).int(0)
+    let values = values.clone().inner();
+    match is_tensor_code() {
+        true => tensors::non_finite(values),
+        false => apply(operation::NonFinite, [values.into()]).int(0),
+    }
 }
 
 /// Returns whether a Gaussian is usable by the rule of [this module](self), from its parameters on the host. `sh` holds all its

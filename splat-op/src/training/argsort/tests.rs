@@ -1,20 +1,13 @@
 //! The sort on every device against the standard library, exactly.
 
-use burn::tensor::{DType, Device, Int, Tensor, TensorData};
+use burn::tensor::{DType, Int, Tensor, TensorData};
 
 use super::{ALL_BITS, argsort, argsort_floats};
+use crate::testing::devices;
 use crate::testing::random::Random;
 
 /// Lengths around those of a tile of keys on a GPU, and one of several chunks.
 const LENGTHS: [usize; 7] = [0, 1, 2, 257, 2_049, 5_000, 70_001];
-
-fn devices() -> Vec<Device> {
-    #[expect(deprecated, reason = "NdArray is the second CPU backend that the project supports")]
-    let mut devices = vec![Device::flex(), Device::ndarray()];
-    #[cfg(feature = "cube")]
-    devices.extend(crate::testing::gpu::device());
-    devices
-}
 
 fn numbers(order: Tensor<1, Int>) -> Vec<i32> {
     assert_eq!(order.dtype(), DType::I32);

@@ -29,6 +29,11 @@ fn a_budget_is_the_sum_of_what_is_there() {
     let more = MemoryEstimate::of(&[], &[], &config, 10).scene - budget.scene;
     assert_eq!(more, 10 * (COPIES + 2) * 9 * 4);
     assert_eq!(MemoryEstimate::of(&[], &[], &config, 0).total(), PROGRAM);
+    // Eight bits: two bytes a number, in whole words.
+    let with_groups = |config: &TrainConfig| budget.with_groups([16, 1].into_iter(), config, 10).scene - budget.scene;
+    assert_eq!(with_groups(&config), 10 * (COPIES + 2) * 17 * 4);
+    assert_eq!(with_groups(&packed), 10 * (COPIES * 17 * 4 + 36));
+    assert_eq!(with_groups(&several), 10 * (COPIES + 3) * 17 * 4);
 }
 
 #[test]

@@ -4,58 +4,26 @@
 //! the Cayley map of `h = ω/2`, a rotation up to rounding for every `h`:
 //!
 //! ```text
-//! R = I + f (K + h hᵀ − |h|² I)     K v = h × v     f = 2 / (1 + |h|²)
-//! ```
-//!
-//! With `g = [G | γ]` the gradient of the corrected pose, `B = G R₀ᵀ + γ t₀ᵀ` is that of `R`. With the axial vector
-//! `a = (B₂₁ − B₁₂, B₀₂ − B₂₀, B₁₀ − B₀₁)` and `S = a·h + hᵀ B h − |h|² tr B`,
-//!
-//! ```text
-//! ∂h = f (a + (B + Bᵀ) h − 2 (tr B) h) − f² S h     ∂ω = ∂h / 2     ∂τ = e γ
+//! R = I + f (K + K²)     K v = h × v     f = 2 / (1 + |h|²)
 //! ```
 //!
 //! The miss of a pose is the mean of `ρ − r`, `ρ = √(|d − d*|² + r²)`, over known points `x`, with `d = p/|p|` the direction to
-//! `p = A x + t` and `d*` the observed one: about the angle between both, rad, where it is large compared with `r`. With
-//! `s = (d − d*)/ρ`, `∂p = (s − d (d·s)) / |p|`, `∂A = Σ ∂p xᵀ` and `∂t = Σ ∂p`, divided by the number of points. It is tensor code.
+//! `p = A x + t` and `d*` the observed one: about the angle between both, rad, where it is large compared with `r`.
+//!
+//! Both are tensor code on every device.
 
-pub(crate) mod cpu;
-#[cfg(all(test, feature = "cube"))]
-mod kernel_tests;
-#[cfg(feature = "cube")]
-mod kernels;
-#[cfg(feature = "cube")]
-pub(crate) mod launch;
-mod operation;
-#[cfg(test)]
-mod tests;
+use burn::tensor::{Tensor, TensorData};
 
-use burn::tensor::Tensor;
-
-use crate::backend::apply;
-use crate::backend::custom_grad::constant;
+use crate::backend::custom_grad::{constant, plain};
 use crate::check::Reference;
 use crate::error::SplatError;
-use crate::record::record;
-
-/// Numbers of a pose.
-#[cfg(any(test, feature = "cube"))]
-pub(crate) const POSE: usize = 12;
+use crate::product::product;
 
 /// The least square of a distance that a direction is divided by.
 const LEAST_SQUARE: f64 = 1e-30;
 
-record! {
-    /// Inputs of a correction, or their gradients.
-    pub(crate) struct Corrected {
-        /// `[2, 3]`: `ω`, rad, and `τ`.
-        correction,
-        /// `[3, 4]`: the given pose. A constant.
-        cam_from_world,
-    }
-}
-
 /// Returns the corrected pose `[3, 4]` of a camera with the pose `cam_from_world`, `[3, 4]` f32, or f64 on CPUs. `correction`, `[2, 3]`, is
-/// the rotation `ω`, rad, and the movement `τ` in units of `unit`, scene units. Differentiable in the correction.
+/// the rotation `ω`, rad, and the movement `τ` in units of `unit`, scene units. Differentiable in both.
 ///
 /// # Errors
 /// If a shape is not as documented, or if float types or devices differ.
@@ -63,8 +31,28 @@ pub fn corrected(correction: &Tensor<2>, cam_from_world: &Tensor<2>, unit: f64) 
     let reference = Reference::new("correction", correction)?;
     reference.check("correction", correction, [Some(2), Some(3)], "[2, 3]")?;
     reference.check("cam_from_world", cam_from_world, [Some(3), Some(4)], "[3, 4]")?;
-    let inputs = Corrected { correction: correction.into(), cam_from_world: cam_from_world.into() };
-    Ok(apply(operation::Correct { unit }, inputs.into_array()).float(0))
+    let tracked = correction.is_autodiff() || cam_from_world.is_autodiff();
+    let (correction, pose) = (constant(correction, tracked), constant(cam_from_world, tracked));
+    let half = correction.clone().narrow(0, 0, 1).squeeze_dim::<1>(0) * 0.5;
+    let cross = cross_matrix(&half);
+    let once = product(cross.clone(), pose.clone());
+    let twice = product(cross, once.clone());
+    let factor = (half.square().sum() + 1.0).recip().unsqueeze::<2>() * 2.0;
+    let moved = correction.narrow(0, 1, 1).transpose() * unit;
+    let still = Tensor::zeros([3, 3], (&pose.device(), pose.dtype()));
+    Ok(pose + (once + twice) * factor + Tensor::cat(vec![still, moved], 1))
+}
+
+/// Returns the matrix of the cross product with `v`, `[3]`: `[3, 3]`. Differentiable.
+pub fn cross_matrix(v: &Tensor<1>) -> Tensor<2> {
+    // The signs with which each component of `v` enters the matrix, row-major.
+    const PLACES: [[f64; 9]; 3] = [
+        [0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0],
+        [0.0, 0.0, 1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0],
+        [0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+    ];
+    let places = Tensor::<2>::from_data(TensorData::from(PLACES), (&v.device(), v.dtype()));
+    product(v.clone().unsqueeze(), places).reshape([3, 3])
 }
 
 /// Returns the miss of `pose`, `[3, 4]` f32, or f64 on CPUs, as `[1]`: the mean robust difference between the directions to `points`,
@@ -75,7 +63,7 @@ pub fn corrected(correction: &Tensor<2>, cam_from_world: &Tensor<2>, unit: f64) 
 /// If a shape is not as documented, or if float types differ.
 pub fn miss(pose: &Tensor<2>, points: &Tensor<2>, directions: &Tensor<2>, scale: f64) -> Result<Tensor<1>, SplatError> {
     let tracked = pose.is_autodiff();
-    let values = if tracked { pose.clone().inner() } else { pose.clone() };
+    let values = plain(pose);
     let reference = Reference::new("pose", &values)?;
     let count = points.dims()[0];
     reference.check("pose", &values, [Some(3), Some(4)], "[3, 4]")?;
@@ -84,9 +72,12 @@ pub fn miss(pose: &Tensor<2>, points: &Tensor<2>, directions: &Tensor<2>, scale:
     if count == 0 {
         return Ok(Tensor::zeros([1], (&pose.device(), pose.dtype())));
     }
-    let turned = constant(points, tracked).matmul(pose.clone().narrow(1, 0, 3).transpose());
+    let turned = product(constant(points, tracked), pose.clone().narrow(1, 0, 3).transpose());
     let cam = turned + pose.clone().narrow(1, 3, 1).transpose();
     let length = cam.clone().square().sum_dim(1).clamp_min(LEAST_SQUARE).sqrt();
     let squared = (cam / length - constant(directions, tracked)).square().sum_dim(1);
     Ok((squared + scale * scale).sqrt().mean() - scale)
 }
+
+#[cfg(test)]
+mod tests;
