@@ -165,10 +165,7 @@ impl Trained {
         let (found, expected) = (values.shape().num_elements(), count * width);
         match found == expected && width > 0 {
             true => Ok(()),
-            false => {
-                let (field, sh_degree) = (name.to_owned(), self.gaussians.sh_degree());
-                Err(RowsError::Length { field, found, expected, count, sh_degree })
-            }
+            false => Err(RowsError::length(name, found, expected, count, self.gaussians.sh_degree())),
         }
     }
 
