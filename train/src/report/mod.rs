@@ -30,8 +30,6 @@ pub const SCENE: &str = "scene.ply";
 pub const METRICS: &str = "metrics.json";
 /// The report, for people.
 pub const REPORT: &str = "report.html";
-/// The background, where a run learned it.
-pub const BACKGROUND: &str = "background.json";
 /// Poses of the photographs, where a run refined them.
 pub const POSES: &str = "poses.json";
 /// The folder of pictures.

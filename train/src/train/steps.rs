@@ -11,19 +11,18 @@ use splat_model::trainer::{TrainConfig, Trainer};
 use super::TrainArgs;
 use super::checkpoints::{Checkpoints, SoFar};
 use super::job::Job;
-use super::results::{export, keep_scene};
+use super::results::{Done, export, keep_scene};
 use super::setup::Setup;
-use super::stop::{Interrupted, Stop};
 use super::time_limit::{TimeLimit, set_steps};
 use crate::live::Live;
 use crate::ranks::{self, Order};
-use crate::report::history::History;
-use crate::report::log::{FEW, RunLog};
+use crate::report::log::RunLog;
+use crate::stop::{Interrupted, Stop};
 
 /// Longest time between checkpoints.
 const BETWEEN_CHECKPOINTS: Duration = Duration::from_secs(120);
 
-/// Number of scores that are taken without being asked for, and the largest share of the training time that they take.
+/// Number of scores that are taken without being asked for, if they take at most this share of the training time.
 const SCORES: usize = 10;
 const SCORING_SHARE: f64 = 0.02;
 
@@ -35,12 +34,11 @@ fn is_checkpoint_due(every: Option<usize>, step: usize, since: Duration) -> bool
     }
 }
 
-/// Whether a run that was not told when takes scores at a step: ten times, where a view that costs as much as a step keeps below the share,
-/// and as long as the measured share does.
-fn scores_by_itself(step: usize, steps: usize, views: usize, share: f64) -> bool {
-    let cost = (SCORES * views.min(FEW)) as f64;
+/// Whether a run that was not told when takes scores at a step: at each tenth of the steps at which the time of all scores so far and of
+/// this one, `scoring_s`, is at most a share of the time that the steps have taken, `training_s`.
+fn scores_by_itself(step: usize, steps: usize, scoring_s: f64, training_s: f64) -> bool {
     let is_turn = step * SCORES / steps > (step - 1) * SCORES / steps;
-    is_turn && views > 0 && cost <= SCORING_SHARE * steps as f64 && share <= SCORING_SHARE
+    is_turn && scoring_s <= SCORING_SHARE * training_s
 }
 
 pub struct Steps<'a> {
@@ -52,17 +50,6 @@ pub struct Steps<'a> {
     pub ranks: Rc<dyn Ranks>,
 }
 
-/// Result of the steps, when all are done.
-pub struct Done<'a> {
-    /// Training time of all parts of the run, s.
-    pub seconds: f64,
-    pub history: History,
-    pub checkpoints: Checkpoints,
-    pub live: Option<Live<'a>>,
-    /// The step at which the view's button ended the run before its last step. The checkpoint of that step is kept.
-    pub stopped_at: Option<usize>,
-}
-
 impl<'a> Steps<'a> {
     /// Runs all remaining steps.
     ///
@@ -72,6 +59,7 @@ impl<'a> Steps<'a> {
         let Setup { job: Job { args, capture, device, .. }, out, lpips, .. } = self.setup;
         let stop = Stop::listen().context("cannot listen for Ctrl-C")?;
         let mut time_limit = args.time.map(TimeLimit::new);
+        let schedule = |config, steps| args.schedule(config, steps);
         // The first checkpoint comes before the first step: a run killed at once can be resumed too, and an unwritable
         // folder is found now.
         if trainer.steps_done() == 0 && args.checkpoint_every != Some(0) {
@@ -93,7 +81,8 @@ impl<'a> Steps<'a> {
                 let (step, steps) = (trainer.steps_done(), trainer.config().steps);
                 if match args.eval_during {
                     Some(every) => every > 0 && step.is_multiple_of(every),
-                    None => scores_by_itself(step, steps, self.test.len(), log.scoring_share()),
+                    None if self.test.is_empty() => false,
+                    None => scores_by_itself(step, steps, log.scoring_s_with_next(self.test), log.recorder.elapsed_s()),
                 } {
                     evaluated = log.evaluate(trainer, self.test, device, lpips.as_ref());
                 }
@@ -115,10 +104,10 @@ impl<'a> Steps<'a> {
                 let so_far = so_far_of(trainer, args, &log);
                 self.checkpoints.write(trainer, args, &so_far)?;
                 // One more step, which waits for the device and finds its faults.
-                set_steps(trainer.steps_done() + 1, trainer, args, &mut log)?;
+                set_steps(trainer.steps_done() + 1, trainer, &schedule, &mut log)?;
             }
             if let Some(limit) = &mut time_limit {
-                limit.adjust(trainer, args, &mut log)?;
+                limit.adjust(trainer, &schedule, &mut log)?;
             }
             if args.export_every.is_some_and(|every| trainer.steps_done().is_multiple_of(every)) {
                 export(trainer, capture, out);
@@ -130,8 +119,9 @@ impl<'a> Steps<'a> {
             }
         }
         self.order(Order::End)?;
-        let (seconds, history) = (log.recorder.seconds(), log.finish());
-        Ok(Done { seconds, history, checkpoints: self.checkpoints, live: self.live, stopped_at })
+        let (seconds, scoring_s) = (log.recorder.seconds(), log.scoring_s());
+        let history = log.finish();
+        Ok(Done { seconds, scoring_s, history, checkpoints: self.checkpoints, live: self.live, stopped_at })
     }
 
     /// Orders a step of the other ranks, with the configuration if it is no longer the one that they were `told`.
