@@ -10,9 +10,6 @@ use crate::device::{self, DeviceName, RUNTIMES};
 use crate::progress::say;
 
 /// Prints the devices, the runtimes of this build, and the device that `auto` chooses.
-///
-/// # Errors
-/// None today: an adapter that does not open is listed as such.
 pub fn run() -> Result<()> {
     let threads = thread::available_parallelism().map_or(1, NonZero::get);
     say(&line("--device", "what it is"));

@@ -1,5 +1,7 @@
 //! Tensors of Burn's two CPU backends as slices, without a copy where they are contiguous.
 
+#![allow(deprecated, reason = "burn-ndarray is deprecated in favour of burn-flex; this project supports both")]
+
 use std::array;
 use std::ops::Deref;
 

@@ -151,9 +151,9 @@ impl RunLog {
         Ok(())
     }
 
-    /// Returns the time that scores have taken since the run began or was resumed, s.
+    /// Returns the time that scores have taken since the run began or was resumed, s to the millisecond.
     pub fn scoring_s(&self) -> f64 {
-        self.scoring_s
+        (1e3 * self.scoring_s).round() / 1e3
     }
 
     /// Returns the time that scores will have taken after the next one, s: it takes as long as those before, and the first one as long as a step

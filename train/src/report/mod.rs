@@ -71,9 +71,6 @@ pub fn view_files<'a>(views: impl IntoIterator<Item = &'a str>) -> impl Iterator
 }
 
 /// Writes `metrics.json`, after removing pictures of an earlier run's test views that this run does not have.
-///
-/// # Errors
-/// If it cannot be written.
 pub fn finish(metrics: &Metrics, out: &OutputFolder) -> Result<()> {
     let current = metrics.test.iter().flat_map(|scores| &scores.views).map(|view| view.name.as_str());
     let current: Vec<PathBuf> = pictures::names(current, "png");

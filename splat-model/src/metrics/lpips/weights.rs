@@ -1,7 +1,7 @@
 //! Weights from a file: safetensors with the names and shapes of the package's own `state_dict`.
 
 use std::fs::File;
-use std::io::{self, Read};
+use std::io::Read;
 use std::path::Path;
 
 use burn::tensor::{Device, Tensor, TensorData};
@@ -28,7 +28,7 @@ impl Lpips {
     /// them is missing, has another shape or type, or holds values that are not finite or, in a linear layer, negative.
     pub fn read(path: &Path, device: &Device) -> Result<Self, FileError> {
         let error = |detail: String| FileError::new(path, detail);
-        let io = |reason: io::Error| error(format!("could not read the weights of LPIPS: {reason}"));
+        let io = |reason| FileError::io(path, "read the weights of LPIPS")(reason);
         let format = |found: String| {
             let advice = "docs/METRICS.md describes the tensors and has the command that exports them";
             error(format!("{found}; {advice}"))
