@@ -23,7 +23,7 @@ const BUDGET: Duration = Duration::from_secs(40);
 const LENS: (CameraModel, [f64; 8]) = (CameraModel::OpenCv, [-0.12, 0.03, 0.004, -0.006, 0.0, 0.0, 0.0, 0.0]);
 
 fn main() -> Result<(), Box<dyn Error>> {
-    let (mut name, mut sizes) = (DeviceName::Flex, Vec::<JobSize>::new());
+    let (mut name, mut sizes): (DeviceName, _) = ("flex".parse()?, Vec::<JobSize>::new());
     // Cargo passes `--bench`.
     for word in std::env::args().skip(1).filter(|word| word != "--bench") {
         match word.parse() {

@@ -4,8 +4,9 @@ use std::path::Path;
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use splat_model::FileError;
 use splat_model::gaussians::{GaussianRows, ROWS_AT_ONCE};
-use splat_model::ply::{PlyError, WorldFrame, write_parts};
+use splat_model::ply::{WorldFrame, write_parts};
 
 /// Random splats, the same in each run.
 pub struct RandomScene(ChaCha8Rng);
@@ -37,7 +38,7 @@ impl RandomScene {
 ///
 /// # Errors
 /// If the file cannot be written.
-pub fn write(path: &Path, count: usize) -> Result<(), PlyError> {
+pub fn write(path: &Path, count: usize) -> Result<(), FileError> {
     let mut scene = RandomScene::default();
     let parts = (0..count).step_by(ROWS_AT_ONCE).map(|first| scene.next_rows(ROWS_AT_ONCE.min(count - first)));
     write_parts(path, count, 3, parts, WorldFrame::default())

@@ -1,18 +1,21 @@
 //! The scene: Gaussians with unconstrained parameters, as a Burn module of named groups.
 
 mod group;
+mod options;
 mod rows;
 
 use std::ops::Range;
 
 use burn::module::{Module, Param, ParamId};
-use burn::tensor::{Device, Gradients, Int, Tensor, TensorData, activation};
-use splat_op::{Colour, RawSplats, Splats, activate, read_back};
+use burn::tensor::{Device, Gradients, Int, Tensor, activation};
+use splat_op::{Colour, RawSplats, Splats, activate};
 
-pub use self::group::{Activation, BASE_GROUPS, Group, GroupOptions, NewRows};
-pub(crate) use self::group::{SH, check_name, joined, parameter, row_blocks};
+pub use self::group::{Group, values_of};
+pub(crate) use self::group::{joined, parameter, row_blocks};
+pub use self::options::{Activation, BASE_GROUPS, GroupOptions, NewRows, RowsError};
+pub(crate) use self::options::{SH, check_name};
 use self::rows::interleaved;
-pub use self::rows::{GaussianRows, GroupRows, RowsError};
+pub use self::rows::{GaussianRows, GroupRows};
 
 /// A scene's parameters as tensors, unconstrained: any finite value is valid, so an optimiser may step freely.
 ///
@@ -72,18 +75,18 @@ impl Gaussians {
         }
         if group.rows() != count {
             let (found, expected) = (group.rows() * width, count * width);
-            return Err(RowsError::Length { field: group.name().to_owned(), found, expected, count, sh_degree });
+            return Err(RowsError::length(group.name(), found, expected, count, sh_degree));
         }
         let (own, new) = (self.means(), group.raw());
         if own.device().inner() != new.device().inner() || own.dtype() != new.dtype() {
             let of = |values: &Tensor<2>| format!("on {:?} in {:?}", values.device(), values.dtype());
             let found = format!("the group `{}` is {}", group.name(), of(&new));
-            return Err(RowsError::Group(format!("{found}, expected {}", of(&own))));
+            return Err(RowsError(format!("{found}, expected {}", of(&own))));
         }
         let (bytes, most) = (4 * (count * width) as u64, splat_op::largest_tensor(&own.device()));
         if bytes > most {
             let found = format!("the group `{}` is {bytes} bytes large", group.name());
-            return Err(RowsError::Group(format!("{found}, expected at most {most} on this device")));
+            return Err(RowsError(format!("{found}, expected at most {most} on this device")));
         }
         let values = match (own.is_autodiff(), new.is_autodiff()) {
             (true, false) => Tensor::from_inner(new),
@@ -280,16 +283,6 @@ fn part<const D: usize>(all: &Tensor<D>, rows: &Range<usize>, several: bool) -> 
         true => all.clone().narrow(0, rows.start, rows.len()),
         false => all.clone(),
     }
-}
-
-fn tensor<const D: usize>(values: Vec<f32>, shape: [usize; D], device: &Device) -> Tensor<D> {
-    Tensor::from_data(TensorData::new(values, shape), device)
-}
-
-/// All elements of a tensor, row-major.
-pub fn values_of<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
-    let data = read_back(tensor).convert::<f32>();
-    data.try_into_vec().expect("converted to f32 in the line above")
 }
 
 /// The logit of an opacity: −∞ for 0.

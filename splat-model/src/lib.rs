@@ -71,6 +71,7 @@ pub mod density;
 pub mod effects;
 mod encoding;
 pub mod evaluate;
+mod file_error;
 mod fold;
 pub mod formats;
 pub mod gaussians;
@@ -86,6 +87,8 @@ pub mod sniff;
 mod solve;
 pub mod state;
 pub mod trainer;
+
+pub use file_error::FileError;
 
 /// Compiles the code of the pages in `docs/` together with the other examples.
 #[cfg(doctest)]

@@ -6,8 +6,6 @@ use std::path::Path;
 
 use infer::MatcherType;
 
-use crate::formats::Format;
-
 /// What a file is by its first bytes, or else by its name.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FileKind {
@@ -55,8 +53,8 @@ impl FileKind {
         let mut first = Vec::new();
         File::open(path).ok()?.take(1 << 10).read_to_end(&mut first).ok()?;
         let kind = Self::of_scene(path).or_else(|| Self::of_bytes(&first))?;
-        // SPZ and SOG are archives.
-        match Format::of_name(path).filter(|_| kind.what.ends_with("archive")) {
+        let format = path.extension().map(|format| format.to_string_lossy().to_uppercase());
+        match format.filter(|format| kind.what.ends_with("archive") && ["SPZ", "SOG"].contains(&&**format)) {
             Some(format) => Some(Self::new(format!("a scene in {format}"), SCENE, FileClass::Scene)),
             None => Some(kind),
         }

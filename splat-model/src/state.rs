@@ -14,42 +14,20 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use thiserror::Error;
 
-pub use self::file::FileError;
+/// An entry of a state that is missing, wrong or left over: its name, what was expected, and what to do.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[error("{0}")]
+pub struct StateError(String);
 
-/// An entry of a state that is missing, wrong or left over.
-#[derive(Debug, Error)]
-#[non_exhaustive]
-pub enum StateError {
-    /// The entry is missing.
-    #[error("there is no `{name}`, which this version requires; start a new run")]
-    Missing {
-        /// Name of the entry.
-        name: String,
-    },
-    /// An array does not have the expected shape.
-    #[error("`{name}` has the shape {found:?}, expected {expected}; start a new run")]
-    Shape {
-        /// Name of the entry.
-        name: String,
-        /// Shape in the state.
-        found: Vec<usize>,
-        /// Expected shape.
-        expected: String,
-    },
-    /// A fact has another type, or cannot be represented as JSON.
-    #[error("`{name}` does not have the form that this version requires: {source}; start a new run")]
-    Fact {
-        /// Name of the entry.
-        name: String,
-        /// The reason.
-        source: serde_json::Error,
-    },
-    /// An entry was not taken.
-    #[error("`{name}` is unknown to this version; continue with the version that wrote it, or start a new run")]
-    Unknown {
-        /// Name of the entry.
-        name: String,
-    },
+impl StateError {
+    fn missing(name: &str) -> Self {
+        Self(format!("there is no `{name}`, which this version requires; start a new run"))
+    }
+
+    /// The error for a fact of another type, or one that JSON cannot represent.
+    pub(crate) fn fact(name: &str, reason: &serde_json::Error) -> Self {
+        Self(format!("`{name}` does not have the form that this version requires: {reason}; start a new run"))
+    }
 }
 
 /// Arrays of f32 or of words of 32 bits, and facts, each with a unique name.
@@ -122,11 +100,11 @@ impl State {
 
     fn data(&mut self, name: &str, of: DType) -> Result<TensorData, StateError> {
         let name = self.full(name);
-        self.arrays.remove(&name).filter(|data| data.dtype() == of).ok_or(StateError::Missing { name })
+        self.arrays.remove(&name).filter(|data| data.dtype() == of).ok_or_else(|| StateError::missing(&name))
     }
 
     pub(crate) fn shape_error(&self, name: &str, found: Vec<usize>, expected: &str) -> StateError {
-        StateError::Shape { name: self.full(name), found, expected: expected.into() }
+        StateError(format!("`{}` has the shape {found:?}, expected {expected}; start a new run", self.full(name)))
     }
 
     /// Saves a fact.
@@ -134,7 +112,7 @@ impl State {
     /// # Errors
     /// If it cannot be represented as JSON.
     pub fn tell(&mut self, name: &str, fact: &impl Serialize) -> Result<(), StateError> {
-        let text = serde_json::to_string(fact).map_err(|source| StateError::Fact { name: self.full(name), source })?;
+        let text = serde_json::to_string(fact).map_err(|reason| StateError::fact(&self.full(name), &reason))?;
         self.facts.insert(self.full(name), text);
         Ok(())
     }
@@ -146,8 +124,8 @@ impl State {
     pub fn told<T: DeserializeOwned>(&mut self, name: &str) -> Result<T, StateError> {
         let name = self.full(name);
         match self.facts.remove(&name) {
-            Some(text) => serde_json::from_str(&text).map_err(|source| StateError::Fact { name, source }),
-            None => Err(StateError::Missing { name }),
+            Some(text) => serde_json::from_str(&text).map_err(|reason| StateError::fact(&name, &reason)),
+            None => Err(StateError::missing(&name)),
         }
     }
 
@@ -205,10 +183,12 @@ impl State {
     /// Checks that every entry has been taken; within a part, every entry of the part.
     ///
     /// # Errors
-    /// [`StateError::Unknown`] if an entry has not.
+    /// If an entry has not.
     pub fn finish(&self) -> Result<(), StateError> {
         match self.names().find(|name| name.starts_with(&self.within)) {
-            Some(name) => Err(StateError::Unknown { name: name.clone() }),
+            Some(name) => Err(StateError(format!(
+                "`{name}` is unknown to this version; continue with the version that wrote it, or start a new run"
+            ))),
             None => Ok(()),
         }
     }

@@ -64,8 +64,8 @@ struct ExactEllipse<'a> {
     features: &'a [f64],
 }
 
-/// Contribution of a Gaussian to a pixel.
-struct Contribution<'a> {
+/// What a Gaussian contributes to a pixel.
+struct LayerInPixel<'a> {
     alpha: f64,
     depth: f64,
     /// Sort key: a depth.
@@ -124,7 +124,7 @@ impl<'a> ExactView<'a> {
             Some(ray) => ellipse.on_ray(px, ray, &self.options, self.sorted_per_pixel),
             None => ellipse.at(px, if needs_ray { 0.0 } else { 1.0 }),
         });
-        let mut seen: Vec<Contribution> = seen.collect();
+        let mut seen: Vec<LayerInPixel> = seen.collect();
         // The sort is stable: Gaussians at equal depths keep their order.
         seen.sort_by(|a, b| a.key.total_cmp(&b.key));
         pixel(&seen, background)
@@ -133,14 +133,14 @@ impl<'a> ExactView<'a> {
 
 impl<'a> ExactEllipse<'a> {
     /// The ellipse at a position of the picture, dimmed by a factor.
-    fn at(&self, px: DVec2, dimmed: f64) -> Contribution<'a> {
+    fn at(&self, px: DVec2, dimmed: f64) -> LayerInPixel<'a> {
         let d = px - self.mean_px;
         let alpha = dimmed * self.opacity * (-0.5 * d.dot(self.conic * d)).exp();
-        Contribution { alpha, depth: self.depth, key: self.depth, features: self.features }
+        LayerInPixel { alpha, depth: self.depth, key: self.depth, features: self.features }
     }
 
     /// The Gaussian along the ray of that position, whose direction has z one, perhaps with the maximum as its key.
-    fn on_ray(&self, px: DVec2, ray: Ray, options: &RenderOptions, by_pixel: bool) -> Contribution<'a> {
+    fn on_ray(&self, px: DVec2, ray: Ray, options: &RenderOptions, by_pixel: bool) -> LayerInPixel<'a> {
         let (mut seen, solid) = (self.at(px, 1.0), &self.solid);
         let met = solid.meet(solid.on_screen_ray(ray));
         if options.along_rays() {
@@ -155,10 +155,10 @@ impl<'a> ExactEllipse<'a> {
     }
 }
 
-fn pixel(seen: &[Contribution], background: &[f64]) -> ExactPixel {
+fn pixel(seen: &[LayerInPixel], background: &[f64]) -> ExactPixel {
     let mut transmittance = 1.0;
     let mut out = ExactPixel { features: vec![0.0; background.len()], alpha: 0.0, depth: 0.0 };
-    for Contribution { alpha, depth, features, .. } in seen {
+    for LayerInPixel { alpha, depth, features, .. } in seen {
         let weight = transmittance * alpha;
         out.features.iter_mut().zip(*features).for_each(|(sum, c)| *sum += weight * c);
         out.depth += weight * depth;

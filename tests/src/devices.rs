@@ -4,7 +4,7 @@ use std::sync::OnceLock;
 
 use burn::tensor::Device;
 use splat_hard_cases::{Processor, TestDevice};
-use splat_train::device::{Adapter, AdapterKind, DeviceName, Runtime, open};
+use splat_train::device::{Adapter, AdapterKind, DeviceName, built, open};
 
 use crate::data::announce;
 
@@ -62,19 +62,17 @@ pub fn gpu() -> Option<Device> {
 /// Finds the best adapter and its name, or the reason why there is none.
 fn find() -> Result<(String, Device), String> {
     let found = adapter()?;
-    let facts = open(&found).map_err(|error| error.to_string())?;
-    Ok((facts.summary, found.device))
+    let name = open(&found).map_err(|error| error.to_string())?;
+    Ok((name, found.device))
 }
 
 fn adapter() -> Result<Adapter, String> {
     let name = match std::env::var("SPLAT_RUNTIME") {
-        Err(_) => DeviceName::Gpu,
-        Ok(wish) => {
-            let runtime = Runtime::built().into_iter().find(|runtime| runtime.feature() == wish);
-            let runtime = runtime.ok_or_else(|| format!("SPLAT_RUNTIME={wish} is no runtime of this build"))?;
-            DeviceName::Adapter(runtime, None)
-        }
+        Err(_) => "gpu".into(),
+        Ok(wish) if built().any(|runtime| runtime == wish) => wish,
+        Ok(wish) => return Err(format!("SPLAT_RUNTIME={wish} is no runtime of this build")),
     };
+    let name: DeviceName = name.parse()?;
     Ok(name.find().map_err(|error| error.to_string())?.expect("a GPU's name is never the CPU"))
 }
 

@@ -25,7 +25,7 @@ pub enum ProjectionArg {
     /// Projected ellipse: the projection is taken as affine around the splat's centre
     #[default]
     Affine,
-    /// Largest value along the pixel's ray; about twice as slow
+    /// Largest value along the pixel's ray; takes half as long again
     RayMax,
 }
 

@@ -9,9 +9,11 @@ use splat_model::ply::TrainedAs;
 use splat_model::trainer::TrainConfig;
 
 use crate::accuracy::ModelArgs;
-use crate::device::{self, DeviceName};
+use crate::device::DeviceName;
 use crate::progress;
-use crate::report::BACKGROUND;
+
+/// File of the background in a run's folder, where the run learned it.
+pub const BACKGROUND: &str = "background.json";
 
 /// Parses a colour: a name, or three comma-separated numbers from 0 to 1.
 fn colour(text: &str) -> Option<[f32; 3]> {
@@ -151,10 +153,9 @@ impl ShownBackground {
 /// How a scene is shown: the device, the model choices and the background.
 #[derive(Clone, Debug, clap::Args)]
 pub struct ShowArgs {
-    /// Device to compute on
-    #[arg(long, value_name = "NAME", default_value_t, help = device::help())]
+    /// Device to compute on: auto, cpu, flex, ndarray, gpu[:N] and what else `splat devices` lists
+    #[arg(long, value_name = "NAME", default_value_t)]
     pub device: DeviceName,
-    /// Model choices.
     #[command(flatten)]
     pub model: ModelArgs,
     /// Background behind the scene: black, white, R,G,B from 0 to 1, or the background.json of a training run [default: that of the
@@ -170,9 +171,6 @@ impl ShowArgs {
     }
 
     /// Returns the background of a scene; see [`ShownBackground::read`].
-    ///
-    /// # Errors
-    /// Those of [`ShownBackground::read`].
     pub fn background(&self, scene: &Path, trained: &TrainedAs) -> Result<Background> {
         ShownBackground::read(self.background.as_ref(), scene, trained)
     }

@@ -16,8 +16,8 @@ use splat_op::RenderOptions;
 
 use crate::background::ShowArgs;
 use crate::convert::{describe_file, format_of};
+use crate::input::PhotoArgs;
 use crate::inputs::Inputs;
-use crate::options::PhotoArgs;
 use crate::output::prepare_file;
 use crate::{input, progress};
 
@@ -49,10 +49,8 @@ pub struct CleanArgs {
     /// Keep at most this many splats: those that contribute most to the pictures of all views
     #[arg(long, value_name = "N", requires = "capture", value_parser = clap::value_parser!(u32).range(1..))]
     pub max_splats: Option<u32>,
-    /// Photographs.
     #[command(flatten)]
     pub photos: PhotoArgs,
-    /// How the scene is shown.
     #[command(flatten)]
     pub show: ShowArgs,
 }

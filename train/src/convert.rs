@@ -6,9 +6,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, ensure};
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::value_parser;
-use splat_model::formats::{
-    self, Deviation, Format, QuantisationError, SceneFile, SogOptions, SpzOptions, SpzVersion, Written,
-};
+use splat_model::formats::{self, Deviation, Format, QuantisationError, SceneFile, SpzVersion, WriteOptions, Written};
 use splat_model::ply::TrainedAs;
 
 use crate::inputs::Inputs;
@@ -47,7 +45,7 @@ pub struct ConvertArgs {
     /// Version of SPZ: 3 for programs that do not read 4 [default: 4]
     #[arg(long, value_name = "VERSION", value_parser = value_parser!(u8).range(3..=4))]
     pub spz_version: Option<u8>,
-    /// Mark the scene as trained with --antialias; PLY, compressed or not, cannot store this
+    /// Mark the scene as trained with --antialias, which files of other programs do not say
     #[arg(long)]
     pub antialias: bool,
 }
@@ -94,16 +92,8 @@ pub fn run(args: &ConvertArgs) -> Result<()> {
     if let Some(degree) = args.sh_degree.map(usize::from).filter(|degree| *degree < of_degree) {
         scene.rows = input::selected(&scene.rows, 0..splats, degree);
     }
-    let written = match format {
-        Format::Sog => {
-            let entries = args.sh_palette.map(|entries| entries as usize);
-            formats::write_sog(&args.out, &scene, SogOptions { entries })
-        }
-        Format::Spz => formats::write_spz(&args.out, &scene, spz_options(args)),
-        _ => formats::write(&args.out, &scene, format),
-    };
-    let written =
-        written.with_context(|| format!("cannot convert {} to {}", args.scene.display(), args.out.display()))?;
+    let written = formats::write_with(&args.out, &scene, format, options(args))
+        .with_context(|| format!("cannot convert {} to {}", args.scene.display(), args.out.display()))?;
     let (count, sh_degree) = (written.rows.len(), written.rows.sh_degree);
 
     progress::say(&describe_file(&args.scene, found, splats, of_degree)?);
@@ -141,12 +131,16 @@ pub fn format_of(path: &Path) -> Result<Format> {
         .with_context(|| format!("the name {} does not give a format: end it in one of {}", path.display(), known()))
 }
 
-fn spz_options(args: &ConvertArgs) -> SpzOptions {
-    let plain = SpzOptions::default();
-    SpzOptions {
-        version: if args.spz_version == Some(3) { SpzVersion::Three } else { SpzVersion::Four },
-        sh_bits: args.sh_bits.map_or(plain.sh_bits, |bits| [bits; 2]),
+fn options(args: &ConvertArgs) -> WriteOptions {
+    let mut options = WriteOptions::default();
+    options.sog.entries = args.sh_palette.map(|entries| entries as usize);
+    if args.spz_version == Some(3) {
+        options.spz.version = SpzVersion::Three;
     }
+    if let Some(bits) = args.sh_bits {
+        options.spz.sh_bits = [bits; 2];
+    }
+    options
 }
 
 /// Describes a scene file in one line.
@@ -197,7 +191,6 @@ fn dropped(scene: &SceneFile, format: Format, written: &Written, of_degree: usiz
     lost
 }
 
-/// The table of rounding errors.
 fn table(loss: &QuantisationError, sh_degree: usize) -> Vec<String> {
     let row = |name: &str, Deviation { largest, rms }: Deviation, factor: f64, unit: &str| {
         format!("{name:10} {:>10} {:>10}  {unit}", short(factor * largest, 2), short(factor * rms, 2))

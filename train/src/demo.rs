@@ -21,50 +21,8 @@ pub struct DemoArgs {
     /// Folder to write
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// Make one object a mirror, and give all others a glossy coat
-    #[arg(long)]
-    pub glossy: bool,
-    /// Give each photograph its own exposure and white balance
-    #[arg(long)]
-    pub exposure: bool,
-    /// Vary brightness, white balance and tone across each training photograph, as phones do
-    #[arg(long)]
-    pub graded: bool,
-    /// Use a lens that bends straight lines (OPENCV): corners move by 4% of the width
-    #[arg(long)]
-    pub lens: bool,
-    /// Use an equidistant fisheye lens (OPENCV_FISHEYE) of 120 degrees; not with --lens
-    #[arg(long)]
-    pub fisheye: bool,
-    /// Cover four places of each training photograph with bright discs, and write masks that exclude them
-    #[arg(long)]
-    pub masks: bool,
-    /// Make the ground and the sky transparent; not with --far
-    #[arg(long)]
-    pub alpha: bool,
-    /// Take a third of the photographs from a third of the distance, and a third from 3.5 times as far
-    #[arg(long)]
-    pub zoom: bool,
-    /// Perturb the poses of the training photographs: by 1 degree and 1% of the scene extent
-    #[arg(long)]
-    pub poses: bool,
-    /// Surround the scene with a landscape and a sky, a hundred times as far away as the cameras, which are placed
-    /// lower to see it
-    #[arg(long)]
-    pub far: bool,
-    /// Move the camera during the exposure of two fifths of the training photographs, by 5% of the width
-    #[arg(long)]
-    pub motion: bool,
-    /// Move the camera while the rows of each training photograph are read out one after the other, by 5% of the width
-    #[arg(long)]
-    pub rolling: bool,
-    /// Write an exact depth map for each photograph: 16-bit PNG, 0.001 scene units a level
-    #[arg(long)]
-    pub depth: bool,
-    /// Photograph a town of 400 m instead: streets, houses that hide each other, trees; without effects. For captures
-    /// that are trained in blocks
-    #[arg(long)]
-    pub town: bool,
+    #[command(flatten)]
+    pub effects: DemoOptions,
     /// Number of photographs
     #[arg(long, value_name = "N", help = usual("Number of photographs", |options| options.views))]
     pub views: Option<usize>,
@@ -90,35 +48,19 @@ fn usual(what: &str, of: fn(&DemoOptions) -> usize) -> String {
 impl DemoArgs {
     /// Returns the options in the library's type.
     pub fn options(&self) -> DemoOptions {
-        let usual = if self.town { DemoOptions::TOWN } else { DemoOptions::PLAIN };
+        let usual = if self.effects.town { DemoOptions::TOWN } else { DemoOptions::PLAIN };
         DemoOptions {
             width: self.width.unwrap_or(usual.width),
             height: self.height.unwrap_or(usual.height),
             views: self.views.unwrap_or(usual.views),
             points: self.points.unwrap_or(usual.points),
-            glossy: self.glossy,
-            exposure: self.exposure,
-            graded: self.graded,
-            lens: self.lens,
-            fisheye: self.fisheye,
-            masks: self.masks,
-            alpha: self.alpha,
-            zoom: self.zoom,
-            poses: self.poses,
-            far: self.far,
-            motion: self.motion,
-            rolling: self.rolling,
-            depth: self.depth,
-            town: self.town,
             seed: self.seed,
+            ..self.effects
         }
     }
 }
 
 /// Writes the capture and prints its folder.
-///
-/// # Errors
-/// The errors of [`ensure`].
 pub fn run(args: &DemoArgs) -> Result<()> {
     let made = ensure(&args.out, &args.options())?;
     let what = if made { "demo capture" } else { "demo capture, unchanged" };
@@ -174,7 +116,6 @@ fn replace(folder: &Path, earlier: &[PathBuf], options: &DemoOptions) -> Result<
     Ok(())
 }
 
-/// The mark of a demo capture.
 #[derive(Default, Serialize, Deserialize)]
 pub struct DemoMark {
     /// The options, and the version of the program under `splat demo`.

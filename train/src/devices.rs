@@ -6,46 +6,42 @@ use std::thread;
 use anyhow::Result;
 use indicatif::BinaryBytes;
 
-use crate::device::{self, DeviceName, Runtime, choose};
+use crate::device::{self, DeviceName, RUNTIMES};
 use crate::progress::say;
 
 /// Prints the devices, the runtimes of this build, and the device that `auto` chooses.
-///
-/// # Errors
-/// None today: an adapter that does not open is listed as such.
 pub fn run() -> Result<()> {
     let threads = thread::available_parallelism().map_or(1, NonZero::get);
     say(&line("--device", "what it is"));
-    for name in [DeviceName::Flex, DeviceName::Ndarray] {
-        say(&line(&name.to_string(), &format!("the CPU through Burn's {name} backend, threads: {threads}")));
+    for name in ["flex", "ndarray"] {
+        say(&line(name, &format!("the CPU through Burn's {name} backend, threads: {threads}")));
     }
-    let found = device::list(&Runtime::built());
+    let found = device::list(&|_| true);
     let mut opened = Vec::new();
     for adapter in &found {
         let text = match device::open(adapter) {
-            Ok(facts) => {
+            Ok(hardware) => {
                 opened.push(adapter.clone());
-                let with = if facts.float_atomics { "with" } else { "without" };
-                format!("{}; buffers up to {}, {with} f32 atomics", facts.summary, BinaryBytes(facts.buffer_limit))
+                format!("{hardware}; buffers up to {}", BinaryBytes(splat_op::largest_tensor(&adapter.device)))
             }
-            Err(error) => format!("{}; {error}", adapter.kind),
+            Err(error) => error.to_string(),
         };
-        say(&line(&adapter.name().to_string(), &text));
+        say(&line(&adapter.name(), &text));
     }
     say("");
-    say(&match choose(DeviceName::Auto, &opened)? {
+    say(&match DeviceName::default().admitted(&opened)?.first() {
         Some(adapter) => format!("`--device auto` takes {}.", adapter.name()),
-        None => format!("`--device auto` takes the CPU, flex: {}.", device::why_cpu(&opened)),
+        None => "`--device auto` takes the CPU, flex: there is no GPU but those that only `--device gpu` takes.".into(),
     });
-    let (built, other): (Vec<_>, Vec<_>) =
-        Runtime::ALL.into_iter().partition(|runtime| Runtime::built().contains(runtime));
-    let features = |runtimes: &[Runtime]| match runtimes {
-        [] => "none".into(),
-        some => some.iter().map(|runtime| runtime.feature()).collect::<Vec<_>>().join(", "),
+    let features = |is_built: bool| {
+        let of: Vec<&str> =
+            RUNTIMES.into_iter().filter(|of| device::built().any(|built| built == *of) == is_built).collect();
+        if of.is_empty() { "none".into() } else { of.join(", ") }
     };
-    say(&format!("GPU runtimes in this program: {}.", features(&built)));
-    say(&format!("Others can be built in, as cargo features: {}.", features(&other)));
-    if let (true, Err(advice)) = (found.is_empty() && !built.is_empty(), choose(DeviceName::Gpu, &found)) {
+    say(&format!("GPU runtimes in this program: {}.", features(true)));
+    say(&format!("Others can be built in, as cargo features: {}.", features(false)));
+    let advice = "gpu".parse::<DeviceName>().map(|gpu| gpu.admitted(&found).err());
+    if let Ok(Some(advice)) = advice {
         say(&advice.to_string());
     }
     Ok(())

@@ -16,8 +16,8 @@ use splat_model::effects::{EffectKind, Plan, Survey};
 use splat_model::trainer::{TrainConfig, Trainer};
 
 use crate::background::{ENVIRONMENT_DEGREE, TrainBackground};
+use crate::parts::{self, Part};
 use crate::progress;
-use crate::registry::{self, Part};
 
 /// The value of `--effects`: `auto`, `none`, a list of effects, or `+name` and `-name`, which adjust the base given
 /// first, by default `auto`.
@@ -27,7 +27,7 @@ pub struct EffectsArg {
     auto: bool,
     /// Effects switched on or off, in order; the last entry for an effect counts.
     adjustments: Vec<(EffectKind, bool)>,
-    /// Effects of the [`registry`] that are on.
+    /// Effects of the [registry](parts::Registry) that are on.
     pub(crate) registered: Vec<String>,
     text: String,
 }
@@ -57,7 +57,7 @@ impl FromStr for EffectsArg {
                 None => word.strip_prefix('-').map_or((word, true), |name| (name, false)),
             };
             listed |= name.len() == word.len();
-            if registry::names(Part::Effect).contains(&name) {
+            if parts::names(Part::Effect).contains(&name) {
                 registered.retain(|other| other != name);
                 registered.extend(on.then(|| name.to_owned()));
             } else {
@@ -87,7 +87,7 @@ impl EffectsArg {
     ///
     /// # Errors
     /// If a picture of the capture cannot be read, or the two options contradict each other.
-    pub fn choose(&self, capture: &Capture, train: &[usize], antialias: bool) -> Result<Chosen> {
+    pub fn choose(&self, capture: &Capture, train: &[usize], antialias: bool) -> Result<ChosenEffects> {
         let adjusted = self.adjustments.iter().rev().find(|(effect, _)| *effect == EffectKind::Antialias);
         ensure!(
             !(antialias && adjusted.is_some_and(|(_, on)| !on)),
@@ -117,18 +117,17 @@ impl EffectsArg {
                 "colours do not depend on the view: training with `--sh-degree 0`, unless that option is given",
             );
         }
-        Ok(Chosen { asked: self.text.clone(), on, registered: self.registered.clone(), plan, survey })
+        Ok(ChosenEffects { asked: self.text.clone(), on, registered: self.registered.clone(), plan, survey })
     }
 }
 
 /// The effects of a run, under `effects` in `metrics.json`.
 #[derive(Clone, Debug, Serialize)]
-pub struct Chosen {
+pub struct ChosenEffects {
     /// The value of `--effects`, as written.
     pub asked: String,
-    /// The effects that are on.
     pub on: Vec<EffectKind>,
-    /// Effects of the [`registry`] that are on.
+    /// Effects of the [registry](parts::Registry) that are on.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     registered: Vec<String>,
     /// The plan; null where nothing was left to decide.
@@ -138,7 +137,7 @@ pub struct Chosen {
     survey: Option<Survey>,
 }
 
-impl Chosen {
+impl ChosenEffects {
     /// The effects of these names, as another rank of the run has chosen them.
     ///
     /// # Errors
@@ -148,7 +147,6 @@ impl Chosen {
         Ok(Self { asked: names.join(","), on, registered: Vec::new(), plan: None, survey: None })
     }
 
-    /// Whether an effect is on.
     pub fn has(&self, effect: EffectKind) -> bool {
         self.on.contains(&effect)
     }

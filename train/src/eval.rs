@@ -15,10 +15,9 @@ use splat_op::Intrinsics;
 
 use crate::accuracy::AccuracyArgs;
 use crate::background::ShowArgs;
-use crate::input;
+use crate::input::{self, PhotoArgs};
 use crate::inputs::Inputs;
 use crate::lpips::LpipsArgs;
-use crate::options::PhotoArgs;
 use crate::output::OutputFolder;
 use crate::report::metrics::{Metrics, Seconds, peak_rss_mib, seconds_since};
 use crate::report::{self, METRICS, SCENE, VIEWS};
@@ -34,13 +33,10 @@ pub struct EvalArgs {
     /// Folder for metrics.json, views/ and a copy of the scene
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// Photographs.
     #[command(flatten)]
     pub photos: PhotoArgs,
-    /// How the scene is shown.
     #[command(flatten)]
     pub show: ShowArgs,
-    /// Accuracy of the renders.
     #[command(flatten)]
     pub accuracy: AccuracyArgs,
     /// Compare as from further away: average each N × N pixels of the photographs to one
@@ -52,7 +48,6 @@ pub struct EvalArgs {
     /// Treat photographs as opaque, whatever their alpha channels hold; for scenes trained without the effect `alpha`
     #[arg(long)]
     pub ignore_alpha: bool,
-    /// LPIPS.
     #[command(flatten)]
     pub lpips: LpipsArgs,
 }
@@ -144,7 +139,7 @@ pub fn run(args: &EvalArgs) -> Result<Metrics> {
         splats: splats.means.dims()[0],
         culled_non_finite,
         steps: None,
-        seconds: Seconds { load, train: None, eval },
+        seconds: Seconds { load, eval, ..Seconds::default() },
         peak_rss_mib: peak_rss_mib(),
         device: device_name,
         effects: None,

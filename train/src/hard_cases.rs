@@ -66,17 +66,18 @@ pub fn run(args: &HardCasesArgs) -> Result<()> {
 /// The devices to run on. A missing GPU is an error only where it was asked for, and is noted otherwise.
 fn places(names: &[DeviceName]) -> Result<Vec<TestDevice>> {
     if !names.is_empty() {
-        return names.iter().map(|name| place(*name)).collect();
+        return names.iter().map(place).collect();
     }
-    let mut places = vec![place(DeviceName::Flex)?, place(DeviceName::Ndarray)?];
-    match place(DeviceName::Gpu) {
+    let named = |name: &str| place(&name.parse().map_err(anyhow::Error::msg)?);
+    let mut places = vec![named("flex")?, named("ndarray")?];
+    match named("gpu") {
         Ok(gpu) => places.push(gpu),
         Err(why) => progress::note(&format!("without a GPU: {why}")),
     }
     Ok(places)
 }
 
-fn place(name: DeviceName) -> Result<TestDevice> {
+fn place(name: &DeviceName) -> Result<TestDevice> {
     let (processor, software) = match name.find()? {
         Some(found) => (Processor::Gpu, found.kind == AdapterKind::Software),
         None => (Processor::Cpu, false),

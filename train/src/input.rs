@@ -6,17 +6,23 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicUsize;
 
 use anyhow::{Context, Result, bail, ensure};
+use clap::value_parser;
+use serde::{Deserialize, Serialize};
 use splat_model::capture::image::{load, load_all};
-use splat_model::capture::{Capture, CaptureError, Photo, Photograph, PhotographFacts};
+use splat_model::capture::unposed::PhotographFolder;
+use splat_model::capture::{Capture, CaptureError, Photo, Photograph, PhotographFacts, Split};
 use splat_model::effects::masks;
 use splat_model::formats;
 use splat_model::gaussians::GaussianRows;
 use splat_model::optim::scene_extent;
 use splat_model::ply::TrainedAs;
-use splat_model::sniff::FileKind;
+use splat_model::sniff::{FileClass, FileKind};
 use splat_model::trainer::ranks::{Ranks, gather_all, share_of};
 
-use crate::{progress, reconstruct};
+use crate::progress;
+
+/// COLMAP's models, below a capture's folder.
+pub const SPARSE: &str = "sparse";
 
 /// Largest number of photographs in memory at once while all are checked.
 const AT_ONCE: usize = 64;
@@ -36,9 +42,29 @@ pub fn capture(folder: &Path) -> Result<Capture> {
          with `splat reconstruct`",
         folder.display()
     );
-    let capture = Capture::load(folder).map_err(|error| reconstruct::advice(folder, error))?;
+    let capture = Capture::load(folder).map_err(|error| match lacks_cameras(folder) {
+        true => anyhow::Error::from(error).context(format!(
+            "{} holds photographs whose cameras are unknown: find them with `splat reconstruct {0}`",
+            folder.display()
+        )),
+        false => error.into(),
+    })?;
     capture.remarks.iter().for_each(|remark| progress::note(&format!("{}: {remark}", folder.display())));
     Ok(capture)
+}
+
+/// Whether `splat train` is to reconstruct this first: a video, or a folder of photographs without cameras. A folder with a broken
+/// reconstruction is not.
+pub fn lacks_cameras(source: &Path) -> bool {
+    let has_cameras = Capture::is_in(source) || source.join(SPARSE).exists();
+    let has_photographs =
+        || PhotographFolder::list(source).is_ok_and(|found| !found.names.is_empty() || !found.other.is_empty());
+    !has_cameras && (is_video(source) || source.is_dir() && has_photographs())
+}
+
+/// Whether a file is a video, as far as can be told: FFmpeg knows more kinds than this program.
+pub fn is_video(source: &Path) -> bool {
+    source.is_file() && FileKind::of(source).is_none_or(|kind| kind.class == FileClass::Video)
 }
 
 /// Returns the extent of the scene that a capture's cameras see, scene units.
@@ -53,6 +79,37 @@ pub fn some_names(capture: &Capture) -> String {
     let names: Vec<&str> = capture.views.iter().take(LISTED).map(|view| view.name.as_str()).collect();
     let more = if capture.views.len() > LISTED { ", ..." } else { "" };
     format!("{}{more}", names.join(", "))
+}
+
+/// Selection and size of the photographs.
+#[derive(Clone, Debug, clap::Args, Serialize, Deserialize)]
+pub struct PhotoArgs {
+    /// Hold out every Kth photograph in name order for testing
+    #[arg(long, value_name = "K", help = format!(
+        "Hold out every Kth photograph in name order for testing, beginning with the first; 0 holds out none [default: the \
+         capture's own split if its files have one, otherwise {}]", Split::USUAL
+    ))]
+    pub test_every: Option<usize>,
+    /// The name of `--test-every` until version 0.1, which elsewhere is an interval between evaluations
+    #[arg(long, hide = true, value_name = "K", value_parser = renamed)]
+    #[serde(skip)]
+    pub eval_every: Option<usize>,
+    /// Downsize photographs whose longer side exceeds this, px
+    #[arg(long, value_name = "PX", value_parser = value_parser!(u32).range(1..))]
+    pub max_side: Option<u32>,
+}
+
+fn renamed(_: &str) -> Result<usize, String> {
+    Err("the split is `--test-every K` now; `--eval-during N` scores the scene every N steps".into())
+}
+
+impl PhotoArgs {
+    /// Returns the split of a capture, and these options as reported: with the number that was used, or none if the
+    /// capture's own split applies.
+    pub fn split(&self, capture: &Capture) -> (Split, Self) {
+        let counted = self.test_every.or_else(|| capture.split.is_none().then_some(Split::USUAL));
+        (Split::of(capture, counted), Self { test_every: counted, ..self.clone() })
+    }
 }
 
 /// Decodes the photographs of some views of a capture, on all threads. With `masked`, they have their masks, and
@@ -97,7 +154,6 @@ fn say_dropped(capture: &Capture, asked: usize, left: usize) -> Result<()> {
 
 /// Selection of a capture's photographs, and how they are read.
 pub struct PhotoSelection<'a> {
-    /// The capture.
     pub capture: &'a Arc<Capture>,
     /// Largest length of the longer side, px; longer photographs are downsized.
     pub max_side: Option<u32>,

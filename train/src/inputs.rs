@@ -15,7 +15,6 @@ use splat_model::formats;
 /// What a path leads to.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 enum Identity {
-    /// An existing file or folder.
     Existing(FileId),
     /// The path without links: of what does not exist yet, and where a file system gives no lasting numbers.
     Place(PathBuf),

@@ -63,11 +63,12 @@ pub mod lpips;
 pub mod memory;
 pub mod output;
 pub mod own;
+pub mod parts;
 pub mod progress;
 pub mod ranks;
 pub mod registry;
 pub mod report;
-pub mod strategy;
+mod stop;
 
 use anyhow::Result;
 
@@ -103,8 +104,8 @@ pub fn run(command: &Command) -> Result<()> {
         Command::HardCases(args) => hard_cases::run(args),
         Command::Pareto(args) => pareto::run(args),
         Command::Devices => devices::run(),
-        Command::Completions(args) => manual::completions(args),
-        Command::Man(args) => manual::man(args),
+        Command::Completions(args) => manual::completions(args, options::command()),
+        Command::Man(args) => manual::man(args, options::command()),
     }
 }
 

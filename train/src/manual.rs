@@ -7,7 +7,6 @@ use anyhow::{Context, Result};
 use clap_complete::Shell;
 
 use crate::inputs::Inputs;
-use crate::options::command;
 use crate::output::OutputFolder;
 use crate::progress;
 
@@ -30,9 +29,9 @@ pub struct ManArgs {
 ///
 /// # Errors
 /// If standard output is closed.
-pub fn completions(args: &CompletionsArgs) -> Result<()> {
+pub fn completions(args: &CompletionsArgs, mut program: clap::Command) -> Result<()> {
     let mut script = Vec::new();
-    clap_complete::generate(args.shell, &mut command(), "splat", &mut script);
+    clap_complete::generate(args.shell, &mut program, "splat", &mut script);
     io::stdout().write_all(&script).context("cannot write the script to standard output")
 }
 
@@ -40,9 +39,8 @@ pub fn completions(args: &CompletionsArgs) -> Result<()> {
 ///
 /// # Errors
 /// If a page cannot be written.
-pub fn man(args: &ManArgs) -> Result<()> {
+pub fn man(args: &ManArgs, mut program: clap::Command) -> Result<()> {
     let out = OutputFolder::prepare(&args.out, Inputs::default(), [""; 0], &[])?;
-    let mut program = command();
     // Sets the full names of subcommands.
     program.build();
     let subcommands = program.get_subcommands().filter(|command| command.get_name() != "help").cloned();

@@ -1,12 +1,10 @@
-//! The command line: options shared by several subcommands; the others are beside their subcommands. Defaults come from
-//! the typed configurations that the options are converted to, so that each default has one place.
+//! The command line. Options are beside their subcommands. Defaults come from the typed configurations that the options are converted to,
+//! so that each default has one place.
 
 use std::ffi::OsString;
 
 use anyhow::{Result, anyhow};
-use clap::{CommandFactory, FromArgMatches, Parser, Subcommand, value_parser};
-use serde::{Deserialize, Serialize};
-use splat_model::capture::{Capture, Split};
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 
 use crate::blocks::BlocksArgs;
 use crate::clean::CleanArgs;
@@ -126,37 +124,6 @@ pub fn parse(words: impl IntoIterator<Item = OsString>) -> Result<Cli> {
     let train = command.find_subcommand("train").unwrap_or(&command);
     words.splice(2..2, train::config::words(path, train, given)?.into_iter().map(OsString::from));
     parsed(&words).map_err(|error| anyhow!("{}: {}", path.display(), error.render()))
-}
-
-/// Selection and size of the photographs.
-#[derive(Clone, Debug, clap::Args, Serialize, Deserialize)]
-pub struct PhotoArgs {
-    /// Hold out every Kth photograph in name order for testing
-    #[arg(long, value_name = "K", help = format!(
-        "Hold out every Kth photograph in name order for testing, beginning with the first; 0 holds out none [default: the \
-         capture's own split if its files have one, otherwise {}]", Split::USUAL
-    ))]
-    pub test_every: Option<usize>,
-    /// The name of `--test-every` until version 0.1, which elsewhere is an interval between evaluations
-    #[arg(long, hide = true, value_name = "K", value_parser = renamed)]
-    #[serde(skip)]
-    pub eval_every: Option<usize>,
-    /// Downsize photographs whose longer side exceeds this, px
-    #[arg(long, value_name = "PX", value_parser = value_parser!(u32).range(1..))]
-    pub max_side: Option<u32>,
-}
-
-fn renamed(_: &str) -> Result<usize, String> {
-    Err("the split is `--test-every K` now; `--eval-during N` scores the scene every N steps".into())
-}
-
-impl PhotoArgs {
-    /// Returns the split of a capture, and these options as reported: with the number that was used, or none if the
-    /// capture's own split applies.
-    pub fn split(&self, capture: &Capture) -> (Split, Self) {
-        let counted = self.test_every.or_else(|| capture.split.is_none().then_some(Split::USUAL));
-        (Split::of(capture, counted), Self { test_every: counted, ..self.clone() })
-    }
 }
 
 #[cfg(test)]

@@ -12,6 +12,9 @@ use splat_model::replace::{name_of_temporary, replace};
 
 use crate::inputs::Inputs;
 
+/// Default parent folder of the runs, each of which has its own folder.
+pub const OUT: &str = "out";
+
 /// A writable folder for results, none of which replaces an input.
 #[derive(Debug)]
 pub struct OutputFolder {

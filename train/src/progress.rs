@@ -104,7 +104,7 @@ pub(crate) fn bar(total: Option<usize>, template: &str) -> Option<ProgressBar> {
 }
 
 /// Progress of a program that counts what it has done: a bar on a terminal, a line now and then elsewhere.
-pub struct Counted {
+pub struct CountedProgress {
     what: &'static str,
     bar: Option<ProgressBar>,
     started: Instant,
@@ -115,7 +115,7 @@ pub struct Counted {
     left: Option<&'static str>,
 }
 
-impl Counted {
+impl CountedProgress {
     /// Begins with nothing done.
     pub fn new(what: &'static str) -> Self {
         let bar = bar(None, "{prefix} [{bar:32}] {pos}/{len}  {elapsed}{msg}");

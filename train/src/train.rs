@@ -8,7 +8,6 @@ mod results;
 mod run;
 mod setup;
 mod steps;
-mod stop;
 mod time_limit;
 
 use std::path::PathBuf;
@@ -23,20 +22,18 @@ use splat_model::trainer::{Resolution, TrainConfig, Trainer};
 
 pub use self::checkpoints::{RunState, state_of};
 pub use self::run::{resume_together, run, run_together, run_with};
-pub use self::stop::Interrupted;
-pub(crate) use self::stop::Stop;
 use self::time_limit::{GUESS, TrainingTime};
 use crate::accuracy::{AccuracyArgs, ModelArgs};
 use crate::background::TrainBackground;
-use crate::device::{self, DeviceName};
+use crate::device::DeviceName;
 use crate::effects::EffectsArg;
+use crate::input::PhotoArgs;
 use crate::live::LiveArgs;
 use crate::lpips::LpipsArgs;
-use crate::options::PhotoArgs;
+use crate::parts::{self, Part, StrategyName, USUAL_LOSS};
 use crate::progress::VoiceArgs;
 use crate::reconstruct::CameraArgs;
-use crate::registry::{self, Part, USUAL_LOSS};
-use crate::strategy::StrategyName;
+pub use crate::stop::Interrupted;
 
 /// Default number of steps on the demo capture, chosen so that the whole run takes under 3 minutes on 2 CPU cores.
 pub const DEMO_STEPS: usize = 1500;
@@ -44,9 +41,6 @@ pub const DEMO_STEPS: usize = 1500;
 /// Default degree of the spherical harmonics on the demo capture. Its surfaces are matte: their colour is the same from
 /// everywhere.
 pub const DEMO_SH_DEGREE: usize = 0;
-
-/// Default parent folder of the runs, each of which has its own folder.
-pub const OUT: &str = "out";
 
 /// Options of `splat train`. Checkpoints store them, and `run.toml` (see [`config`]).
 #[derive(Clone, Debug, clap::Args, Serialize, Deserialize)]
@@ -91,12 +85,11 @@ pub struct TrainArgs {
     #[arg(long = "for", value_name = "TIME", conflicts_with = "steps")]
     #[serde(with = "crate::as_text::optional", default, rename = "for")]
     pub time: Option<TrainingTime>,
-    /// Cameras.
     #[command(flatten, next_help_heading = "Capture")]
     #[serde(default)]
     pub cameras: CameraArgs,
-    /// Device to compute on
-    #[arg(long, value_name = "NAME", default_value_t, help = device::help(), help_heading = USUAL)]
+    /// Device to compute on: auto, cpu, flex, ndarray, gpu[:N] and what else `splat devices` lists
+    #[arg(long, value_name = "NAME", default_value_t, help_heading = USUAL)]
     #[serde(with = "crate::as_text")]
     pub device: DeviceName,
     /// Random seed
@@ -116,14 +109,13 @@ pub struct TrainArgs {
     #[serde(with = "crate::as_text")]
     pub strategy: StrategyName,
     /// Loss; `l1-ssim` is L1 + D-SSIM, `l2` the mean square
-    #[arg(long, value_name = "NAME", default_value = USUAL_LOSS, value_parser = PossibleValuesParser::new(registry::names(Part::Loss)), help_heading = OPTIMISER)]
+    #[arg(long, value_name = "NAME", default_value = USUAL_LOSS, value_parser = PossibleValuesParser::new(parts::names(Part::Loss)), help_heading = OPTIMISER)]
     #[serde(default = "usual_loss")]
     pub loss: String,
     /// Gradient from which a splat is split or copied, in the strategy's own unit; a smaller one gives more splats [default: the
     /// strategy's]
     #[arg(long, value_name = "G", value_parser = positive, help_heading = DENSITY)]
     pub grad_threshold: Option<f64>,
-    /// Learning rates.
     #[command(flatten, next_help_heading = OPTIMISER)]
     pub lr: RateArgs,
     /// Weight of D-SSIM in the loss `l1-ssim`, 0 to 1; the rest is that of L1
@@ -134,7 +126,6 @@ pub struct TrainArgs {
     #[arg(long, value_name = "N", default_value_t = TrainConfig::default().batch, help_heading = OPTIMISER,
         value_parser = RangedU64ValueParser::<usize>::new().range(1..))]
     pub batch: usize,
-    /// Photographs.
     #[command(flatten, next_help_heading = USUAL)]
     pub photos: PhotoArgs,
     /// Highest degree of the spherical harmonics
@@ -156,7 +147,6 @@ pub struct TrainArgs {
     #[arg(long, value_name = "BITS", default_value_t, help_heading = MEMORY)]
     #[serde(with = "crate::as_text", default)]
     pub moment_bits: MomentBits,
-    /// Model choices.
     #[command(flatten, next_help_heading = ACCURACY)]
     pub model: ModelArgs,
     /// Weight of the mean opacity in the loss, against floaters, until the strategy neither adds nor removes splats [default: 0.01
@@ -167,7 +157,6 @@ pub struct TrainArgs {
     /// 8 in a run of up to 1,000 steps, else 4]
     #[arg(long, value_name = "N", help_heading = OPTIMISER)]
     pub coarsest: Option<usize>,
-    /// Accuracy of the renders.
     #[command(flatten, next_help_heading = ACCURACY)]
     pub accuracy: AccuracyArgs,
     /// Compute everything but the rasterizer in tensor code: the same results up to rounding, slower, to check the operations
@@ -197,15 +186,12 @@ pub struct TrainArgs {
     /// Also write the scene every N steps, as scene-000500.ply
     #[arg(long, value_name = "N", help_heading = USUAL, value_parser = RangedU64ValueParser::<usize>::new().range(1..))]
     pub export_every: Option<usize>,
-    /// LPIPS.
     #[command(flatten, next_help_heading = ACCURACY)]
     #[serde(default)]
     pub lpips: LpipsArgs,
-    /// Amount of output.
     #[command(flatten, next_help_heading = USUAL)]
     #[serde(skip)]
     pub voice: VoiceArgs,
-    /// View in the browser.
     #[command(flatten, next_help_heading = USUAL)]
     #[serde(skip)]
     pub live: LiveArgs,
@@ -281,11 +267,9 @@ pub struct ResumeArgs {
     /// Output folder of the run: its `--out`
     #[arg(value_name = "DIR")]
     pub out: PathBuf,
-    /// Amount of output.
     #[command(flatten)]
     #[serde(skip)]
     pub voice: VoiceArgs,
-    /// View in the browser.
     #[command(flatten)]
     #[serde(skip)]
     pub live: LiveArgs,
@@ -298,23 +282,23 @@ fn usual_loss() -> String {
 /// Parses `--strategy`; the help lists those with settings.
 fn strategies() -> impl TypedValueParser<Value = StrategyName> {
     let all = StrategyName::value_variants().iter().filter_map(ValueEnum::to_possible_value);
-    let registered = registry::names(Part::Strategy).into_iter().map(PossibleValue::new);
+    let registered = parts::names(Part::Strategy).into_iter().map(PossibleValue::new);
     PossibleValuesParser::new(all.chain(registered)).try_map(|name| name.parse::<StrategyName>())
 }
 
 impl TrainArgs {
-    /// Gives a run the parts that its options take from the [`registry`].
+    /// Gives a run the parts that its options take from the [registry](parts::Registry).
     ///
     /// # Errors
     /// If this program does not have them.
     pub(crate) fn supply(&self, mut trainer: Trainer) -> Result<Trainer> {
         if self.loss != USUAL_LOSS {
-            trainer = registry::supply(trainer, Part::Loss, &self.loss)?;
+            trainer = parts::supply(trainer, Part::Loss, &self.loss)?;
         }
         if let StrategyName::Registered(name) = &self.strategy {
-            trainer = registry::supply(trainer, Part::Strategy, name)?;
+            trainer = parts::supply(trainer, Part::Strategy, name)?;
         }
-        self.effects.registered.iter().try_fold(trainer, |trainer, name| registry::supply(trainer, Part::Effect, name))
+        self.effects.registered.iter().try_fold(trainer, |trainer, name| parts::supply(trainer, Part::Effect, name))
     }
 
     /// Returns the configuration of the run, before effects are decided on.

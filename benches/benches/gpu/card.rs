@@ -8,10 +8,9 @@ use std::process::{Command, ExitStatus, Stdio};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use serde::Serialize;
-use splat_train::device::Runtime;
+use splat_train::device::built;
 
-use crate::page;
+use crate::page::{self, Files, Outcome, PartResult};
 
 /// Options of `card`.
 #[derive(Clone, Debug, clap::Parser)]
@@ -39,28 +38,6 @@ pub struct Options {
     /// Scenes of the benches.
     #[arg(long, value_delimiter = ',', default_value = "small,medium,large")]
     pub scenes: Vec<String>,
-}
-
-/// How a part ended.
-#[derive(Clone, Debug, Serialize, PartialEq, Eq)]
-#[serde(rename_all = "snake_case")]
-pub enum Outcome {
-    Passed,
-    Failed(String),
-    /// Stopped at its time limit, seconds.
-    Stopped(u64),
-    Skipped(String),
-}
-
-/// Result of a part.
-#[derive(Clone, Debug, Serialize)]
-pub struct PartResult {
-    pub title: String,
-    pub command: String,
-    pub outcome: Outcome,
-    pub seconds: f64,
-    /// Its output, standard error after standard output.
-    pub output: String,
 }
 
 /// A part of the page: a process and its time limit.
@@ -99,7 +76,7 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
         println!("{:>6.1} s  {}: {}", result.seconds, result.title, page::outcome(&result.outcome));
         results.push(result);
         // After each part: what is known is kept if the machine stops.
-        page::write(options, &results, &read_files(&folders))?;
+        page::write(out, &options.commit, &results, &read_files(&folders))?;
     }
     println!("wrote {} in {:.0} s", out.join("card.md").display(), start.elapsed().as_secs_f64());
     Ok(())
@@ -117,13 +94,6 @@ impl Folders {
             times: path("times.json"),
         }
     }
-}
-
-/// Files that parts wrote, for the page; `None` for those that are missing.
-pub struct Files {
-    pub times: Option<String>,
-    /// `metrics.json` of training on the GPU and on the CPU.
-    pub metrics: [Option<String>; 2],
 }
 
 fn read_files(folders: &Folders) -> Files {
@@ -148,8 +118,7 @@ fn parts(options: &Options, folders: &Folders) -> Result<Vec<Part>, Box<dyn Erro
         part.with("SPLAT_GPU", "require").with("CARGO_MANIFEST_DIR", &folder)
     };
     // Each runtime compiles the kernels to a language of its own.
-    let mut runtimes = Runtime::built();
-    runtimes.retain(|runtime| [Runtime::Wgpu, Runtime::Vulkan].contains(runtime));
+    let runtimes: Vec<&str> = ["wgpu", "vulkan"].into_iter().filter(|of| built().any(|built| built == *of)).collect();
     let side = options.side.to_string();
     let (height, steps) = ((options.side * 3 / 4).to_string(), options.steps.to_string());
     let train = |device: &'static str, out: &str, limit| {
@@ -169,7 +138,7 @@ fn parts(options: &Options, folders: &Folders) -> Result<Vec<Part>, Box<dyn Erro
         splat(&format!("training on the demo capture, --device {device}"), &arguments, limit)
     };
     // `gpu` alone would be the best adapter of any runtime, and that of SPIR-V is preferred.
-    let devices = runtimes.iter().map(|runtime| if *runtime == Runtime::Wgpu { "gpu:0" } else { runtime.prefix() });
+    let devices = runtimes.iter().map(|runtime| if *runtime == "wgpu" { "gpu:0" } else { *runtime });
     let compare = devices.chain(options.scenes.iter().map(String::as_str));
     let compare: Vec<&str> = compare.chain(["--json", &folders.times]).collect();
 
@@ -180,8 +149,8 @@ fn parts(options: &Options, folders: &Folders) -> Result<Vec<Part>, Box<dyn Erro
     ];
     for (title, name, arguments, limit) in on_runtimes {
         parts.extend(runtimes.iter().map(|runtime| {
-            let title = format!("{title}, runtime {}", runtime.feature());
-            test(title, name, &arguments, limit).with("SPLAT_RUNTIME", runtime.feature())
+            let title = format!("{title}, runtime {runtime}");
+            test(title, name, &arguments, limit).with("SPLAT_RUNTIME", runtime)
         }));
     }
     parts.push(Part::new("times of all passes", &own, &compare, 240));

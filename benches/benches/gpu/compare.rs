@@ -62,14 +62,14 @@ pub fn run(words: impl IntoIterator<Item = String>) -> Result<(), Box<dyn Error>
         }
     }
     if names.is_empty() {
-        names = vec![DeviceName::Flex, DeviceName::Gpu];
+        names = vec!["flex".parse()?, "gpu".parse()?];
     }
     if sizes.is_empty() {
         sizes = vec![JobSize::FoxSmall, JobSize::Medium, JobSize::Large];
     }
     let mut devices = Vec::new();
     for name in names {
-        match open(name) {
+        match open(&name) {
             Ok(opened) => devices.push(opened),
             Err(error) => println!("{name} is skipped: {error}"),
         }
@@ -85,7 +85,7 @@ pub fn run(words: impl IntoIterator<Item = String>) -> Result<(), Box<dyn Error>
     Ok(())
 }
 
-fn open(name: DeviceName) -> Result<Opened, Box<dyn Error>> {
+fn open(name: &DeviceName) -> Result<Opened, Box<dyn Error>> {
     let (device, name) = name.resolve()?;
     let machine = match is_gpu(&device) {
         true => Machine { bandwidth: copy_bandwidth(&device)?, operations: None },

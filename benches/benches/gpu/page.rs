@@ -3,15 +3,44 @@
 use std::error::Error;
 use std::fmt::Write;
 use std::fs;
+use std::path::Path;
 
 use serde::Serialize;
 use serde_json::Value;
 
-use crate::card::{Files, Options, Outcome, PartResult};
 use crate::compare::TimedPass;
 
 /// Lines of a part's output that the page shows: the last ones.
 const LINES: usize = 60;
+
+/// How a part ended.
+#[derive(Clone, Debug, Serialize, PartialEq, Eq)]
+#[serde(rename_all = "snake_case")]
+pub enum Outcome {
+    Passed,
+    Failed(String),
+    /// Stopped at its time limit, seconds.
+    Stopped(u64),
+    Skipped(String),
+}
+
+/// Result of a part.
+#[derive(Clone, Debug, Serialize)]
+pub struct PartResult {
+    pub title: String,
+    pub command: String,
+    pub outcome: Outcome,
+    pub seconds: f64,
+    /// Its output, standard error after standard output.
+    pub output: String,
+}
+
+/// Files that parts wrote, for the page; `None` for those that are missing.
+pub struct Files {
+    pub times: Option<String>,
+    /// `metrics.json` of training on the GPU and on the CPU.
+    pub metrics: [Option<String>; 2],
+}
 
 /// Content of `card.json`.
 #[derive(Serialize)]
@@ -24,18 +53,18 @@ struct Record<'a> {
     cpu: Option<Value>,
 }
 
-/// Writes the page of the parts that have run.
+/// Writes the page of the parts that have run to the folder `out`.
 ///
 /// # Errors
 /// If a file cannot be written, or a part wrote a file that is not JSON.
-pub fn write(options: &Options, parts: &[PartResult], files: &Files) -> Result<(), Box<dyn Error>> {
+pub fn write(out: &Path, commit: &str, parts: &[PartResult], files: &Files) -> Result<(), Box<dyn Error>> {
     let times: Vec<TimedPass> = files.times.as_deref().map(serde_json::from_str).transpose()?.unwrap_or_default();
     let json = |text: &Option<String>| text.as_deref().map(serde_json::from_str).transpose();
     let [gpu, cpu] = [json(&files.metrics[0])?, json(&files.metrics[1])?];
-    let record = Record { commit: &options.commit, parts, times: &times, gpu, cpu };
+    let record = Record { commit, parts, times: &times, gpu, cpu };
     let page = markdown(&record);
-    fs::write(options.out.join("card.json"), serde_json::to_string_pretty(&record)?)?;
-    fs::write(options.out.join("card.md"), page)?;
+    fs::write(out.join("card.json"), serde_json::to_string_pretty(&record)?)?;
+    fs::write(out.join("card.md"), page)?;
     Ok(())
 }
 

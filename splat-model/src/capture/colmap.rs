@@ -22,8 +22,7 @@ use splat_op::Intrinsics;
 use self::files::{ModelFiles, find, of_model};
 pub(super) use self::files::{SPARSE, is_complete, models_in};
 pub(super) use self::pictures::Pictures;
-use super::find::parent;
-use super::names::{Names, PICTURES};
+use super::names::{Names, PICTURES, parent};
 use super::read::{Place, PlaceInFile, quoted, read};
 use super::{Capture, CaptureError, Observation, Tracks, View};
 use crate::encoding::utf8;
@@ -92,7 +91,7 @@ pub(super) fn load(models: &[PathBuf], pictures: &Pictures) -> Result<Capture, C
     if !points.is_empty() {
         read.push(files.points);
     } else if let Some(file) = point_file([&parent(&read[0]), &root.capture]) {
-        let (positions, colours) = ply::read_points(&file).map_err(CaptureError::Points)?;
+        let (positions, colours) = ply::read_points(&file).map_err(|error| CaptureError::Content(error.to_string()))?;
         remarks.push(format!("the model has no points: {} are read from {}", positions.len(), file.display()));
         let point = |(position, colour)| PointRecord { position, colour, error_px: f64::NAN, track: Vec::new() };
         points = positions.into_iter().zip(colours).map(point).collect();

@@ -1,8 +1,8 @@
 //! Finds the cameras of a folder: at the usual places, or else anywhere in it or directly above it.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
+use super::names::{SAMPLE, children, entries, parent};
 use super::read::{read, regular_size};
 use super::transforms::{MAX_BYTES, SINGLE, TRAIN};
 use super::{Capture, CaptureError, colmap, transforms};
@@ -16,9 +16,6 @@ pub(super) const OURS: [&str; 3] = ["reconstruction.json", "demo.json", "metrics
 
 /// Folders beside a folder of photographs that hold its cameras, in the layouts of nerfstudio, of the original code's `convert.py` and of COLMAP.
 const BESIDE: [&str; 6] = ["colmap", "distorted", "dense", "undistorted", "sparse_txt", "text"];
-
-/// Photographs of a capture that are looked for to see whether it belongs to a folder.
-pub(super) const SAMPLE: usize = 8;
 
 /// Where cameras are.
 #[derive(Clone, Debug, PartialEq)]
@@ -190,27 +187,6 @@ fn has_frames(file: &Path) -> bool {
     let text = if is_small { read(file).map(utf8).unwrap_or_default() } else { Vec::new() };
     let holds = |word: &[u8]| text.windows(word.len()).any(|part| part == word);
     holds(b"\"frames\"") && holds(b"\"transform_matrix\"")
-}
-
-/// The folder that holds a file or folder.
-pub(super) fn parent(path: &Path) -> PathBuf {
-    match (path.parent(), path.file_name()) {
-        (Some(parent), Some(_)) if parent.as_os_str().is_empty() => PathBuf::from("."),
-        (Some(parent), Some(_)) => parent.to_owned(),
-        _ => path.join(".."),
-    }
-}
-
-fn entries(folder: &Path) -> impl Iterator<Item = PathBuf> {
-    fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path())
-}
-
-/// The folders in a folder that are not hidden, in order.
-pub(super) fn children(folder: &Path) -> Vec<PathBuf> {
-    let is_hidden = |path: &Path| path.file_name().is_some_and(|name| name.to_string_lossy().starts_with('.'));
-    let mut found: Vec<PathBuf> = entries(folder).filter(|path| path.is_dir() && !is_hidden(path)).collect();
-    found.sort();
-    found
 }
 
 #[cfg(test)]

@@ -19,7 +19,6 @@ use splat_op::camera::MAX_SIDE_PX;
 
 use super::read::{read, regular_size, unreadable};
 use super::{CaptureError, View};
-use crate::effects::masks;
 use crate::ply::brief;
 use crate::sniff::{FileClass, FileKind};
 
@@ -115,7 +114,7 @@ impl Photo {
             }
         };
         let intrinsics = self.intrinsics.resized(width, height);
-        let mask = self.mask.map(|mask| masks::resized(&mask, size, [width, height]));
+        let mask = self.mask.map(|mask| resized_mask(&mask, size, [width, height]));
         Self { intrinsics, rgb, alpha, mask, ..self }
     }
 }
@@ -233,7 +232,10 @@ fn undecodable(file: &Path, reason: String) -> CaptureError {
     let other = FileKind::of(file).filter(|kind| matches!(kind.class, FileClass::Other | FileClass::Video));
     let reason = other.map_or(reason, |kind| format!("it is {}, whatever its name says: {}", kind.what, kind.remedy));
     // Decoders say several lines.
-    CaptureError::Picture { file: file.to_owned(), reason: brief(&reason) }
+    let (file, reason) = (file.display(), brief(&reason));
+    CaptureError::Content(format!(
+        "cannot decode {file}: {reason}. Expected a JPEG or PNG picture: export or copy it again"
+    ))
 }
 
 /// A decoder that has read a picture's header.
@@ -296,6 +298,20 @@ pub(super) fn size_within(size: [u32; 2], max_side: Option<u32>) -> [u32; 2] {
     };
     let scale = f64::from(max_side) / f64::from(longer);
     size.map(|side| ((f64::from(side) * scale).round() as u32).max(1))
+}
+
+/// Resizes a mask. A pixel counts if all pixels that it covers count.
+pub(super) fn resized_mask(mask: &[bool], from: [usize; 2], to: [usize; 2]) -> Vec<bool> {
+    let [width, height] = from;
+    let covered = |at: usize, from: usize, to: usize| at * from / to..((at + 1) * from).div_ceil(to);
+    let rows = (0..to[1]).map(|row| covered(row, height, to[1]));
+    let counts = rows.flat_map(|rows| {
+        let columns = (0..to[0]).map(|column| covered(column, width, to[0]));
+        columns.map(move |columns| {
+            rows.clone().all(|row| mask[row * width..][columns.clone()].iter().all(|&counts| counts))
+        })
+    });
+    counts.collect()
 }
 
 /// Resizes colours weighted by opacity, so that the colour of transparent pixels does not bleed across edges.

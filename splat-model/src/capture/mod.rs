@@ -4,9 +4,11 @@ pub mod blocks;
 pub mod image;
 
 mod colmap;
+pub(crate) mod depth_maps;
 mod error;
 pub mod exif;
 mod find;
+pub mod masks;
 pub(crate) mod names;
 pub(crate) mod origin;
 pub(crate) mod packed;
@@ -64,7 +66,7 @@ pub struct Capture {
     /// The files' own split into training and held-out views, if any; see [`Split::of`].
     pub split: Option<Split>,
     /// Mask files that the capture itself names, one entry per view, or empty; see
-    /// [`masks::find`](crate::effects::masks::find).
+    /// [`masks::find`].
     pub masks: Vec<Option<PathBuf>>,
     /// The part of the scene on which the capture focuses, if it is a block of another; see [`blocks`].
     pub focus: Option<Bounds>,
@@ -129,7 +131,7 @@ impl Capture {
         }
         let paths = self.views.iter().map(|view| &view.image_path);
         let missing: Vec<PathBuf> = paths.filter(|path| !path.exists()).cloned().collect();
-        Err(CaptureError::photographs(&missing, self.views.len(), self.files.first().unwrap_or(&self.folder)))
+        Err(names::missing_photographs(&missing, self.views.len(), self.files.first().unwrap_or(&self.folder)))
     }
 
     /// A capture of views and points of the files' world, moved next to zero where it lies far away.

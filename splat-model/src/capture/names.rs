@@ -1,4 +1,4 @@
-//! Names of files as other programs and other systems wrote them.
+//! Folders, and names of files as other programs and other systems wrote them.
 
 use std::collections::{BTreeSet, HashMap};
 use std::fs;
@@ -11,6 +11,9 @@ use super::read::{quoted, unreadable};
 
 /// Extensions of pictures. A name may lack its own (NeRF-synthetic), or have one more on the disk than in the list (BlenderNeRF).
 pub(crate) const PICTURES: [&str; 3] = ["png", "jpg", "jpeg"];
+
+/// Photographs of a capture that are looked for to see whether it belongs to a folder.
+pub(super) const SAMPLE: usize = 8;
 
 /// The path without `.`; `None` where it is absolute or leads out of its folder, whether `\` separates folders, as on Windows, or not.
 pub(super) fn below(path: &str) -> Option<String> {
@@ -90,6 +93,41 @@ pub(super) fn beside(missing: &Path) -> String {
         1..=3 => format!("{} holds {some}", folder.display()),
         count => format!("{} holds {some} and {} more", folder.display(), count - 3),
     }
+}
+
+/// The error for photographs that `file` lists, of which these are missing.
+pub(super) fn missing_photographs(missing: &[PathBuf], of: usize, file: &Path) -> CaptureError {
+    let first = missing.first().cloned().unwrap_or_default();
+    let detail = format!(
+        "{} of {of} photographs that it lists are missing, the first is {}: {}. Put the photographs where it lists them: below \
+         `images/`, or for JSON below its folder",
+        missing.len(),
+        first.display(),
+        beside(&first)
+    );
+    CaptureError::content(file, detail)
+}
+
+/// The folder that holds a file or folder.
+pub(super) fn parent(path: &Path) -> PathBuf {
+    match (path.parent(), path.file_name()) {
+        (Some(parent), Some(_)) if parent.as_os_str().is_empty() => PathBuf::from("."),
+        (Some(parent), Some(_)) => parent.to_owned(),
+        _ => path.join(".."),
+    }
+}
+
+/// What is in a folder; nothing if it cannot be listed.
+pub(super) fn entries(folder: &Path) -> impl Iterator<Item = PathBuf> {
+    fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path())
+}
+
+/// The folders in a folder that are not hidden, in order.
+pub(super) fn children(folder: &Path) -> Vec<PathBuf> {
+    let is_hidden = |path: &Path| path.file_name().is_some_and(|name| name.to_string_lossy().starts_with('.'));
+    let mut found: Vec<PathBuf> = entries(folder).filter(|path| path.is_dir() && !is_hidden(path)).collect();
+    found.sort();
+    found
 }
 
 /// Names of files in a folder and its subfolders, in order, without hidden ones and those in folders of the names `without`.

@@ -26,7 +26,8 @@ pub(super) fn read(file: &Path) -> Result<Vec<u8>, CaptureError> {
 
 /// The error for a file that the operating system does not let us read.
 pub(super) fn unreadable(file: &Path, reason: io::Error) -> CaptureError {
-    CaptureError::Read { file: file.to_owned(), reason, fix: "Check that it is an ordinary file which you may read" }
+    let file = file.display();
+    CaptureError::Content(format!("cannot read {file}: {reason}. Check that it is an ordinary file which you may read"))
 }
 
 /// A name as messages quote it: escaped, and truncated to a line.

@@ -43,25 +43,42 @@ impl Split {
     ///
     /// # Errors
     ///
-    /// [`CaptureError::NoTrainingViews`] if there are none.
+    /// If there are none.
     pub fn require_train(&self) -> Result<&[usize], CaptureError> {
-        match self.train.is_empty() {
-            true => Err(CaptureError::NoTrainingViews { views: self.test.len() }),
-            false => Ok(&self.train),
+        if !self.train.is_empty() {
+            return Ok(&self.train);
         }
+        let train_on = if self.test.len() > 1 { "all, or 8 to hold out every eighth" } else { "it" };
+        Err(CaptureError::Content(format!(
+            "{} held out for testing and none is for training, expected at least one. Set `--test-every 0` to train on {train_on}, or add \
+             photographs",
+            all(self.test.len())
+        )))
     }
 
     /// The views held out.
     ///
     /// # Errors
     ///
-    /// [`CaptureError::NoTestViews`] if there are none.
+    /// If there are none.
     pub fn require_test(&self) -> Result<&[usize], CaptureError> {
-        match self.test.is_empty() {
-            true => Err(CaptureError::NoTestViews { views: self.train.len() }),
-            false => Ok(&self.test),
+        if !self.test.is_empty() {
+            return Ok(&self.test);
         }
+        let fix = match self.train.len() {
+            0 | 1 => "Add photographs",
+            _ => "Set `--test-every` to 8, say, to hold out every eighth",
+        };
+        let all = all(self.train.len());
+        Err(CaptureError::Content(format!(
+            "{all} for training and none is held out for testing, expected at least one. {fix}"
+        )))
     }
+}
+
+/// The beginning of a sentence about so many views.
+fn all(views: usize) -> String {
+    if views == 1 { "the 1 view is".into() } else { format!("all {views} views are") }
 }
 
 #[cfg(test)]

@@ -24,8 +24,7 @@ use std::path::{Path, PathBuf};
 
 use self::camera::Lenses;
 use self::json::Fields;
-use super::find::parent;
-use super::names::{Names, PICTURES, below};
+use super::names::{Names, PICTURES, below, missing_photographs, parent};
 use super::read::{Place, PlaceInFile, quoted, read, regular_size, unreadable};
 use super::{Capture, CaptureError, Split, View};
 use crate::encoding::utf8;
@@ -162,7 +161,7 @@ impl Reading {
     fn missing(&mut self, file: &Path, frames: &[Fields]) -> CaptureError {
         let pictures = self.pictures(frames);
         let missing = pictures.iter().filter(|(_, is_there)| !is_there).map(|(name, _)| self.folder.join(name));
-        CaptureError::photographs(&missing.collect::<Vec<_>>(), pictures.len(), file)
+        missing_photographs(&missing.collect::<Vec<_>>(), pictures.len(), file)
     }
 
     fn add_frame(&mut self, file: &Path, index: usize, frame: &Fields, of_file: &Fields) -> Result<(), CaptureError> {
@@ -236,7 +235,7 @@ impl Reading {
             Some(file) => {
                 regular_size(file).map_err(|reason| unreadable(file, reason))?;
                 self.files.push(file.clone());
-                ply::read_points(file).map_err(CaptureError::Points)?
+                ply::read_points(file).map_err(|error| CaptureError::Content(error.to_string()))?
             }
             None => Default::default(),
         };

@@ -1,13 +1,12 @@
 //! What lies in a capture and is not used: masks and depth maps of no photograph, and pictures without cameras.
 
 use std::collections::{BTreeSet, HashSet};
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use super::Capture;
-use super::find::{OURS, parent};
-use super::names::{PICTURES, files_below};
-use crate::effects::{depth, masks};
+use super::find::OURS;
+use super::names::{PICTURES, entries, files_below, parent};
+use super::{depth_maps, masks};
 
 pub(super) fn remarks(capture: &Capture) -> Vec<String> {
     // What this program writes holds nothing of the user's.
@@ -15,7 +14,7 @@ pub(super) fn remarks(capture: &Capture) -> Vec<String> {
         return Vec::new();
     }
     let masks = (masks::folders(capture), masks::find(capture));
-    let depth = (depth::folders(capture), depth::find(capture));
+    let depth = (depth_maps::folders(capture), depth_maps::find(capture));
     let mut remarks = Vec::new();
     let mut used: HashSet<PathBuf> = capture.views.iter().map(|view| view.image_path.clone()).collect();
     for (folders, found) in [masks, depth] {
@@ -26,8 +25,7 @@ pub(super) fn remarks(capture: &Capture) -> Vec<String> {
     let folders: BTreeSet<PathBuf> = capture.views.iter().map(|view| parent(&view.image_path)).collect();
     for folder in folders {
         let is_left = |path: &PathBuf| is_picture(path) && path.is_file() && !used.contains(path);
-        let entries = fs::read_dir(&folder).into_iter().flatten().flatten();
-        let mut left: Vec<PathBuf> = entries.map(|entry| entry.path()).filter(is_left).collect();
+        let mut left: Vec<PathBuf> = entries(&folder).filter(is_left).collect();
         left.sort();
         if let Some(first) = left.first() {
             let (count, shown) = (left.len(), named(&capture.folder, first));
@@ -43,7 +41,7 @@ pub(super) fn remarks(capture: &Capture) -> Vec<String> {
 /// A note on a folder of masks or depth maps that does not fit the photographs.
 fn unmatched(capture: &Capture, folder: &Path, found: &HashSet<PathBuf>) -> Option<String> {
     let files: Vec<String> = match files_below(folder, &[]) {
-        Ok(files) => files.into_iter().filter(|name| name != depth::SCALE).collect(),
+        Ok(files) => files.into_iter().filter(|name| name != depth_maps::SCALE).collect(),
         Err(error) => return Some(error.to_string()),
     };
     let left: Vec<&String> = files.iter().filter(|name| !found.contains(&folder.join(name))).collect();

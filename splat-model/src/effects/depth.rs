@@ -10,7 +10,7 @@
 //! scene units) than without supervision (0.46). With the full derivative they are nearer (less than 0.28). It is
 //! `(zᵢ − D/α)/α` for each weight: Gaussians that are too far fade, and nearer ones gain.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use burn::tensor::{DType, Device, Int, Tensor, TensorData};
 use glam::Vec2;
@@ -20,10 +20,10 @@ use splat_op::Rendered;
 use splat_op::depth_miss::depth_miss;
 
 use super::learned::{EffectContext, Falling};
-use super::masks::by_name;
 use super::{Effect, EffectKind, RenderInput};
-use crate::capture::names::Names;
-use crate::capture::{Capture, CaptureError, View};
+pub use crate::capture::depth_maps::folder;
+use crate::capture::depth_maps::{SCALE, find};
+use crate::capture::{Capture, CaptureError};
 use crate::gaussians::Gaussians;
 use crate::json;
 use crate::quantile::quantile;
@@ -77,36 +77,6 @@ pub fn from_tracks(capture: &Capture, views: &[usize]) -> Vec<Vec<DepthSample>> 
 struct DepthScale {
     /// Scene units per level.
     scale: f64,
-}
-
-/// Folders of a capture in which tools keep depth maps.
-const FOLDERS: [&str; 3] = ["depth", "depths", "depth_maps"];
-
-/// The file beside depth maps that states their scale.
-pub(crate) const SCALE: &str = "depth.json";
-
-pub(crate) fn folders(capture: &Capture) -> Vec<PathBuf> {
-    FOLDERS.iter().map(|name| capture.folder.join(name)).filter(|folder| folder.is_dir()).collect()
-}
-
-/// The depth map of each view: a PNG file named like a mask (see [`masks`](super::masks)), in the first folder that has one for any view. `None`
-/// for a view without a map.
-pub(crate) fn find(capture: &Capture) -> Vec<Option<PathBuf>> {
-    let mut files = Names::default();
-    for folder in folders(capture) {
-        let of_view = |view: &View| by_name(std::slice::from_ref(&folder), &view.name, &mut files);
-        let found: Vec<Option<PathBuf>> = capture.views.iter().map(of_view).collect();
-        if found.iter().any(Option::is_some) {
-            return found;
-        }
-    }
-    vec![None; capture.views.len()]
-}
-
-/// The folder of a capture's depth maps, relative to the capture; `None` if no photograph has one.
-pub fn folder(capture: &Capture) -> Option<PathBuf> {
-    let first = find(capture).into_iter().flatten().next()?;
-    Some(first.strip_prefix(&capture.folder).ok()?.components().next()?.as_os_str().into())
 }
 
 /// Reads the depth maps of the photographs `views`, in the capture's [folder] of them: 16-bit grey PNG files of any size, named

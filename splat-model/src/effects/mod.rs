@@ -13,7 +13,6 @@ pub mod grid;
 mod leaf;
 mod learned;
 mod maps;
-pub mod masks;
 pub mod motion;
 pub mod optics;
 pub mod plan;
@@ -37,6 +36,7 @@ pub use self::learned::{EffectContext, Falling, Learned};
 pub use self::plan::Plan;
 pub use self::stack::EffectStack;
 pub use self::survey::Survey;
+pub use crate::capture::masks;
 
 /// The effects of this library that can be switched on and off. How strongly colours depend on the viewing direction is set
 /// by [`TrainConfig::sh_degree`](crate::trainer::TrainConfig::sh_degree).

@@ -6,7 +6,8 @@ use std::path::Path;
 
 use flate2::bufread::GzDecoder;
 
-use super::{FormatError, sog, spz};
+use super::{sog, spz};
+use crate::FileError;
 use crate::sniff::{FileClass, FileKind};
 
 /// What the first bytes of a scene's file tell.
@@ -18,19 +19,19 @@ pub(super) enum Beginning {
 }
 
 impl Beginning {
-    pub fn of(path: &Path) -> Result<Self, FormatError> {
+    pub fn of(path: &Path) -> Result<Self, FileError> {
         let mut first = Vec::new();
         File::open(path)
-            .map_err(FormatError::io(path, "open the scene (is the path right?)"))?
+            .map_err(FileError::io(path, "open the scene (is the path right?)"))?
             .take(16)
             .read_to_end(&mut first)
-            .map_err(FormatError::io(path, "read the scene (is the path right?)"))?;
+            .map_err(FileError::io(path, "read the scene (is the path right?)"))?;
         let line = first.split(|byte| *byte == b'\n').next().unwrap_or_default().trim_ascii();
         Ok(match () {
             () if spz::is_spz(&first) => match gunzipped(path).and_then(|inner| FileKind::of_bytes(&inner)) {
                 Some(inner) => {
                     let what = format!("a gzip file around {}, not SPZ", inner.what);
-                    return Err(FormatError::foreign(path, what, "unpack it with `gunzip`"));
+                    return Err(FileError::foreign(path, what, "unpack it with `gunzip`"));
                 }
                 None => Self::Spz,
             },
@@ -51,25 +52,31 @@ fn gunzipped(path: &Path) -> Option<Vec<u8>> {
 }
 
 /// The error for a file that begins so and is no scene.
-fn unknown(path: &Path, first: &[u8]) -> FormatError {
+fn unknown(path: &Path, first: &[u8]) -> FileError {
     match FileKind::of(path).filter(|kind| !matches!(kind.class, FileClass::Scene | FileClass::Text)) {
-        Some(FileKind { what, remedy, .. }) => FormatError::foreign(path, what, remedy),
+        Some(FileKind { what, remedy, .. }) => FileError::foreign(path, what, remedy),
         None => {
             let line = first.split(|byte| *byte == b'\n').next().unwrap_or_default().trim_ascii();
             let found = String::from_utf8_lossy(line).escape_debug().to_string();
-            FormatError::Unknown { path: path.to_path_buf(), found }
+            FileError::new(
+                path,
+                format!(
+                    "not a scene: it begins with `{found}`, expected a PLY file (original layout or SuperSplat's compressed one), SPZ \
+                     (version 1 to 4) or SOG; export it as one of these"
+                ),
+            )
         }
     }
 }
 
-fn gltf(path: &Path) -> FormatError {
+fn gltf(path: &Path) -> FileError {
     let what = "a scene in glTF, which is written here and not read".into();
-    FormatError::foreign(path, what, "convert it to PLY with `npx @playcanvas/splat-transform IN OUT.ply`")
+    FileError::foreign(path, what, "convert it to PLY with `npx @playcanvas/splat-transform IN OUT.ply`")
 }
 
 /// The document of a scene in SOG.
-pub(super) fn json(path: &Path) -> Result<Vec<u8>, FormatError> {
-    let json = fs::read(path).map_err(FormatError::io(path, "read the scene (is the path right?)"))?;
+pub(super) fn json(path: &Path) -> Result<Vec<u8>, FileError> {
+    let json = fs::read(path).map_err(FileError::io(path, "read the scene (is the path right?)"))?;
     match () {
         () if sog::is_meta(&json) => Ok(json),
         () if path.extension().is_some_and(|kind| kind.eq_ignore_ascii_case("gltf")) => Err(gltf(path)),

@@ -29,7 +29,8 @@ use std::path::Path;
 use serde_json::{Map, Value, json};
 
 use super::frame::HalfTurn;
-use super::{DC, FormatError, SceneFile, extras, opacity};
+use super::{DC, SceneFile, extras, opacity};
+use crate::FileError;
 use crate::gaussians::{GaussianRows, sigmoid};
 use crate::replace::{WRITE, replace};
 
@@ -57,8 +58,8 @@ const ARRAY_BUFFER: u32 = 34_962;
 const LOG_SCALES: (f32, f32) = (-87.0, 88.0);
 
 /// Writes rows that fit the format ([`super::fit`]). `scene` gives the origin and the mark of antialiasing.
-pub(super) fn write(path: &Path, rows: &GaussianRows, scene: &SceneFile) -> Result<(), FormatError> {
-    replace(path, |out| write_to(out, rows, scene)).map_err(FormatError::io(path, WRITE))
+pub(super) fn write(path: &Path, rows: &GaussianRows, scene: &SceneFile) -> Result<(), FileError> {
+    replace(path, |out| write_to(out, rows, scene)).map_err(FileError::io(path, WRITE))
 }
 
 fn write_to(out: &mut impl Write, rows: &GaussianRows, scene: &SceneFile) -> io::Result<()> {

@@ -50,11 +50,9 @@ mod tests;
 
 use std::borrow::Cow;
 use std::fmt;
-use std::io;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use glam::DVec3;
-use thiserror::Error;
 
 use beginning::{Beginning, json};
 pub use files::files;
@@ -62,9 +60,10 @@ pub use loss::{Deviation, QuantisationError};
 pub use sog::SogOptions;
 pub use spz::{SpzOptions, SpzVersion};
 
+use crate::FileError;
 use crate::density::morton_order;
 use crate::gaussians::GaussianRows;
-use crate::ply::{self, PlyError, PlyReader, TrainedAs, WorldFrame};
+use crate::ply::{self, PlyReader, TrainedAs, WorldFrame};
 
 /// The spherical harmonic of degree 0, `1 / (2 √π)`.
 pub(crate) const DC: f64 = 0.282_094_791_773_878_14;
@@ -176,62 +175,17 @@ pub struct Written<'a> {
     pub moved: usize,
 }
 
-/// A scene file that cannot be read or written. Each message names the file, what was found and what to do.
-#[derive(Debug, Error)]
-#[non_exhaustive]
-pub enum FormatError {
-    /// The operating system reported an error, a PLY file, compressed or not, breaks the format, or rows do not belong together.
-    #[error(transparent)]
-    Ply(#[from] PlyError),
-    /// The file does not begin like a scene of any supported format.
-    #[error(
-        "{path}: not a scene: it begins with `{found}`, expected a PLY file (original layout or SuperSplat's compressed one), SPZ \
-         (version 1 to 4) or SOG; export it as one of these",
-        path = path.display()
-    )]
-    Unknown {
-        /// The file.
-        path: PathBuf,
-        /// Its first bytes, made printable.
-        found: String,
-    },
-    /// The file is of another kind.
-    #[error(
-        "{path}: not a scene that is read: it is {what}. Scenes are PLY files (original layout or SuperSplat's compressed one), SPZ, glTF and \
-         SOG: {remedy}, or export it as one of these",
-        path = path.display()
-    )]
-    Foreign {
-        /// The file.
-        path: PathBuf,
-        /// What it is.
-        what: String,
-        /// What to do.
-        remedy: String,
-    },
-    /// The file begins like the format, but the rest does not match it.
-    #[error("{path}: broken {format} file: {detail}; copy or export it again", path = path.display())]
-    Broken {
-        /// The file.
-        path: PathBuf,
-        /// The format that the file begins like.
-        format: Format,
-        /// What was found and what was expected.
-        detail: String,
-    },
-}
-
-impl FormatError {
-    fn io(path: &Path, action: &'static str) -> impl FnOnce(io::Error) -> Self {
-        move |source| PlyError::Io { path: path.to_path_buf(), action, source }.into()
-    }
-
+impl FileError {
     fn broken(path: &Path, format: Format, detail: impl Into<String>) -> Self {
-        Self::Broken { path: path.to_path_buf(), format, detail: detail.into() }
+        Self::new(path, format!("broken {format} file: {}; copy or export it again", detail.into()))
     }
 
-    fn foreign(path: &Path, what: String, remedy: impl Into<String>) -> Self {
-        Self::Foreign { path: path.to_path_buf(), what, remedy: remedy.into() }
+    fn foreign(path: &Path, what: String, remedy: impl fmt::Display) -> Self {
+        const SCENES: &str = "Scenes are PLY files (original layout or SuperSplat's compressed one), SPZ, glTF and SOG";
+        Self::new(
+            path,
+            format!("not a scene that is read: it is {what}. {SCENES}: {remedy}, or export it as one of these"),
+        )
     }
 }
 
@@ -239,7 +193,7 @@ impl FormatError {
 ///
 /// # Errors
 /// If the file cannot be opened or is not a scene.
-pub fn detect(path: &Path) -> Result<Format, FormatError> {
+pub fn detect(path: &Path) -> Result<Format, FileError> {
     Ok(match Beginning::of(path)? {
         Beginning::Spz => Format::Spz,
         Beginning::Zip => Format::Sog,
@@ -256,9 +210,9 @@ pub fn detect(path: &Path) -> Result<Format, FormatError> {
 /// The function does not check whether the values are finite.
 ///
 /// # Errors
-/// A [`FormatError`] for every file that is not a complete scene of one of the formats. Memory is bounded by a multiple of the
+/// A [`FileError`] for every file that is not a complete scene of one of the formats. Memory is bounded by a multiple of the
 /// file's size, whatever the header claims: a small multiple for PLY, and the limits of compression for SPZ and SOG.
-pub fn read(path: &Path) -> Result<(SceneFile, Format), FormatError> {
+pub fn read(path: &Path) -> Result<(SceneFile, Format), FileError> {
     Ok(match Beginning::of(path)? {
         Beginning::Spz => (spz::read(path)?, Format::Spz),
         Beginning::Zip => (sog::read_archive(path)?, Format::Sog),
@@ -283,44 +237,41 @@ pub fn read(path: &Path) -> Result<(SceneFile, Format), FormatError> {
 /// # Errors
 /// If the rows' fields differ in length, the degree is above 4, the origin is not finite, the size of a unit is not positive, no Gaussian
 /// can be rendered, or the file cannot be written. No temporary file is left behind.
-pub fn write<'a>(path: &Path, scene: &'a SceneFile, format: Format) -> Result<Written<'a>, FormatError> {
-    let written = checked(path, scene, format)?;
+pub fn write<'a>(path: &Path, scene: &'a SceneFile, format: Format) -> Result<Written<'a>, FileError> {
+    write_with(path, scene, format, WriteOptions::default())
+}
+
+/// The choices that formats leave to their writers. Each format ignores those of the others.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct WriteOptions {
+    /// SPZ's.
+    pub spz: SpzOptions,
+    /// SOG's.
+    pub sog: SogOptions,
+}
+
+/// Writes a scene as [`write`](fn@write) does, with other choices than the default's.
+///
+/// # Errors
+/// As [`write`](fn@write).
+pub fn write_with<'a>(
+    path: &Path,
+    scene: &'a SceneFile,
+    format: Format,
+    options: WriteOptions,
+) -> Result<Written<'a>, FileError> {
+    ply::check(path, &scene.rows, scene.world())?;
+    let written = fitted(&scene.rows, format);
+    // A file with nothing in it is refused; PLY, which holds all rows, counts its own.
+    ply::check_left(path, scene.rows.len() - written.left_out, scene.rows.len())?;
     let rows = &written.rows;
     match format {
         Format::Ply => ply::write(path, rows, scene.world())?,
         Format::CompressedPly => compressed::write(path, rows, scene.world())?,
-        Format::Spz => spz::write(path, rows, scene.trained.antialias, SpzOptions::default())?,
+        Format::Spz => spz::write(path, rows, scene.trained.antialias, options.spz)?,
         Format::Glb => gltf::write(path, rows, scene)?,
-        Format::Sog => sog::write(path, rows, scene, SogOptions::default())?,
+        Format::Sog => sog::write(path, rows, scene, options.sog)?,
     }
-    Ok(written)
-}
-
-/// Writes SPZ as [`write`](fn@write) does, with other choices than the default's.
-///
-/// # Errors
-/// As [`write`](fn@write).
-pub fn write_spz<'a>(path: &Path, scene: &'a SceneFile, options: SpzOptions) -> Result<Written<'a>, FormatError> {
-    let written = checked(path, scene, Format::Spz)?;
-    spz::write(path, &written.rows, scene.trained.antialias, options)?;
-    Ok(written)
-}
-
-/// Writes SOG as [`write`](fn@write) does, with other choices than the default's.
-///
-/// # Errors
-/// As [`write`](fn@write).
-pub fn write_sog<'a>(path: &Path, scene: &'a SceneFile, options: SogOptions) -> Result<Written<'a>, FormatError> {
-    let written = checked(path, scene, Format::Sog)?;
-    sog::write(path, &written.rows, scene, options)?;
-    Ok(written)
-}
-
-/// The part of a scene that is to be written to `path`. One with nothing in it is refused; PLY, which holds all rows, counts its own.
-fn checked<'a>(path: &Path, scene: &'a SceneFile, format: Format) -> Result<Written<'a>, FormatError> {
-    ply::check(path, &scene.rows, scene.world())?;
-    let written = fitted(&scene.rows, format);
-    ply::check_left(path, scene.rows.len() - written.left_out, scene.rows.len())?;
     Ok(written)
 }
 

@@ -4,89 +4,11 @@ use std::ops::Range;
 
 use burn::module::{Module, Param};
 use burn::tensor::kind::Basic;
-use burn::tensor::{Device, Tensor, activation};
-use serde::{Deserialize, Serialize};
-use splat_op::largest_tensor;
+use burn::tensor::{Device, Tensor, TensorData, activation};
+use splat_op::{largest_tensor, read_back};
 
-use super::rows::{GroupRows, RowsError};
-
-/// The groups that every scene has, in this order, which are also the fields of [`RawSplats`](splat_op::RawSplats).
-pub const BASE_GROUPS: [&str; 5] = ["means", "rotations", "log_scales", "logit_opacities", "sh"];
-
-/// Place of the spherical harmonics in [`BASE_GROUPS`].
-pub(crate) const SH: usize = 4;
-
-/// How the numbers of a group become the values that are used.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Activation {
-    /// The numbers themselves.
-    #[default]
-    Identity,
-    /// `exp(x)`: positive values.
-    Exp,
-    /// `1 / (1 + exp(−x))`: values between 0 and 1.
-    Sigmoid,
-    /// `x / |x|`: rows of length 1. A row of zeros stays.
-    Normalise,
-}
-
-/// The values of a row that density control adds.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum NewRows {
-    /// Those of the row that it comes from.
-    #[default]
-    Copied,
-    /// This number throughout.
-    Filled(f32),
-}
-
-/// How a group is trained. Groups of [`BASE_GROUPS`] are trained by [`LearningRates`](crate::optim::LearningRates) and density control
-/// instead, and ignore these options.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct GroupOptions {
-    /// Learning rate at the first step: 0, which keeps the group as it is.
-    pub rate: f64,
-    /// Share of the rate that remains at the last step: 1. The rate falls exponentially.
-    pub final_share: f64,
-    /// How the numbers become values: unchanged.
-    pub activation: Activation,
-    /// The values of new rows: copies.
-    pub new_rows: NewRows,
-    /// The value that all rows get, with moments of zero, whenever density control resets opacities: none.
-    pub reset: Option<f32>,
-}
-
-impl Default for GroupOptions {
-    fn default() -> Self {
-        Self { rate: 0.0, final_share: 1.0, activation: Activation::Identity, new_rows: NewRows::Copied, reset: None }
-    }
-}
-
-impl GroupOptions {
-    /// Checks that all numbers can be used and saved.
-    ///
-    /// # Errors
-    /// [`RowsError::Group`] for the first that cannot.
-    pub fn check(&self, name: &str) -> Result<(), RowsError> {
-        let refuse = |option: &str, found: f64, expected: &str| {
-            Err(RowsError::Group(format!("`{option}` of the group `{name}` is {found}, expected {expected}")))
-        };
-        if !(self.rate >= 0.0 && self.rate.is_finite()) {
-            return refuse("rate", self.rate, "a finite number that is not negative");
-        }
-        if !(self.final_share > 0.0 && self.final_share.is_finite()) {
-            return refuse("final_share", self.final_share, "a finite number above 0");
-        }
-        match (self.new_rows, self.reset) {
-            (NewRows::Filled(value), _) if !value.is_finite() => refuse("new_rows", value.into(), "a finite number"),
-            (_, Some(value)) if !value.is_finite() => refuse("reset", value.into(), "a finite number"),
-            _ => Ok(()),
-        }
-    }
-}
+use super::options::{Activation, BASE_GROUPS, GroupOptions, RowsError, SH, check_name};
+use super::rows::GroupRows;
 
 /// A named parameter `[N, width]` with a row for each Gaussian.
 #[derive(Module, Debug)]
@@ -123,12 +45,12 @@ impl Group {
     pub(super) fn of_numbers(name: &str, count: usize, width: usize, numbers: Vec<f32>, device: &Device) -> Self {
         let blocks = row_blocks(name, count, width, device);
         if blocks.len() == 1 {
-            let values = super::tensor(numbers, [count, width], device);
+            let values = tensor(numbers, [count, width], device);
             return Self::of_blocks(name, vec![parameter(values)], GroupOptions::default());
         }
         let of = |rows: Range<usize>| {
             let part = numbers[width * rows.start..width * rows.end].to_vec();
-            parameter(super::tensor(part, [rows.len(), width], device))
+            parameter(tensor(part, [rows.len(), width], device))
         };
         Self::of_blocks(name, blocks.into_iter().map(of).collect(), GroupOptions::default())
     }
@@ -194,7 +116,7 @@ impl Group {
             let end = first + block.dims()[0];
             let (from, to_row) = (which.start.max(first), which.end.min(end));
             if from < to_row {
-                to.extend(super::values_of(block.narrow(0, from - first, to_row - from)));
+                to.extend(values_of(block.narrow(0, from - first, to_row - from)));
             }
             first = end;
         }
@@ -203,22 +125,6 @@ impl Group {
     pub(super) fn untracked(&self) -> Self {
         let plain = |block: &Param<Tensor<2>>| Param::from_tensor(block.val().inner());
         Self { blocks: self.blocks.iter().map(plain).collect(), name: self.name.clone(), options: self.options }
-    }
-}
-
-/// Names of properties of every scene file, and of their parts before a number.
-const RESERVED: [&str; 11] = ["x", "y", "z", "nx", "ny", "nz", "opacity", "f_dc", "f_rest", "scale", "rot"];
-
-/// Refuses names that files cannot hold.
-pub(crate) fn check_name(name: &str) -> Result<(), RowsError> {
-    let bad = |c: char| c.is_whitespace() || c.is_control() || c == '/';
-    let stem = name.rsplit_once('_').filter(|(_, i)| i.parse::<usize>().is_ok()).map_or(name, |(stem, _)| stem);
-    match name.is_empty() || name.contains(bad) || RESERVED.contains(&name) || RESERVED.contains(&stem) {
-        true => Err(RowsError::Group(format!(
-            "a group named {name:?}, expected a name without white space, control characters and slashes that is not one of a scene file's \
-             own properties, such as `x` and `scale_0`"
-        ))),
-        false => Ok(()),
     }
 }
 
@@ -240,4 +146,14 @@ pub(crate) fn row_blocks(name: &str, count: usize, width: usize, device: &Device
 
 pub(crate) fn joined<const D: usize, K: Basic>(mut blocks: Vec<Tensor<D, K>>) -> Tensor<D, K> {
     if blocks.len() == 1 { blocks.swap_remove(0) } else { Tensor::cat(blocks, 0) }
+}
+
+pub(super) fn tensor<const D: usize>(values: Vec<f32>, shape: [usize; D], device: &Device) -> Tensor<D> {
+    Tensor::from_data(TensorData::new(values, shape), device)
+}
+
+/// All elements of a tensor, row-major.
+pub fn values_of<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
+    let data = read_back(tensor).convert::<f32>();
+    data.try_into_vec().expect("converted to f32 in the line above")
 }

@@ -5,9 +5,8 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 use splat_op::activate;
-use thiserror::Error;
 
-use super::group::{BASE_GROUPS, GroupOptions, check_name};
+use super::options::{BASE_GROUPS, GroupOptions, RowsError, check_name};
 
 /// The rows of a scene on the host, as in scene files. Row `i` of every field belongs to Gaussian `i`.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -47,41 +46,6 @@ impl GroupRows {
     /// The same group without rows.
     fn like(other: &Self) -> Self {
         Self { name: other.name.clone(), width: other.width, values: Vec::new(), options: other.options }
-    }
-}
-
-/// Rows or groups that do not fit together.
-#[derive(Clone, Debug, PartialEq, Eq, Error)]
-#[non_exhaustive]
-pub enum RowsError {
-    /// A field has the wrong length.
-    #[error("`{field}` holds {found} numbers, expected {expected} for {count} Gaussians of degree {sh_degree}")]
-    Length {
-        /// Name of the field or group.
-        field: String,
-        /// Numbers in it.
-        found: usize,
-        /// Expected numbers.
-        expected: usize,
-        /// Number of Gaussians.
-        count: usize,
-        /// Degree of the spherical harmonics.
-        sh_degree: usize,
-    },
-    /// A group cannot be used, because of its name, an option, its device or its size: what was found, and what was expected.
-    #[error("{0}")]
-    Group(String),
-}
-
-impl RowsError {
-    /// The error for two groups of one name.
-    pub(super) fn taken(name: &str) -> Self {
-        Self::Group(format!("two groups are named `{name}`, expected one of each name"))
-    }
-
-    /// The error for a group without numbers.
-    pub(super) fn empty(name: &str) -> Self {
-        Self::Group(format!("the group `{name}` has rows of 0 numbers, expected at least 1"))
     }
 }
 
@@ -200,7 +164,7 @@ impl GaussianRows {
         let (count, sh_degree) = (self.len(), self.sh_degree);
         let of = |field: &str, found, expected| match found == expected {
             true => Ok(()),
-            false => Err(RowsError::Length { field: field.to_owned(), found, expected, count, sh_degree }),
+            false => Err(RowsError::length(field, found, expected, count, sh_degree)),
         };
         of("sh_degree", self.sh_degree, self.sh_degree.min(splat_op::sh::SH_DEGREE_MAX))?;
         of("rotations", self.rotations.len(), count)?;

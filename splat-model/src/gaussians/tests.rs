@@ -1,3 +1,4 @@
+use super::group::tensor;
 use super::testing::{devices, random_rows};
 use super::*;
 

@@ -6,8 +6,8 @@ use glam::DVec3;
 use ply_rs_bw::ply::Header;
 use serde::{Deserialize, Serialize};
 
-use super::PlyError;
-use super::read::{brief, content_error};
+use super::read::brief;
+use crate::FileError;
 use crate::capture::scale::is_scale;
 
 /// Prefix of the comment that holds the origin.
@@ -51,7 +51,7 @@ impl From<DVec3> for WorldFrame {
 }
 
 /// The frame that the comments of a header state.
-pub(crate) fn world_frame(path: &Path, header: &Header) -> Result<WorldFrame, PlyError> {
+pub(crate) fn world_frame(path: &Path, header: &Header) -> Result<WorldFrame, FileError> {
     let mut world = WorldFrame::default();
     if let Some(numbers) = comment(path, header, ORIGIN_COMMENT, "three finite numbers", |numbers| {
         numbers.iter().all(|number| number.is_finite())
@@ -65,7 +65,7 @@ pub(crate) fn world_frame(path: &Path, header: &Header) -> Result<WorldFrame, Pl
         world.trained =
             read.filter(|trained| trained.background.iter().all(|value| value.is_finite())).ok_or_else(|| {
                 let expected = serde_json::to_string(&TrainedAs::default()).unwrap_or_default();
-                content_error(
+                FileError::new(
                     path,
                     format!(
                         "comment `{TRAINED_COMMENT}{}`, expected {expected}; correct or remove that line",
@@ -89,12 +89,12 @@ fn comment<const N: usize>(
     prefix: &str,
     expected: &str,
     valid: impl Fn(&[f64; N]) -> bool,
-) -> Result<Option<[f64; N]>, PlyError> {
+) -> Result<Option<[f64; N]>, FileError> {
     let Some(text) = text_after(header, prefix) else { return Ok(None) };
     let numbers: Option<Vec<f64>> = text.split_whitespace().map(|word| word.parse().ok()).collect();
     match numbers.and_then(|numbers| numbers.try_into().ok()).filter(valid) {
         Some(numbers) => Ok(Some(numbers)),
-        None => Err(content_error(
+        None => Err(FileError::new(
             path,
             format!("comment `{prefix}{}`, expected {expected}; correct or remove that line", brief(text)),
         )),

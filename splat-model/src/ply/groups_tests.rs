@@ -46,7 +46,7 @@ fn groups_that_a_file_cannot_hold_are_refused() {
         (vec![group("scale_3", 1, &[1.0])], "a group named \"scale_3\""),
         (vec![group("a", 2, &[1.0, 2.0]), group("a_1", 1, &[1.0])], "two properties `a_1`"),
         (vec![group("a b", 1, &[1.0])], "a group named \"a b\""),
-        (vec![group("a", 1, &[1.0, 2.0])], "2 long, expected 1 long"),
+        (vec![group("a", 1, &[1.0, 2.0])], "`a` holds 2 numbers, expected 1 for 1 Gaussians"),
         (vec![group("sh", 1, &[1.0])], "two groups are named `sh`"),
         (vec![group("none", 0, &[])], "rows of 0 numbers"),
     ] {

@@ -24,10 +24,6 @@ mod rows;
 mod tests;
 mod write;
 
-use std::path::PathBuf;
-
-use thiserror::Error;
-
 pub use frame::{TrainedAs, WorldFrame};
 pub use points::read_points;
 pub use rows::read;
@@ -42,51 +38,3 @@ pub(crate) use write::{check, check_left, element, file_header};
 
 /// The element that holds the Gaussians.
 pub(crate) const VERTEX: &str = "vertex";
-
-/// A PLY file that cannot be read or written. Each message names the file, what was found and what to do.
-#[derive(Debug, Error)]
-#[non_exhaustive]
-pub enum PlyError {
-    /// The operating system reported an error.
-    #[error("{path}: could not {action}: {source}", path = path.display())]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// The attempted action, with the remedy if there is one.
-        action: &'static str,
-        /// The system's reason.
-        source: std::io::Error,
-    },
-    /// The file is no PLY, its header breaks the format's grammar or declares a layout that is not read, or its rows do not match the header.
-    #[error("{path}: {detail}", path = path.display())]
-    Content {
-        /// The file.
-        path: PathBuf,
-        /// What was found, what was expected and what to do.
-        detail: String,
-    },
-    /// A scene to be written has no Gaussian that can be rendered: none at all, or each has a parameter without meaning.
-    #[error(
-        "{path}: not written: no splat is left, {of} of {of} cannot be rendered; a file of that name stays as it was. Write a scene that \
-         has splats (`splat inspect` describes one)",
-        path = path.display()
-    )]
-    Empty {
-        /// The file.
-        path: PathBuf,
-        /// The number of Gaussians to be written.
-        of: usize,
-    },
-    /// The rows to be written do not fit together.
-    #[error("{path}: not written: `{field}` is {found}, expected {expected}; make all fields describe the same Gaussians", path = path.display())]
-    Rows {
-        /// The file.
-        path: PathBuf,
-        /// The field of [`crate::gaussians::GaussianRows`], or the argument.
-        field: String,
-        /// Its length or value.
-        found: String,
-        /// The length or value that the other fields require.
-        expected: String,
-    },
-}

@@ -5,8 +5,9 @@ use std::path::Path;
 use glam::DVec3;
 use ply_rs_bw::ply::{PropertyType, ScalarType};
 
+use super::VERTEX;
 use super::read::{PlyReader, require, value_error, vertex};
-use super::{PlyError, VERTEX};
+use crate::FileError;
 use crate::formats::DC;
 
 /// Largest valid coordinate; its square still fits an f32. Larger values indicate damage.
@@ -35,9 +36,9 @@ const CHANNELS: [[&str; 3]; 6] = [
 ///
 /// # Errors
 ///
-/// A [`PlyError`] for every file that is not a complete PLY file with such points, or in which a coordinate is not finite or is
+/// A [`FileError`] for every file that is not a complete PLY file with such points, or in which a coordinate is not finite or is
 /// beyond 1e15. Memory is bounded by a small multiple of the file's true size, whatever its header claims.
-pub fn read_points(path: &Path) -> Result<(Vec<DVec3>, Vec<[u8; 3]>), PlyError> {
+pub fn read_points(path: &Path) -> Result<(Vec<DVec3>, Vec<[u8; 3]>), FileError> {
     let (mut input, header) = PlyReader::open(path)?;
     let vertex = vertex(path, &header)?;
     require(path, vertex, &COORDINATES)?;

@@ -10,21 +10,14 @@ use ply_rs_bw::ply::{
     PropertyType, ScalarType,
 };
 
-use super::{PlyError, VERTEX};
+use super::VERTEX;
+use crate::FileError;
 
 /// Maximum length of a header, bytes. Degree 4 with every property takes 3 KB.
 const MAX_HEADER_BYTES: u64 = 1 << 20;
 
-fn io_error(path: &Path, action: &'static str, source: io::Error) -> PlyError {
-    PlyError::Io { path: path.to_path_buf(), action, source }
-}
-
-pub(super) fn content_error(path: &Path, detail: String) -> PlyError {
-    PlyError::Content { path: path.to_path_buf(), detail }
-}
-
-fn header_error(path: &Path, detail: &str) -> PlyError {
-    content_error(path, format!("broken PLY header: {detail}; export it again"))
+fn header_error(path: &Path, detail: &str) -> FileError {
+    FileError::new(path, format!("broken PLY header: {detail}; export it again"))
 }
 
 /// The values of a row, in the order of the header. An f64 holds every number of the format exactly.
@@ -71,9 +64,9 @@ pub(crate) struct PlyReader<'a> {
 
 impl<'a> PlyReader<'a> {
     /// Opens a file and reads its header.
-    pub fn open(path: &'a Path) -> Result<(Self, Header), PlyError> {
-        let file = File::open(path).map_err(|source| io_error(path, "open the scene (is the path right?)", source))?;
-        let file_bytes = file.metadata().map_err(|source| io_error(path, "read the size of the file", source))?.len();
+    pub fn open(path: &'a Path) -> Result<(Self, Header), FileError> {
+        let file = File::open(path).map_err(FileError::io(path, "open the scene (is the path right?)"))?;
+        let file_bytes = file.metadata().map_err(FileError::io(path, "read the size of the file"))?.len();
         let mut input = Self { path, reader: BufReader::with_capacity(1 << 20, file), payload_bytes: 0 };
         let text = input.header_text()?;
         input.payload_bytes = file_bytes.saturating_sub(text.len() as u64);
@@ -83,7 +76,7 @@ impl<'a> PlyReader<'a> {
 
     /// Skips the elements before the vertices. Refuses a header that claims more rows than the file can hold, before memory is
     /// reserved for them.
-    pub fn begin(&mut self, header: &Header) -> Result<(), PlyError> {
+    pub fn begin(&mut self, header: &Header) -> Result<(), FileError> {
         self.check_size(header, VERTEX)?;
         for element in header.elements.values().take_while(|element| element.name != VERTEX) {
             self.skip(element, header)?;
@@ -93,7 +86,7 @@ impl<'a> PlyReader<'a> {
 
     /// Refuses a header whose rows, up to the rows of the element `last`, do not fit into the file, before memory is reserved
     /// for them.
-    pub fn check_size(&self, header: &Header, last: &str) -> Result<(), PlyError> {
+    pub fn check_size(&self, header: &Header, last: &str) -> Result<(), FileError> {
         let mut needed = 0_u64;
         for element in header.elements.values() {
             let row_bytes = least_row_bytes(element, header.encoding);
@@ -108,7 +101,7 @@ impl<'a> PlyReader<'a> {
                     brief(&element.name),
                     self.payload_bytes
                 );
-                return Err(content_error(self.path, detail));
+                return Err(FileError::new(self.path, detail));
             }
             if element.name == last {
                 break;
@@ -118,7 +111,7 @@ impl<'a> PlyReader<'a> {
     }
 
     /// Reads the bytes up to and including the line `end_header`.
-    fn header_text(&mut self) -> Result<Vec<u8>, PlyError> {
+    fn header_text(&mut self) -> Result<Vec<u8>, FileError> {
         let mut text = Vec::new();
         let mut limited = self.reader.by_ref().take(MAX_HEADER_BYTES);
         loop {
@@ -129,13 +122,13 @@ impl<'a> PlyReader<'a> {
                 .by_ref()
                 .take(limit)
                 .read_until(b'\n', &mut text)
-                .map_err(|source| io_error(self.path, "read the header", source))?;
+                .map_err(FileError::io(self.path, "read the header"))?;
             let line = text[start..].trim_ascii();
             if start == 0 && line != b"ply" {
                 let found = String::from_utf8_lossy(line).escape_debug().to_string();
                 let detail =
                     format!("not a PLY file: it begins with `{found}`, expected a line `ply`; pass a .ply file");
-                return Err(content_error(self.path, detail));
+                return Err(FileError::new(self.path, detail));
             }
             if line == b"end_header" {
                 return Ok(text);
@@ -147,7 +140,7 @@ impl<'a> PlyReader<'a> {
     }
 
     /// Skips an element.
-    pub fn skip(&mut self, element: &ElementDef, header: &Header) -> Result<(), PlyError> {
+    pub fn skip(&mut self, element: &ElementDef, header: &Header) -> Result<(), FileError> {
         // In binary, such rows take no space, and a header may claim 2⁶⁴ of them.
         if element.properties.is_empty() && header.encoding != Encoding::Ascii {
             return Ok(());
@@ -165,8 +158,8 @@ impl<'a> PlyReader<'a> {
         element: &ElementDef,
         encoding: Encoding,
         properties: &[impl AsRef<str>],
-        mut take: impl FnMut(usize, &[f64]) -> Result<(), PlyError>,
-    ) -> Result<(), PlyError> {
+        mut take: impl FnMut(usize, &[f64]) -> Result<(), FileError>,
+    ) -> Result<(), FileError> {
         let parser = Parser::<RowValues>::new();
         let columns: Vec<usize> =
             properties.iter().filter_map(|name| element.properties.get_index_of(name.as_ref())).collect();
@@ -226,18 +219,18 @@ impl<'a> PlyReader<'a> {
         read.map_or_else(|| parser.read_ascii_element(line, element), Ok)
     }
 
-    fn row_error(&self, element: &ElementDef, row: usize, error: &ParseError) -> PlyError {
+    fn row_error(&self, element: &ElementDef, row: usize, error: &ParseError) -> FileError {
         let name = brief(&element.name);
         match error.kind() {
             ErrorKind::UnexpectedEof => {
                 let count = element.count;
                 let end = format!("the file ends in row {row} of `{name}`, expected {count} rows");
-                content_error(self.path, format!("{end}; it is truncated: copy or export it again"))
+                FileError::new(self.path, format!("{end}; it is truncated: copy or export it again"))
             }
             ErrorKind::InvalidInput | ErrorKind::InvalidData => {
                 value_error(self.path, &name, row, &brief(&error.to_string()))
             }
-            kind => io_error(self.path, "read the rows", io::Error::new(kind, error.to_string())),
+            kind => FileError::io(self.path, "read the rows")(io::Error::new(kind, error.to_string())),
         }
     }
 }
@@ -252,8 +245,8 @@ fn non_finite_row(line: &str, element: &ElementDef) -> Option<RowValues> {
 }
 
 /// The error for a row with a value that it cannot have.
-pub(super) fn value_error(path: &Path, element: &str, row: usize, detail: &str) -> PlyError {
-    content_error(path, format!("row {row} of `{element}`: {detail}; correct that row or export the scene again"))
+pub(super) fn value_error(path: &Path, element: &str, row: usize, detail: &str) -> FileError {
+    FileError::new(path, format!("row {row} of `{element}`: {detail}; correct that row or export the scene again"))
 }
 
 /// Shortens a message of the parser to one line without control characters, because the parser quotes whole lines, whatever
@@ -278,7 +271,7 @@ fn header_detail(message: &str) -> String {
     )
 }
 
-fn parse_header(path: &Path, text: &[u8]) -> Result<Header, PlyError> {
+fn parse_header(path: &Path, text: &[u8]) -> Result<Header, FileError> {
     // Comments may be in any encoding, and everything else is ascii.
     let text = String::from_utf8_lossy(text);
     let header = Parser::<DefaultElement>::new()
@@ -294,10 +287,10 @@ fn parse_header(path: &Path, text: &[u8]) -> Result<Header, PlyError> {
     Ok(header)
 }
 
-pub(crate) fn vertex<'a>(path: &Path, header: &'a Header) -> Result<&'a ElementDef, PlyError> {
+pub(crate) fn vertex<'a>(path: &Path, header: &'a Header) -> Result<&'a ElementDef, FileError> {
     header.elements.get(VERTEX).ok_or_else(|| {
         let found = quoted(header.elements.keys());
-        content_error(path, format!("no element `vertex`, found {found}; export a scene as a Gaussian splatting PLY"))
+        FileError::new(path, format!("no element `vertex`, found {found}; export a scene as a Gaussian splatting PLY"))
     })
 }
 
@@ -312,13 +305,13 @@ fn quoted<'a>(names: impl Iterator<Item = &'a String>) -> String {
 }
 
 /// Refuses lists, and vertices that lack one of these properties.
-pub(crate) fn require(path: &Path, vertex: &ElementDef, properties: &[&str]) -> Result<(), PlyError> {
+pub(crate) fn require(path: &Path, vertex: &ElementDef, properties: &[&str]) -> Result<(), FileError> {
     if let Some(list) = vertex.properties.values().find(|p| matches!(p.data_type, PropertyType::List(..))) {
         let detail = format!(
             "property `{}` of `vertex` is a list, expected one number per row; remove it or export it as scalars",
             brief(&list.name)
         );
-        return Err(content_error(path, detail));
+        return Err(FileError::new(path, detail));
     }
     match properties.iter().find(|&&name| !vertex.properties.contains_key(name)) {
         Some(property) => Err(missing_property(path, property, vertex.properties.keys())),
@@ -326,13 +319,13 @@ pub(crate) fn require(path: &Path, vertex: &ElementDef, properties: &[&str]) -> 
     }
 }
 
-pub(super) fn missing_property<'a>(path: &Path, property: &str, found: impl Iterator<Item = &'a String>) -> PlyError {
+pub(super) fn missing_property<'a>(path: &Path, property: &str, found: impl Iterator<Item = &'a String>) -> FileError {
     let detail = format!(
         "element `vertex` has no property `{property}`, found {}; export a scene in the original 3D Gaussian splatting \
          layout, and points with `x`, `y` and `z`",
         quoted(found)
     );
-    content_error(path, detail)
+    FileError::new(path, detail)
 }
 
 /// Minimum size of a row, bytes.

@@ -5,10 +5,11 @@ use std::path::Path;
 use glam::DVec3;
 use ply_rs_bw::ply::{ElementDef, Header};
 
+use super::WorldFrame;
 use super::frame::world_frame;
-use super::read::{PlyReader, content_error, missing_property, require, vertex};
+use super::read::{PlyReader, missing_property, require, vertex};
 use super::row::{REQUIRED, degree_of_rest, further_groups, group_names, push_row, rest_names};
-use super::{PlyError, WorldFrame};
+use crate::FileError;
 use crate::gaussians::GaussianRows;
 
 /// Reads a scene, and the origin that its positions are relative to (zero if the file names none).
@@ -19,9 +20,9 @@ use crate::gaussians::GaussianRows;
 ///
 /// # Errors
 ///
-/// A [`PlyError`] for every file that is not a complete scene in the layout of [this module](super). Memory is bounded
+/// A [`FileError`] for every file that is not a complete scene in the layout of [this module](super). Memory is bounded
 /// by a small multiple of the file's true size, whatever its header claims.
-pub fn read(path: &Path) -> Result<(GaussianRows, DVec3), PlyError> {
+pub fn read(path: &Path) -> Result<(GaussianRows, DVec3), FileError> {
     let (input, header) = PlyReader::open(path)?;
     let (rows, world) = read_rows(input, &header)?;
     Ok((rows, world.origin))
@@ -29,7 +30,7 @@ pub fn read(path: &Path) -> Result<(GaussianRows, DVec3), PlyError> {
 
 /// Reads the Gaussians of a file whose header has been read, and its frame. Refuses a header that does not describe Gaussians, or more of
 /// them than the file can hold.
-pub(crate) fn read_rows(mut input: PlyReader, header: &Header) -> Result<(GaussianRows, WorldFrame), PlyError> {
+pub(crate) fn read_rows(mut input: PlyReader, header: &Header) -> Result<(GaussianRows, WorldFrame), FileError> {
     let world = world_frame(input.path, header)?;
     let vertex = vertex(input.path, header)?;
     let (sh_degree, mut properties) = check_properties(input.path, vertex)?;
@@ -48,7 +49,7 @@ pub(crate) fn read_rows(mut input: PlyReader, header: &Header) -> Result<(Gaussi
 
 /// Checks that the properties describe a Gaussian, and returns the degree of its spherical harmonics and the names of the
 /// properties of every scene of that degree.
-fn check_properties(path: &Path, vertex: &ElementDef) -> Result<(usize, Vec<String>), PlyError> {
+fn check_properties(path: &Path, vertex: &ElementDef) -> Result<(usize, Vec<String>), FileError> {
     require(path, vertex, &REQUIRED)?;
     let rest = || vertex.properties.keys().filter(|name| name.starts_with("f_rest_"));
     let count = rest().count();
@@ -57,7 +58,7 @@ fn check_properties(path: &Path, vertex: &ElementDef) -> Result<(usize, Vec<Stri
             "{count} properties `f_rest_*`, expected 0, 9, 24, 45 or 72 (degree 0 to 4); export all coefficients of the \
              scene or none"
         );
-        content_error(path, detail)
+        FileError::new(path, detail)
     })?;
     let names: Vec<String> = REQUIRED.iter().map(|name| name.to_string()).chain(rest_names(count)).collect();
     match names.iter().find(|name| !vertex.properties.contains_key(*name)) {

@@ -12,9 +12,10 @@ use ply_rs_bw::writer::Writer;
 
 use super::frame::{ORIGIN_COMMENT, SCALE_COMMENT, TRAINED_COMMENT, TrainedAs};
 use super::row::{MAX_DEGREE, group_names, names, values_of_row};
-use super::{PlyError, VERTEX, WorldFrame};
+use super::{VERTEX, WorldFrame};
+use crate::FileError;
 use crate::capture::scale::is_scale;
-use crate::gaussians::{GaussianRows, GroupRows, RowsError};
+use crate::gaussians::{GaussianRows, GroupRows};
 use crate::replace::{WRITE, replace};
 
 /// Writes a scene whose positions are in the frame `world`: an origin alone (world frame, scene units; zero without one), or a
@@ -24,9 +25,9 @@ use crate::replace::{WRITE, replace};
 ///
 /// # Errors
 ///
-/// [`PlyError::Rows`] if the fields differ in length, the degree is above 4, the origin is not finite or the size of a unit not positive;
-/// [`PlyError::Empty`] if no Gaussian can be rendered; [`PlyError::Io`] if the file cannot be written. No temporary file is left behind.
-pub fn write(path: &Path, rows: &GaussianRows, world: impl Into<WorldFrame>) -> Result<(), PlyError> {
+/// If the fields differ in length, the degree is above 4, the origin is not finite or the size of a unit not positive, no Gaussian can be
+/// rendered, or the file cannot be written. No temporary file is left behind.
+pub fn write(path: &Path, rows: &GaussianRows, world: impl Into<WorldFrame>) -> Result<(), FileError> {
     let world = world.into();
     check(path, rows, world)?;
     write_parts(path, rows.len(), rows.sh_degree, [rows], world)
@@ -35,14 +36,14 @@ pub fn write(path: &Path, rows: &GaussianRows, world: impl Into<WorldFrame>) -> 
 /// Writes a scene of `count` Gaussians of degree `sh_degree` that come in parts, as [`write()`] writes it whole.
 ///
 /// # Errors
-/// Those of [`write()`]; [`PlyError::Io`] if a part does not fit together or has another degree, or if all parts have more or fewer Gaussians.
+/// Those of [`write()`]; and if a part does not fit together or has another degree, or if all parts have more or fewer Gaussians.
 pub fn write_parts<R: Borrow<GaussianRows>>(
     path: &Path,
     count: usize,
     sh_degree: usize,
     parts: impl IntoIterator<Item = R>,
     world: impl Into<WorldFrame>,
-) -> Result<(), PlyError> {
+) -> Result<(), FileError> {
     let world = world.into();
     check(path, &GaussianRows { sh_degree, ..GaussianRows::default() }, world)?;
     let mut empty = Ok(());
@@ -76,18 +77,26 @@ pub fn write_parts<R: Borrow<GaussianRows>>(
     };
     let written = replace(path, to_file);
     empty?;
-    written.map_err(|source| PlyError::Io { path: path.to_path_buf(), action: WRITE, source })
+    written.map_err(FileError::io(path, WRITE))
 }
 
 /// Refuses a scene of which no Gaussian can be rendered: it must not replace a file.
-pub(crate) fn check_left(path: &Path, usable: usize, of: usize) -> Result<(), PlyError> {
-    if usable == 0 { Err(PlyError::Empty { path: path.to_path_buf(), of }) } else { Ok(()) }
+pub(crate) fn check_left(path: &Path, usable: usize, of: usize) -> Result<(), FileError> {
+    if usable > 0 {
+        return Ok(());
+    }
+    let detail = format!(
+        "not written: no splat is left, {of} of {of} cannot be rendered; a file of that name stays as it was. Write a scene that has splats \
+         (`splat inspect` describes one)"
+    );
+    Err(FileError::new(path, detail))
 }
 
 /// Refuses rows that do not fit together, and a frame that has no meaning.
-pub(crate) fn check(path: &Path, rows: &GaussianRows, world: WorldFrame) -> Result<(), PlyError> {
+pub(crate) fn check(path: &Path, rows: &GaussianRows, world: WorldFrame) -> Result<(), FileError> {
     let refuse = |field: &str, found: String, expected: String| {
-        Err(PlyError::Rows { path: path.to_path_buf(), field: field.to_owned(), found, expected })
+        let expected = format!("expected {expected}; make all fields describe the same Gaussians");
+        Err(FileError::new(path, format!("not written: `{field}` is {found}, {expected}")))
     };
     if rows.sh_degree > MAX_DEGREE {
         return refuse("sh_degree", rows.sh_degree.to_string(), format!("0 to {MAX_DEGREE}"));
@@ -101,12 +110,9 @@ pub(crate) fn check(path: &Path, rows: &GaussianRows, world: WorldFrame) -> Resu
     if world.trained.background.iter().any(|value| !value.is_finite()) {
         return refuse("trained.background", format!("{:?}", world.trained.background), "three finite numbers".into());
     }
-    rows.check().or_else(|error| match error {
-        RowsError::Length { field, found, expected, count, sh_degree } => {
-            refuse(&field, format!("{found} long"), format!("{expected} long ({count} means, degree {sh_degree})"))
-        }
-        other => refuse("groups", other.to_string(), "groups that files can hold".into()),
-    })?;
+    let unfit =
+        |error| FileError::new(path, format!("not written: {error}; make all fields describe the same Gaussians"));
+    rows.check().map_err(unfit)?;
     match twice(&rows.groups) {
         Some(name) => {
             refuse("groups", format!("two properties `{name}`"), "names that give every property one name".into())

@@ -6,16 +6,15 @@
 use std::collections::HashMap;
 use std::fs::{self, File};
 use std::io::{self, Read};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use burn::tensor::{DType, TensorData};
 use safetensors::tensor::TensorView;
 use safetensors::{Dtype, SafeTensorError, SafeTensors};
 use sha2::{Digest, Sha256};
-use thiserror::Error;
 
 use super::State;
-use crate::replace;
+use crate::{FileError, replace};
 
 /// Metadata key of [`FORMAT`].
 const FORMAT_KEY: &str = "splat_state";
@@ -28,38 +27,6 @@ const CHECKSUM_KEY: &str = "sha256";
 
 /// Prefix of the metadata keys of facts.
 const FACT: &str = "fact:";
-
-/// A state that cannot be written or read. Each message names the file.
-#[derive(Debug, Error)]
-#[non_exhaustive]
-pub enum FileError {
-    /// The operating system reported an error.
-    #[error("{path}: could not {action}: {source}", path = path.display())]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// The attempted action, with the remedy if there is one.
-        action: &'static str,
-        /// The system's reason.
-        source: io::Error,
-    },
-    /// The file is not a state, or has another version of the format.
-    #[error("{path}: {found}, expected a state of the format {FORMAT}: read it with the version that wrote it", path = path.display())]
-    Format {
-        /// The file.
-        path: PathBuf,
-        /// The content that was found.
-        found: String,
-    },
-    /// The file is damaged.
-    #[error("{path}: the file is damaged: {detail}", path = path.display())]
-    Damaged {
-        /// The file.
-        path: PathBuf,
-        /// The reason.
-        detail: String,
-    },
-}
 
 impl State {
     /// Writes the state to a file. An existing file is replaced once the new one is complete and on the disk.
@@ -81,8 +48,9 @@ impl State {
             }
             Ok(())
         };
-        let action = "write it: check that its folder can be written to and has room left";
-        write().map_err(|source| FileError::Io { path: path.to_owned(), action, source })
+        let failed =
+            |reason| format!("could not write it: check that its folder can be written to and has room left: {reason}");
+        write().map_err(|reason| FileError::new(path, failed(reason)))
     }
 
     fn views(&self) -> impl Iterator<Item = Result<(&str, TensorView<'_>), SafeTensorError>> {
@@ -114,16 +82,18 @@ impl State {
     /// # Errors
     /// If the file cannot be read, has another format, or is damaged.
     pub fn read(path: &Path) -> Result<Self, FileError> {
-        let io = |source| FileError::Io { path: path.to_owned(), action: "read it", source };
-        let damaged = |detail: String| FileError::Damaged { path: path.to_owned(), detail };
-        let format = |found: String| FileError::Format { path: path.to_owned(), found };
-        let bytes = fs::read(path).map_err(io)?;
+        let error = |detail: String| FileError::new(path, detail);
+        let damaged = |detail: String| error(format!("the file is damaged: {detail}"));
+        let other = |found: &str| {
+            error(format!("{found}, expected a state of the format {FORMAT}: read it with the version that wrote it"))
+        };
+        let bytes = fs::read(path).map_err(|reason| error(format!("could not read it: {reason}")))?;
         let (_, header) = SafeTensors::read_metadata(&bytes).map_err(|error| damaged(error.to_string()))?;
         let mut metadata = header.metadata().clone().unwrap_or_default();
         match metadata.remove(FORMAT_KEY).as_deref() {
             Some(FORMAT) => {}
-            Some(other) => return Err(format(format!("a state of the format {other:?}"))),
-            None => return Err(format("a file of tensors alone".into())),
+            Some(found) => return Err(other(&format!("a state of the format {found:?}"))),
+            None => return Err(other("a file of tensors alone")),
         }
         let checksum = metadata.remove(CHECKSUM_KEY).ok_or_else(|| damaged("it has no checksum".into()))?;
         let tensors = SafeTensors::deserialize(&bytes).map_err(|error| damaged(error.to_string()))?;

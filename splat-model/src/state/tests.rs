@@ -13,6 +13,11 @@ fn a_tensor_of_several_parts_is_put_whole() {
     assert!(state.arrays["words"].as_slice::<i32>().unwrap().iter().copied().eq(0..count as i32));
 }
 
+/// Whether a result is the error that says this.
+fn is_refused<T>(found: Result<T, StateError>, said: &str) -> bool {
+    found.is_err_and(|error| error.to_string().contains(said))
+}
+
 #[test]
 fn what_is_put_is_taken_once() {
     let device = Device::flex();
@@ -22,7 +27,7 @@ fn what_is_put_is_taken_once() {
     let means: Tensor<2> = state.take_shaped("means", [2, 2], &device).unwrap();
     assert_eq!(values_of(means)[..3], [1.0, -2.5, f32::MIN_POSITIVE]);
     assert_eq!(state.told::<f64>("rate").unwrap(), 0.1_f64.next_up());
-    assert!(matches!(state.take::<2>("means", &device), Err(StateError::Missing { name }) if name == "means"));
+    assert!(is_refused(state.take::<2>("means", &device), "there is no `means`"));
     state.finish().unwrap();
 }
 
@@ -35,8 +40,8 @@ fn words_are_taken_bit_for_bit_and_as_nothing_else() {
     state.put_words("words", Tensor::from_data(TensorData::new(words.to_vec(), [2, 2]), (&device, DType::I32)));
     let found = state.clone().take_words("words", [2, 2], &device).unwrap();
     assert_eq!(found.into_data().try_into_vec::<i32>().unwrap(), words);
-    assert!(matches!(state.clone().take_words("words", [4, 1], &device), Err(StateError::Shape { .. })));
-    assert!(matches!(state.take::<2>("words", &device), Err(StateError::Missing { .. })));
+    assert!(is_refused(state.clone().take_words("words", [4, 1], &device), "has the shape [2, 2], expected [4, 1]"));
+    assert!(is_refused(state.take::<2>("words", &device), "there is no `words`"));
 }
 
 #[test]
@@ -58,9 +63,8 @@ fn parts_have_names_of_their_own() {
     assert!(!state.has("a"));
     let lacking = state.in_part("ab", |part| part.told::<f32>("none")).unwrap_err();
     assert!(lacking.to_string().contains("`ab/none`"), "{lacking}");
-    let left = state.load_part("ab", |part| part.told::<f32>("y/z")).unwrap_err();
-    assert!(matches!(left, StateError::Unknown { name } if name == "ab/x"));
-    assert!(matches!(state.finish(), Err(StateError::Unknown { name }) if name == "ab/x"));
+    assert!(is_refused(state.load_part("ab", |part| part.told::<f32>("y/z")), "`ab/x` is unknown"));
+    assert!(is_refused(state.finish(), "`ab/x` is unknown"));
 }
 
 #[test]
@@ -69,8 +73,8 @@ fn other_shapes_and_kinds_are_refused() {
     let mut state = State::default();
     state.put("means", Tensor::<2>::zeros([2, 3], &device));
     state.tell("step", &"ten").unwrap();
-    assert!(matches!(state.take_shaped::<2>("means", [3, 2], &device), Err(StateError::Shape { .. })));
+    assert!(is_refused(state.take_shaped::<2>("means", [3, 2], &device), "has the shape [2, 3], expected [3, 2]"));
     state.put("means", Tensor::<2>::zeros([2, 3], &device));
-    assert!(matches!(state.take::<1>("means", &device), Err(StateError::Shape { .. })));
-    assert!(matches!(state.told::<usize>("step"), Err(StateError::Fact { .. })));
+    assert!(is_refused(state.take::<1>("means", &device), "has the shape [2, 3], expected 1 dimensions"));
+    assert!(is_refused(state.told::<usize>("step"), "`step` does not have the form"));
 }

@@ -115,7 +115,7 @@ fn groups_of<'a>(groups: impl Iterator<Item = &'a Group>) -> String {
 fn check_same(kept: &TrainConfig, own: &TrainConfig) -> Result<(), TrainError> {
     let fields = |config: &TrainConfig| {
         let config = TrainConfig { dials: Setting::default(), ..config.clone() };
-        serde_json::to_value(config).map_err(|source| StateError::Fact { name: "config".into(), source })
+        serde_json::to_value(config).map_err(|reason| StateError::fact("config", &reason))
     };
     let (kept, own) = (fields(kept)?, fields(own)?);
     let (Value::Object(kept), Value::Object(own)) = (kept, own) else { return Ok(()) };

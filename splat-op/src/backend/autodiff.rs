@@ -11,8 +11,9 @@ use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
 use burn::backend::tensor::FloatTensor;
 use burn::backend::{Autodiff, Backend};
 
+use super::apply::OperationBackend;
 use super::list::{List, Slot, Tensors};
-use super::operation::{Backwards, Call, MAX_DIFFERENTIABLE, OperationBackend};
+use super::operation::{Backwards, Call, MAX_DIFFERENTIABLE};
 
 /// A tensor of any [`Autodiff`] over `B`.
 type AutodiffTensor<B> = FloatTensor<Autodiff<B>>;
@@ -26,7 +27,7 @@ fn put<B: Backend>(grads: &Grads<B>, output: usize, grad: FloatTensor<B>) {
 
 /// State of an operation's node.
 #[derive(Clone)]
-struct State<B: Backend> {
+struct NodeState<B: Backend> {
     call: Call,
     inputs: Vec<Slot<B>>,
     /// Empty if the operation keeps none.
@@ -37,7 +38,7 @@ struct State<B: Backend> {
     single: bool,
 }
 
-impl<B: Backend> Debug for State<B> {
+impl<B: Backend> Debug for NodeState<B> {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
         write!(f, "{:?}", self.call)
     }
@@ -48,10 +49,10 @@ impl<B: Backend> Debug for State<B> {
 struct Node;
 
 impl<B: OperationBackend> Backward<B, MAX_DIFFERENTIABLE> for Node {
-    type State = State<B>;
+    type State = NodeState<B>;
 
-    fn backward(self, ops: Ops<State<B>, MAX_DIFFERENTIABLE>, grads: &mut Gradients, _: &mut Checkpointer) {
-        let State { call, inputs, outputs, grads: of_outputs, single } = ops.state;
+    fn backward(self, ops: Ops<NodeState<B>, MAX_DIFFERENTIABLE>, grads: &mut Gradients, _: &mut Checkpointer) {
+        let NodeState { call, inputs, outputs, grads: of_outputs, single } = ops.state;
         if single {
             put::<B>(&of_outputs, 0, grads.consume::<B>(&ops.node));
         }
@@ -81,7 +82,7 @@ impl<B: OperationBackend> Backward<B, MAX_DIFFERENTIABLE> for Node {
 
 /// The node of one of several outputs.
 #[derive(Debug)]
-struct Part;
+struct PartNode;
 
 /// Which output, and where its gradient goes.
 #[derive(Clone)]
@@ -93,7 +94,7 @@ impl<B: Backend> Debug for PartState<B> {
     }
 }
 
-impl<B: Backend> Backward<B, 1> for Part {
+impl<B: Backend> Backward<B, 1> for PartNode {
     type State = PartState<B>;
 
     fn backward(self, ops: Ops<PartState<B>, 1>, grads: &mut Gradients, _: &mut Checkpointer) {
@@ -172,14 +173,14 @@ fn tracked<B: OperationBackend>(inputs: Tensors<Autodiff<B>>, call: Call) -> Ten
     let kept = if call.operation.keeps_outputs() { outputs.clone() } else { Vec::new() };
     let grads: Grads<B> = Arc::new(Mutex::new(vec![None; outputs.len()]));
     let single = outputs.len() == 1;
-    let state = State { call, inputs: inner, outputs: kept, grads: grads.clone(), single };
+    let state = NodeState { call, inputs: inner, outputs: kept, grads: grads.clone(), single };
     let first = outputs.iter().find_map(|slot| slot.clone().float()).expect("a differentiable output");
     let node = prep.finish(state, first);
     if single {
         return List(vec![Slot::Float(node)]);
     }
     let part = |(i, output): (usize, Slot<B>)| match output {
-        Slot::Float(tensor) => match Part.prepare::<NoCheckpointing>([node.node()]).compute_bound().stateful() {
+        Slot::Float(tensor) => match PartNode.prepare::<NoCheckpointing>([node.node()]).compute_bound().stateful() {
             OpsKind::Tracked(prep) => Slot::Float(prep.finish(PartState(i, grads.clone()), tensor)),
             OpsKind::UnTracked(prep) => Slot::Float(prep.finish(tensor)),
         },

@@ -1,17 +1,15 @@
-//! Operations on Burn's GPU backend, for every CubeCL runtime.
+//! Tensors of Burn's GPU backend as buffers, for every CubeCL runtime.
 
 use std::array;
 
 use burn::backend::TensorMetadata;
 use burn::tensor::Shape;
-use burn_cubecl::CubeBackend;
 use burn_cubecl::kernel::into_contiguous;
 use burn_cubecl::tensor::CubeTensor;
 use cubecl::client::Client;
 use cubecl::server::Handle;
 
-use super::list::{List, Slot, Tensors};
-use super::operation::{Args, Call, OperationBackend, Spec};
+use super::args::Args;
 use crate::gpu::{Buffer, Gpu};
 
 /// Memory of an output of a pass on a GPU, row-major, if there is one.
@@ -106,35 +104,5 @@ impl GpuArgs {
     /// In a backward pass, returns the gradient of the only output.
     pub(crate) fn only_grad(&self) -> Buffer<f32> {
         buffer(self.grad(0).expect("the only output has a gradient"))
-    }
-}
-
-impl OperationBackend for CubeBackend {
-    fn operate(inputs: Tensors<Self>, call: Call) -> Tensors<Self> {
-        let given: Vec<Option<CubeTensor>> = inputs.0.into_iter().map(tensor).collect();
-        let like = given.iter().flatten().next().expect("an operation has an input");
-        let (client, device) = (like.client.clone(), like.device.clone());
-        let spec = |tensor: &CubeTensor| Spec { shape: tensor.shape(), dtype: tensor.dtype };
-        let specs = call.outputs(&given.iter().map(|tensor| tensor.as_ref().map(spec)).collect::<Vec<_>>());
-        let found = call.operation.launch(Args::new(&call, given), call.backward.is_some());
-        assert_eq!(found.len(), specs.len(), "an operation has the outputs that it specified");
-        let output = |(found, spec): (GpuOutput, Option<Spec>)| match (found, spec) {
-            (Some(handle), Some(Spec { shape, dtype })) => {
-                let bytes = (shape.num_elements() * dtype.size()) as u64;
-                // Kernels read it unchecked.
-                assert!(handle.size_in_used() >= bytes, "an output of {bytes} bytes has {}", handle.size_in_used());
-                let made = CubeTensor::new_contiguous(client.clone(), device.clone(), shape, handle, dtype);
-                if dtype.is_float() { Slot::Float(made) } else { Slot::Int(made) }
-            }
-            _ => Slot::Absent,
-        };
-        List(found.into_iter().zip(specs).map(output).collect())
-    }
-}
-
-fn tensor(slot: Slot<CubeBackend>) -> Option<CubeTensor> {
-    match slot {
-        Slot::Absent => None,
-        Slot::Float(tensor) | Slot::Int(tensor) => Some(tensor),
     }
 }

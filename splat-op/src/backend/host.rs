@@ -1,21 +1,17 @@
-//! Operations on Burn's two CPU backends: tensors as slices, without a copy where they are contiguous.
+//! Tensors of Burn's two CPU backends as slices, without a copy where they are contiguous.
 
 #![allow(deprecated, reason = "burn-ndarray is deprecated in favour of burn-flex; this project supports both")]
 
 use std::array;
 use std::ops::Deref;
 
-use burn::backend::ops::FloatTensorOps;
-use burn::backend::tensor::{FloatTensor, IntTensor};
-use burn::backend::{Backend, Flex, NdArray, TensorMetadata};
+use burn::backend::TensorMetadata;
 use burn::tensor::{DType, Element, Shape, TensorData};
 use burn_flex::FlexTensor;
 use burn_ndarray::NdArrayTensor;
 use bytemuck::Pod;
 
-use super::list::{List, Slot, Tensors};
-use super::operation::{Args, Call, OperationBackend, Spec};
-use crate::counters::count_twin_calls;
+use super::args::Args;
 use crate::simd::real::Real;
 
 /// A tensor in host memory.
@@ -72,21 +68,21 @@ fn narrowed<'a>(values: impl Iterator<Item = &'a i64>) -> Host<i32> {
 }
 
 impl HostTensor {
-    fn dtype(&self) -> DType {
+    pub(super) fn dtype(&self) -> DType {
         match self {
             Self::Flex(tensor) => tensor.dtype(),
             Self::NdArray(tensor) => tensor.dtype(),
         }
     }
 
-    fn shape(&self) -> Shape {
+    pub(super) fn shape(&self) -> Shape {
         match self {
             Self::Flex(tensor) => tensor.shape(),
             Self::NdArray(tensor) => tensor.shape(),
         }
     }
 
-    fn floats<F: Real>(&self) -> Host<F> {
+    pub(super) fn floats<F: Real>(&self) -> Host<F> {
         assert_eq!(self.dtype(), F::DTYPE, "all tensors of an operation share one float type");
         match self {
             Self::Flex(tensor) => flex(tensor),
@@ -198,113 +194,4 @@ pub(crate) fn float_outputs<F: Real>(outputs: impl IntoIterator<Item = Vec<F>>) 
 /// Returns the elements as slices.
 pub(crate) fn slices<F: Element + Pod, const N: usize>(read: &[Host<F>; N]) -> [&[F]; N] {
     read.each_ref().map(|host| &host[..])
-}
-
-/// A backend whose tensors lie in host memory.
-trait HostBackend: Backend {
-    fn of_floats(tensor: FloatTensor<Self>) -> HostTensor;
-    fn of_ints(tensor: IntTensor<Self>) -> HostTensor;
-    fn into_floats(tensor: HostTensor) -> FloatTensor<Self>;
-
-    /// Returns the same elements in contiguous memory.
-    fn contiguous(tensor: FloatTensor<Self>) -> FloatTensor<Self>;
-}
-
-impl HostBackend for Flex {
-    fn of_floats(tensor: FloatTensor<Self>) -> HostTensor {
-        HostTensor::Flex(tensor)
-    }
-
-    fn of_ints(tensor: IntTensor<Self>) -> HostTensor {
-        HostTensor::Flex(tensor)
-    }
-
-    fn into_floats(tensor: HostTensor) -> FloatTensor<Self> {
-        let HostTensor::Flex(tensor) = tensor else { unreachable!("tensors of this backend") };
-        tensor
-    }
-
-    fn contiguous(tensor: FloatTensor<Self>) -> FloatTensor<Self> {
-        if tensor.is_contiguous() { tensor } else { tensor.to_contiguous() }
-    }
-}
-
-impl HostBackend for NdArray {
-    fn of_floats(tensor: FloatTensor<Self>) -> HostTensor {
-        HostTensor::NdArray(tensor)
-    }
-
-    fn of_ints(tensor: IntTensor<Self>) -> HostTensor {
-        HostTensor::NdArray(tensor)
-    }
-
-    fn into_floats(tensor: HostTensor) -> FloatTensor<Self> {
-        let HostTensor::NdArray(tensor) = tensor else { unreachable!("tensors of this backend") };
-        tensor
-    }
-
-    fn contiguous(tensor: FloatTensor<Self>) -> FloatTensor<Self> {
-        let host = HostTensor::NdArray(tensor.clone());
-        let data = match tensor.dtype() {
-            DType::F64 => TensorData::new(host.floats::<f64>().to_vec(), tensor.shape()),
-            _ => TensorData::new(host.floats::<f32>().to_vec(), tensor.shape()),
-        };
-        Self::float_from_data(data, &tensor.device())
-    }
-}
-
-fn operate<B: HostBackend>(inputs: Tensors<B>, call: &Call) -> Tensors<B> {
-    let device = inputs.0.iter().find_map(|slot| match slot {
-        Slot::Absent => None,
-        Slot::Float(tensor) => Some(tensor.device()),
-        Slot::Int(tensor) => Some(tensor.device()),
-    });
-    let device = device.expect("an operation has an input");
-    let host = |slot: Slot<B>| match slot {
-        Slot::Absent => None,
-        Slot::Float(tensor) => Some(B::of_floats(tensor)),
-        Slot::Int(tensor) => Some(B::of_ints(tensor)),
-    };
-    let given: Vec<Option<HostTensor>> = inputs.0.into_iter().map(host).collect();
-    let spec = |tensor: &HostTensor| Spec { shape: tensor.shape(), dtype: tensor.dtype() };
-    let specs = call.outputs(&given.iter().map(|tensor| tensor.as_ref().map(spec)).collect::<Vec<_>>());
-    let args = Args::new(call, given);
-    count_twin_calls(1);
-    let found = call.operation.run(&args, call.backward.is_some());
-    assert_eq!(found.len(), specs.len(), "an operation has the outputs that it specified");
-    let Args { mut inputs, mut outputs, mut grads, .. } = args;
-    let take = |tensors: &mut [Option<HostTensor>], i: usize| {
-        B::into_floats(tensors[i].take().expect("it is there, and passed on once"))
-    };
-    let output = |(output, spec): (HostOutput, Option<Spec>)| {
-        let Some(spec) = spec else { return Slot::Absent };
-        Slot::Float(match output {
-            HostOutput::Data(data) => {
-                let (bytes, _, dtype) = data.into_parts();
-                let data = TensorData::from_bytes(bytes, spec.shape, dtype);
-                if !dtype.is_float() {
-                    return Slot::Int(B::int_from_data(data, &device));
-                }
-                B::float_from_data(data, &device)
-            }
-            HostOutput::Input(i) => B::contiguous(take(&mut inputs, i)),
-            HostOutput::Grad(i) => B::contiguous(take(&mut grads, i)),
-            HostOutput::Scaled(i, factor) => B::float_mul_scalar(take(&mut inputs, i), factor.into()),
-            HostOutput::Product(i) => B::float_mul(take(&mut outputs, i), take(&mut grads, i)),
-            HostOutput::Nothing => return Slot::Absent,
-        })
-    };
-    List(found.into_iter().zip(specs).map(output).collect())
-}
-
-impl OperationBackend for Flex {
-    fn operate(inputs: Tensors<Self>, call: Call) -> Tensors<Self> {
-        operate(inputs, &call)
-    }
-}
-
-impl OperationBackend for NdArray {
-    fn operate(inputs: Tensors<Self>, call: Call) -> Tensors<Self> {
-        operate(inputs, &call)
-    }
 }

@@ -76,7 +76,7 @@ pub struct List<T>(pub Vec<T>);
 pub type Tensors<B> = List<Slot<B>>;
 
 impl<T> List<T> {
-    fn map<U>(self, f: impl FnMut(T) -> U) -> List<U> {
+    pub(super) fn map<U>(self, f: impl FnMut(T) -> U) -> List<U> {
         List(self.0.into_iter().map(f).collect())
     }
 }
@@ -113,37 +113,15 @@ impl<B: Backend, T: ExtensionType<B>> ExtensionType<B> for List<T> {
 }
 
 #[cfg(feature = "fusion")]
-pub(super) use fused::metadata;
-
-#[cfg(feature = "fusion")]
 mod fused {
     use std::vec::IntoIter;
 
-    use burn::backend::fusion::custom::{
-        ExtensionMetadata, FusionValueAdapter, HandleContainer, TensorId, TensorIr, TensorSpec,
-    };
+    use burn::backend::fusion::custom::{ExtensionMetadata, FusionValueAdapter, HandleContainer, TensorId, TensorIr};
     use burn::backend::fusion::{ExecutionError, FusionBackend, FusionRuntime, FusionTensor};
 
     use super::*;
-    use crate::backend::operation::{Call, Spec};
 
     type Handles<B> = HandleContainer<<<B as FusionBackend>::FusionRuntime as FusionRuntime>::FusionHandle>;
-
-    /// Returns the metadata of a call's outputs from those of its inputs.
-    pub(in crate::backend) fn metadata(inputs: &List<SlotMetadata>, call: &Call) -> List<SlotMetadata> {
-        let spec = |slot: &SlotMetadata| match slot {
-            SlotMetadata::Absent => None,
-            SlotMetadata::Float(spec) | SlotMetadata::Int(spec) => {
-                Some(Spec { shape: spec.shape.clone(), dtype: spec.dtype })
-            }
-        };
-        let given: Vec<_> = inputs.0.iter().map(spec).collect();
-        List(call.outputs(&given)).map(|spec| match spec {
-            None => SlotMetadata::Absent,
-            Some(Spec { shape, dtype }) if dtype.is_float() => SlotMetadata::Float(TensorSpec::new(shape, dtype)),
-            Some(Spec { shape, dtype }) => SlotMetadata::Int(TensorSpec::new(shape, dtype)),
-        })
-    }
 
     impl<T: ExtensionMetadata> ExtensionMetadata for List<T> {
         type Metadata = List<T::Metadata>;

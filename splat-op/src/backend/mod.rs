@@ -1,10 +1,11 @@
 //! Operations on Burn's CPU and GPU backends, with fusion and autodiff. Kernels and twins know none of them.
 //!
 //! An operation is one type that implements [`Operation`]: the shapes of its outputs, its CPU twin, its kernels, and the gradients of its
-//! inputs. [`apply`] runs it on tensors of any device. The parts here bind all operations at once: `host.rs` to
-//! [`Flex`](burn::backend::Flex) and [`NdArray`](burn::backend::NdArray), `cube.rs` to every CubeCL runtime, `list.rs` to Burn's fusion,
-//! and `autodiff.rs` holds the one backward node. Each stage has its operations in a file `operation.rs`.
+//! inputs. [`apply`] runs it on tensors of any device. `apply.rs` binds all operations at once to [`Flex`](burn::backend::Flex),
+//! [`NdArray`](burn::backend::NdArray), every CubeCL runtime and Burn's fusion, and `autodiff.rs` holds the one backward node. Each stage has its operations in a file `operation.rs`.
 
+mod apply;
+mod args;
 mod autodiff;
 #[cfg(feature = "cube")]
 pub(crate) mod cube;
@@ -15,11 +16,13 @@ mod operation;
 #[cfg(test)]
 mod tests;
 
+pub(crate) use apply::apply_all;
+pub use apply::{Outputs, apply};
+pub use args::Args;
 #[cfg(feature = "cube")]
 pub use cube::{GpuArgs, GpuOutput};
 pub use host::{Host, HostArgs, HostOutput};
 pub use list::Slot;
-pub(crate) use operation::apply_all;
-pub use operation::{Args, MAX_DIFFERENTIABLE, Operation, Outputs, Spec, apply};
+pub use operation::{MAX_DIFFERENTIABLE, Operation, Spec};
 
 pub use crate::simd::real::Real;

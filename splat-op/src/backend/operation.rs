@@ -1,18 +1,14 @@
-//! The one form of every operation: shapes, a CPU twin, kernels and a gradient, bound to Burn's backends, autodiff and fusion once.
+//! The one form of every operation: shapes, a CPU twin, kernels and a gradient.
 
-#![allow(deprecated, reason = "burn-ndarray is deprecated in favour of burn-flex; this project supports both")]
-
-use std::array;
 use std::fmt::Debug;
 use std::sync::Arc;
 
-use burn::backend::{Backend, Dispatch, backend_extension};
-use burn::tensor::{DType, Int, Shape, Tensor};
+use burn::tensor::{DType, Shape};
 
+use super::args::Args;
 #[cfg(feature = "cube")]
 use super::cube::{GpuArgs, GpuOutput};
 use super::host::{HostArgs, HostOutput};
-use super::list::{List, Slot, Tensors};
 use crate::simd::real::Real;
 
 /// The largest number of inputs that an operation has gradients of.
@@ -39,11 +35,11 @@ impl Spec {
     }
 }
 
-/// An operation on tensors, run by [`apply`].
+/// An operation on tensors, run by [`apply`](super::apply).
 ///
 /// A value holds what is not a tensor: sizes, options, caches. Inputs and outputs are lists; a place in them may be empty. A CPU calls the
 /// twin [`run`](Self::run) in f32 or in f64, which is the type of the inputs; a GPU calls [`launch`](Self::launch). With Burn's fusion both
-/// run later than [`apply`], on the device's own thread.
+/// run later than [`apply`](super::apply), on the device's own thread.
 pub trait Operation: Clone + Debug + Send + Sync + 'static {
     /// Returns the specification of each output from those of the inputs. By default there is one, as the first input.
     fn outputs(&self, inputs: &[Option<Spec>]) -> Vec<Option<Spec>> {
@@ -174,91 +170,16 @@ impl Call {
         };
         given.iter().zip(needs).map(of_input).collect()
     }
-}
 
-/// The tensors that a pass is given. The methods panic where there is no such tensor.
-pub struct Args<T> {
-    pub(super) inputs: Vec<Option<T>>,
-    pub(super) outputs: Vec<Option<T>>,
-    pub(super) grads: Vec<Option<T>>,
-    needs: Vec<bool>,
-}
-
-impl<T> Args<T> {
-    /// Splits what a call is given into inputs, outputs and gradients of outputs.
-    pub(super) fn new(call: &Call, given: Vec<Option<T>>) -> Self {
+    /// Splits what the call is given into inputs, outputs and gradients of outputs.
+    pub(super) fn args<T>(&self, given: Vec<Option<T>>) -> Args<T> {
         let mut given = given.into_iter();
-        let Some(Backwards { needs, outputs }) = &call.backward else {
-            return Self { inputs: given.collect(), outputs: Vec::new(), grads: Vec::new(), needs: Vec::new() };
+        let Some(Backwards { needs, outputs }) = &self.backward else {
+            return Args { inputs: given.collect(), outputs: Vec::new(), grads: Vec::new(), needs: Vec::new() };
         };
         let inputs = given.by_ref().take(needs.len()).collect();
-        let kept = if call.operation.keeps_outputs() { *outputs } else { 0 };
+        let kept = if self.operation.keeps_outputs() { *outputs } else { 0 };
         let outputs = given.by_ref().take(kept).collect();
-        Self { inputs, outputs, grads: given.collect(), needs: needs.clone() }
+        Args { inputs, outputs, grads: given.collect(), needs: needs.clone() }
     }
-
-    /// Whether there is input `i`.
-    pub fn has(&self, i: usize) -> bool {
-        self.inputs[i].is_some()
-    }
-
-    /// In a backward pass, returns for each input whether its gradient is asked for.
-    pub fn needs<const N: usize>(&self) -> [bool; N] {
-        array::from_fn(|i| self.needs[i])
-    }
-
-    /// All tensors.
-    pub(super) fn all_present(&self) -> impl Iterator<Item = &T> {
-        self.inputs.iter().chain(&self.outputs).chain(&self.grads).flatten()
-    }
-}
-
-/// A Burn backend that runs operations. With fusion, an operation on the GPU is registered first and runs later.
-#[backend_extension(Cube: cfg(feature = "cube"), Flex, NdArray, Autodiff, Fusion: cfg(feature = "fusion"))]
-pub trait OperationBackend: Backend {
-    /// Runs one pass of an operation.
-    #[fusion(meta = |inputs, call| super::list::metadata(inputs, call))]
-    fn operate(#[extension_type] inputs: Tensors<Self>, call: Call) -> Tensors<Self>;
-}
-
-/// The outputs of an operation.
-#[derive(Debug)]
-pub struct Outputs(Vec<Slot<Dispatch>>);
-
-impl Outputs {
-    /// Takes an output of floats.
-    ///
-    /// # Panics
-    /// If there is no such output, or if it was taken.
-    pub fn float<const D: usize>(&mut self, i: usize) -> Tensor<D> {
-        match std::mem::replace(&mut self.0[i], Slot::Absent) {
-            Slot::Float(tensor) => Tensor::from_dispatch(tensor),
-            other => panic!("output {i} is {other:?}, not floats"),
-        }
-    }
-
-    /// Takes an output of integers.
-    ///
-    /// # Panics
-    /// As [`float`](Self::float).
-    pub fn int<const D: usize>(&mut self, i: usize) -> Tensor<D, Int> {
-        match std::mem::replace(&mut self.0[i], Slot::Absent) {
-            Slot::Int(tensor) => Tensor::from_dispatch(tensor),
-            other => panic!("output {i} is {other:?}, not integers"),
-        }
-    }
-}
-
-/// Runs an operation on tensors of one device, at least one of them present.
-///
-/// # Panics
-/// If an output's specification does not match what the operation computed.
-pub fn apply<const N: usize>(operation: impl Operation, inputs: [Slot<Dispatch>; N]) -> Outputs {
-    apply_all(operation, inputs.into())
-}
-
-/// [`apply`] to any number of inputs.
-pub(crate) fn apply_all(operation: impl Operation, inputs: Vec<Slot<Dispatch>>) -> Outputs {
-    let call = Call { operation: Arc::new(operation), backward: None };
-    Outputs(<Dispatch as OperationBackend>::operate(List(inputs), call).0)
 }

@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use flate2::Compression;
 use flate2::read::GzDecoder;
 use flate2::write::GzEncoder;
-use splat_model::formats::{self, Format, FormatError, SceneFile, SpzOptions, SpzVersion};
+use splat_model::formats::{self, Format, SceneFile, SpzOptions, SpzVersion, WriteOptions};
 
 use super::engine::{FuzzTarget, folder};
 use super::seeds::rows;
@@ -48,8 +48,9 @@ impl FuzzTarget for Scenes {
                 formats::write(&path, &scene, format).expect("the target folder can be written to");
                 seeds.push([&[PLAIN], &written()[..]].concat());
             }
-            let three = SpzOptions { version: SpzVersion::Three, ..SpzOptions::default() };
-            formats::write_spz(&path, &scene, three).expect("the target folder can be written to");
+            let spz = SpzOptions { version: SpzVersion::Three, ..SpzOptions::default() };
+            formats::write_with(&path, &scene, Format::Spz, WriteOptions { spz, ..WriteOptions::default() })
+                .expect("the target folder can be written to");
             let mut plain = vec![GZIPPED];
             GzDecoder::new(&written()[..]).read_to_end(&mut plain).expect("written above");
             // Rotations of older versions are shorter, and the reader ignores the remaining bytes.
@@ -151,11 +152,11 @@ impl FuzzTarget for Scenes {
             Err(error) => {
                 let message = error.to_string();
                 judge_message(&message, &self.folder)?;
-                Ok(match error {
-                    // The bytes at which another file begins vary.
-                    FormatError::Unknown { .. } => "unknown".into(),
-                    _ => shape(&message, &self.folder),
-                })
+                // The bytes at which another file begins vary.
+                match message.contains("not a scene: it begins with") {
+                    true => Ok("unknown".into()),
+                    false => Ok(shape(&message, &self.folder)),
+                }
             }
         }
     }

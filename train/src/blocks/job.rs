@@ -7,7 +7,7 @@ use clap::Parser;
 
 use crate::background::TrainBackground;
 use crate::options::{Cli, Command};
-use crate::strategy::StrategyName;
+use crate::parts::StrategyName;
 use crate::train::TrainArgs;
 
 /// Options of `splat train` that a plan replaces by its own.

@@ -11,7 +11,7 @@ use splat_model::ply::TrainedAs;
 
 use super::planned::PlanFolder;
 use super::seams::Seams;
-use crate::device::{self, DeviceName};
+use crate::device::DeviceName;
 use crate::inputs::Inputs;
 use crate::output::prepare_file;
 use crate::report::SCENE;
@@ -30,8 +30,8 @@ pub struct MergeArgs {
     /// Held-out photographs of each block on which the merged scene is compared with the block; 0 for none
     #[arg(long, value_name = "N", default_value_t = 4)]
     pub views: usize,
-    /// Device to compute on
-    #[arg(long, value_name = "NAME", default_value_t, help = device::help())]
+    /// Device to compute on: auto, cpu, flex, ndarray, gpu[:N] and what else `splat devices` lists
+    #[arg(long, value_name = "NAME", default_value_t)]
     pub device: DeviceName,
 }
 

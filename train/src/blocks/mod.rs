@@ -17,7 +17,6 @@ pub use self::status::{StatusArgs, status};
 /// Options of `splat blocks`.
 #[derive(Clone, Debug, Args)]
 pub struct BlocksArgs {
-    /// The verb.
     #[command(subcommand)]
     pub verb: BlocksCommand,
 }
@@ -34,9 +33,6 @@ pub enum BlocksCommand {
 }
 
 /// Runs a verb.
-///
-/// # Errors
-/// Those of [`plan`], [`status`] and [`merge`].
 pub fn run(args: &BlocksArgs) -> Result<()> {
     match &args.verb {
         BlocksCommand::Plan(args) => plan(args),

@@ -68,7 +68,6 @@ impl PlanFolder {
         own.into_iter().chain(self.plan.blocks.iter().flat_map(of_run))
     }
 
-    /// The blocks' files, in order.
     pub fn files(&self) -> Result<Vec<BlockFile>> {
         let file = |name: &String| {
             let folder = self.path.join(name);

@@ -3,112 +3,82 @@
 use anyhow::{Result, anyhow};
 use burn::backend::{CubeDevice, DispatchDevice};
 use burn::tensor::{Device, DeviceType};
-use splat_op::Abilities;
 
-use super::{Adapter, AdapterKind, Facts, Runtime};
+use super::{Adapter, AdapterKind};
 
-/// Lists the adapters of some runtimes, in the order of the runtimes and then by index. Empty without a driver.
-pub fn list(runtimes: &[Runtime]) -> Vec<Adapter> {
+/// The runtimes of this build.
+pub const BUILT: &[(&str, DeviceType)] = &[
+    #[cfg(feature = "wgpu")]
+    ("wgpu", DeviceType::Wgpu),
+    #[cfg(feature = "vulkan")]
+    ("vulkan", DeviceType::Vulkan),
+    #[cfg(feature = "metal")]
+    ("metal", DeviceType::Metal),
     #[cfg(feature = "cuda")]
-    if runtimes.contains(&Runtime::Cuda) {
-        keep_kernels();
+    ("cuda", DeviceType::Cuda),
+    #[cfg(feature = "rocm")]
+    ("rocm", DeviceType::Rocm),
+];
+
+/// Lists the adapters of the wanted runtimes, in the order of [`BUILT`] and then by index. Empty without a driver.
+pub fn list(is_wanted: &dyn Fn(&str) -> bool) -> Vec<Adapter> {
+    #[cfg(feature = "cuda")]
+    {
+        use cubecl::config::{CubeClRuntimeConfig, RuntimeConfig, cache::CacheConfig};
+        // Compiled kernels are kept in the user's cache folder, or where CubeCL's configuration file says. No effect once a device is open.
+        let mut config = CubeClRuntimeConfig::from_current_dir().override_from_env();
+        config.compilation.cache = true;
+        if matches!(config.environment.path, CacheConfig::Target) {
+            config.environment.path = CacheConfig::Global;
+        }
+        let _ = CubeClRuntimeConfig::try_set(config);
     }
-    let of = |&runtime| {
+    let of = |&(runtime, ref devices): &(&'static str, DeviceType)| {
         let found = move |(index, device)| Adapter { runtime, index, kind: kind(&device), device };
-        enumerate(runtime).into_iter().enumerate().map(found)
+        Device::enumerate(devices.clone()).into_vec().into_iter().enumerate().map(found)
     };
-    runtimes.iter().flat_map(of).collect()
-}
-
-/// Has CubeCL keep compiled kernels in the user's cache folder, or where its configuration file says. Has no effect once a device is open.
-#[cfg(feature = "cuda")]
-fn keep_kernels() {
-    use cubecl::config::{CubeClRuntimeConfig, RuntimeConfig, cache::CacheConfig};
-
-    let mut config = CubeClRuntimeConfig::from_current_dir().override_from_env();
-    config.compilation.cache = true;
-    // The folder `target` of a project is CubeCL's default.
-    if matches!(config.environment.path, CacheConfig::Target) {
-        config.environment.path = CacheConfig::Global;
-    }
-    let _ = CubeClRuntimeConfig::try_set(config);
-}
-
-fn enumerate(runtime: Runtime) -> Vec<Device> {
-    let kind_of_device = match runtime {
-        #[cfg(feature = "wgpu")]
-        Runtime::Wgpu => DeviceType::Wgpu,
-        #[cfg(feature = "vulkan")]
-        Runtime::Vulkan => DeviceType::Vulkan,
-        #[cfg(feature = "metal")]
-        Runtime::Metal => DeviceType::Metal,
-        #[cfg(feature = "cuda")]
-        Runtime::Cuda => DeviceType::Cuda,
-        #[cfg(feature = "rocm")]
-        Runtime::Rocm => DeviceType::Rocm,
-        #[allow(unreachable_patterns, reason = "a build with every runtime leaves none over")]
-        _ => return Vec::new(),
-    };
-    Device::enumerate(kind_of_device).into_vec()
+    BUILT.iter().filter(|(runtime, _)| is_wanted(runtime)).flat_map(of).collect()
 }
 
 fn kind(device: &Device) -> AdapterKind {
+    #[cfg(feature = "wgpu")]
+    use burn::backend::WgpuDeviceKind;
     match device.as_dispatch() {
         #[cfg(feature = "wgpu")]
-        DispatchDevice::Cube(CubeDevice::Wgpu(device)) => {
-            use burn::backend::WgpuDeviceKind;
-            match device.kind {
-                WgpuDeviceKind::DiscreteGpu(_) => AdapterKind::Discrete,
-                WgpuDeviceKind::IntegratedGpu(_) => AdapterKind::Integrated,
-                WgpuDeviceKind::VirtualGpu(_) => AdapterKind::Virtual,
-                WgpuDeviceKind::Cpu => AdapterKind::Software,
-                _ => AdapterKind::Unknown,
-            }
-        }
+        DispatchDevice::Cube(CubeDevice::Wgpu(device)) => match device.kind {
+            WgpuDeviceKind::DiscreteGpu(_) => AdapterKind::Discrete,
+            WgpuDeviceKind::IntegratedGpu(_) => AdapterKind::Integrated,
+            WgpuDeviceKind::VirtualGpu(_) => AdapterKind::Virtual,
+            WgpuDeviceKind::Cpu => AdapterKind::Software,
+            _ => AdapterKind::Unknown,
+        },
         // The makers' runtimes list only their own cards, almost all of which are discrete.
         DispatchDevice::Cube(CubeDevice::Cuda(_) | CubeDevice::Hip(_)) => AdapterKind::Discrete,
         _ => AdapterKind::Unknown,
     }
 }
 
-/// Opens an adapter for the rest of the process and returns its properties.
-///
-/// # Errors
-/// If its driver refuses.
-pub fn open(adapter: &Adapter) -> Result<Facts> {
+/// Opens an adapter for the rest of the process. Returns name and kind of the hardware, the graphics interface, and the language of the kernels
+/// or the maker's runtime. An error if its driver refuses.
+pub fn open(adapter: &Adapter) -> Result<String> {
     let name = adapter.name();
-    let refused =
-        |why: &str| anyhow!("cannot open the adapter `{name}`: {why}. Check its driver, or pass `--device cpu`");
+    let refused = |why: &str| anyhow!("cannot open `{name}`: {why}. Check its driver, or pass `--device cpu`");
     let DispatchDevice::Cube(device) = adapter.device.as_dispatch() else { return Err(refused("it is no adapter")) };
-    let interface = open_through_wgpu(device).map_err(|error| refused(&error))?;
-    let client = device.client();
-    let abilities = Abilities::of(&adapter.device).ok_or_else(|| refused("there are no kernels for it"))?;
-    let interface = interface.map(|interface| format!("{interface}, ")).unwrap_or_default();
-    let hardware = &client.properties().identity.name;
-    Ok(Facts {
-        summary: format!("{hardware}, {}, {interface}{}", adapter.kind, client.name()),
-        buffer_limit: client.properties().memory.max_page_size,
-        float_atomics: abilities.float_atomics,
-    })
-}
+    let mut interface = String::new();
+    #[cfg(feature = "wgpu")]
+    if let CubeDevice::Wgpu(device) = device {
+        use burn::backend::wgpu::{RuntimeOptions, WgpuInitError, graphics::AutoGraphicsApi, try_init_setup};
 
-/// Opens an adapter of wgpu by the call that reports a failure instead of panicking. Returns the name of the graphics
-/// interface; `None` for other runtimes and for an adapter that was open already.
-#[cfg(feature = "wgpu")]
-fn open_through_wgpu(device: &CubeDevice) -> Result<Option<String>, String> {
-    use burn::backend::wgpu::graphics::AutoGraphicsApi;
-    use burn::backend::wgpu::{RuntimeOptions, WgpuInitError, try_init_setup};
-
-    let CubeDevice::Wgpu(device) = device else { return Ok(None) };
-    let options = RuntimeOptions::try_default().map_err(|error| error.to_string())?;
-    match try_init_setup::<AutoGraphicsApi>(device, options) {
-        Ok(setup) => Ok(Some(setup.backend.to_str().to_owned())),
-        Err(WgpuInitError::Registration { .. }) => Ok(None),
-        Err(error) => Err(error.to_string()),
+        // Other calls panic where the driver refuses.
+        let options = RuntimeOptions::try_default().map_err(|error| refused(&error.to_string()))?;
+        match try_init_setup::<AutoGraphicsApi>(device, options) {
+            Ok(setup) => interface = format!("{}, ", setup.backend.to_str()),
+            // It is open already.
+            Err(WgpuInitError::Registration { .. }) => {}
+            Err(error) => return Err(refused(&error.to_string())),
+        }
     }
-}
-
-#[cfg(not(feature = "wgpu"))]
-fn open_through_wgpu(_: &CubeDevice) -> Result<Option<String>, String> {
-    Ok(None)
+    let client = device.client();
+    let (hardware, kind) = (&client.properties().identity.name, format!("{:?}", adapter.kind).to_lowercase());
+    Ok(format!("{hardware}, {kind}, {interface}{}", client.name()))
 }

@@ -17,7 +17,7 @@ use crate::output::short;
 
 /// Smallest and largest of some positions, in the coordinates of the file, scene units.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-struct Bounds {
+struct BoundingBox {
     low: [f64; 3],
     high: [f64; 3],
 }
@@ -36,8 +36,8 @@ pub struct SceneInfo {
     origin: [f64; 3],
     trained: TrainedAs,
     /// Bounds of all centres, and of 90% of them along each axis; null without splats that can be rendered.
-    bounds: Option<Bounds>,
-    bulk: Option<Bounds>,
+    bounds: Option<BoundingBox>,
+    bulk: Option<BoundingBox>,
     /// The longest standard deviation of each Gaussian, scene units: the values below which 5%, 50% and 95% of the Gaussians lie.
     sigma: [f64; 3],
     /// The same of the longest standard deviation divided by the shortest.
@@ -60,11 +60,11 @@ pub struct CaptureInfo {
     own_split: bool,
     cameras: Vec<CameraInfo>,
     /// Bounds of the camera centres, and of the sparse points.
-    camera_bounds: Option<Bounds>,
+    camera_bounds: Option<BoundingBox>,
     /// About the radius of the room that the cameras fill, scene units.
     extent: f64,
     points: usize,
-    point_bounds: Option<Bounds>,
+    point_bounds: Option<BoundingBox>,
     masks: usize,
     /// Offset that was subtracted from every position.
     origin: [f64; 3],
@@ -128,7 +128,7 @@ pub fn of_scene(path: &Path) -> Result<SceneInfo> {
         origin: scene.origin.to_array(),
         trained: scene.trained,
         bounds: bounds(means.iter().map(|mean| mean.map(f64::from))),
-        bulk: bulk.map(|bulk| Bounds { low: bulk.low, high: bulk.high }),
+        bulk: bulk.map(|bulk| BoundingBox { low: bulk.low, high: bulk.high }),
         sigma: of(&|row| f64::from(longest(row)).exp()),
         needle: of(&needle),
         opacity: of(&opacity),
@@ -185,11 +185,11 @@ pub fn of_capture(capture: &Capture, seen: &PointsSeen) -> CaptureInfo {
     }
 }
 
-fn bounds(positions: impl Iterator<Item = [f64; 3]>) -> Option<Bounds> {
+fn bounds(positions: impl Iterator<Item = [f64; 3]>) -> Option<BoundingBox> {
     positions.fold(None, |bounds, position| {
-        let Bounds { low, high } = bounds.unwrap_or(Bounds { low: position, high: position });
+        let BoundingBox { low, high } = bounds.unwrap_or(BoundingBox { low: position, high: position });
         let of = |pick: fn(f64, f64) -> f64, with: [f64; 3]| [0, 1, 2].map(|axis| pick(with[axis], position[axis]));
-        Some(Bounds { low: of(f64::min, low), high: of(f64::max, high) })
+        Some(BoundingBox { low: of(f64::min, low), high: of(f64::max, high) })
     })
 }
 
@@ -254,7 +254,7 @@ fn position(values: &[f64; 3]) -> String {
     values.map(|value| short(value, 4)).join(" ")
 }
 
-impl std::fmt::Display for Bounds {
+impl std::fmt::Display for BoundingBox {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "{} to {}", position(&self.low), position(&self.high))
     }

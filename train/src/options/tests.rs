@@ -81,7 +81,7 @@ fn a_file_of_options_is_read_and_the_command_line_comes_first() {
     assert_eq!(format!("{:?}", train::config::read(&file).unwrap()), format!("{given:?}"));
     let changed = train(&["train", "--config", path, "--steps", "7", "--strategy=adaptive", "d"]);
     assert_eq!((changed.steps, changed.time, changed.lr.lr_means), (Some(7), None, Some(0.01)));
-    assert_eq!((changed.strategy, changed.capture), (crate::strategy::StrategyName::Adaptive, Some("d".into())));
+    assert_eq!((changed.strategy, changed.capture), (crate::parts::StrategyName::Adaptive, Some("d".into())));
 
     fs::write(&file, "steps = 9\nmax-side = 64\nquiet = true\n[anything]\nssim_weight = 0.5\n").unwrap();
     let args = train(&["train", "--config", path]);

@@ -22,8 +22,8 @@ use self::measure::{Bench, BenchOutcome, SettingMeasurements};
 use self::plot::{Chart, Dot};
 use self::quartiles::frontier;
 use crate::background::ShowArgs;
+use crate::input::PhotoArgs;
 use crate::inputs::Inputs;
-use crate::options::PhotoArgs;
 use crate::output::{OutputFolder, last_name};
 use crate::{input, progress};
 
@@ -52,10 +52,8 @@ pub struct ParetoArgs {
     /// Number of test views to measure, spread evenly
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = RangedU64ValueParser::<usize>::new().range(1..))]
     pub views: usize,
-    /// Photographs.
     #[command(flatten)]
     pub photos: PhotoArgs,
-    /// How the scene is shown.
     #[command(flatten)]
     pub show: ShowArgs,
     /// Ignore the pixels that the capture's masks exclude; for scenes trained with the effect `masks`

@@ -7,8 +7,8 @@ use plotters::coord::Shift;
 use plotters::prelude::*;
 use plotters::style::register_font;
 
-use super::dials::Role;
-use super::quartiles::Quartiles;
+pub use super::dials::Role;
+pub use super::quartiles::Quartiles;
 
 /// Width and height of a plot, px.
 const SIZE: (u32, u32) = (1000, 640);

@@ -70,7 +70,6 @@ impl DeviceScene {
         })
     }
 
-    /// Renders a view, not tracked.
     pub fn render(&self, view: usize, options: &RenderOptions) -> Result<Rendered<3>> {
         Ok(render_view(&self.splats, &self.cameras[view], &self.extras, options)?)
     }

@@ -8,11 +8,12 @@ use splat_model::trainer::ranks::Ranks;
 use splat_model::trainer::{TrainError, Trainer};
 
 use super::{Order, RunSetup, tell};
-use crate::effects::Chosen;
+use crate::effects::ChosenEffects;
 use crate::input;
 use crate::progress::VoiceArgs;
+use crate::stop::Stop;
+use crate::train::checkpoints;
 use crate::train::job::Job;
-use crate::train::{Stop, checkpoints};
 
 /// Takes part in the run of rank 0, to its end.
 pub(crate) fn follow(ranks: &Rc<dyn Ranks>) -> Result<()> {
@@ -57,7 +58,7 @@ fn prepare(ranks: &Rc<dyn Ranks>, setup: RunSetup) -> Result<Trainer> {
     let (split, _) = args.photos.split(&capture);
     let seen = split.require_train()?;
     super::agree_on_files(&**ranks, &capture, seen)?;
-    let effects = Chosen::named(&effects)?;
+    let effects = ChosenEffects::named(&effects)?;
     let job = Job { args, config, capture: Arc::new(capture), effects, device };
     let (train, _) = job.photographs(seen, &[], &**ranks)?;
     let mut trainer = job.trainer(train, checkpoint.is_none(), ranks)?;

@@ -10,6 +10,7 @@ use anyhow::{Context, Result, bail, ensure};
 use serde::{Deserialize, Serialize};
 use splat_model::capture::scale::{SCALE_FILE, Scale};
 
+pub use crate::input::SPARSE;
 use crate::own::{self, OwnFiles};
 use crate::{output, progress};
 
@@ -21,9 +22,6 @@ pub const DATABASE: &str = "database.db";
 
 /// The photographs, as links, or the frames of a video.
 pub const IMAGES: &str = "images";
-
-/// COLMAP's models.
-pub const SPARSE: &str = "sparse";
 
 /// All that programs printed.
 pub const LOG: &str = "reconstruction.log";

@@ -50,7 +50,6 @@ pub fn check_different(photographs: &[Unposed], folder: &Path) -> Result<()> {
     Ok(())
 }
 
-/// The error of a program that ended badly.
 pub fn ended(program: &str, doing: &str, ended: &Ended, log: &Path) -> Error {
     let log = log.display();
     let last = ended.last_line();

@@ -22,17 +22,17 @@ use clap::builder::RangedU64ValueParser;
 use serde::{Deserialize, Serialize};
 use splat_model::capture::scale::from_gps;
 use splat_model::capture::unposed::PhotographFolder;
-use splat_model::capture::{Capture, CaptureError, Scale};
-use splat_model::sniff::{FileClass, FileKind};
+use splat_model::capture::{Capture, Scale};
 
 use self::cache::{Ingredients, Stage, Workspace};
 use self::photographs::CameraModelName;
 use self::programs::{Colmap, Ffmpeg};
 use self::stages::Stages;
+use crate::input::{self, is_video};
 use crate::inputs::Inputs;
-use crate::progress::VoiceArgs;
-use crate::train::{OUT, Stop};
-use crate::{input, progress};
+use crate::output::OUT;
+use crate::progress::{self, VoiceArgs};
+use crate::stop::Stop;
 
 pub use self::stage::Running;
 
@@ -47,10 +47,8 @@ pub struct ReconstructArgs {
     /// Folder for the reconstruction, a capture that all subcommands read [default: out/NAME-reconstruction, after the photographs]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
-    /// Cameras.
     #[command(flatten)]
     pub cameras: CameraArgs,
-    /// Amount of output.
     #[command(flatten)]
     pub voice: VoiceArgs,
 }
@@ -124,9 +122,6 @@ impl CameraArgs {
 }
 
 /// Reconstructs photographs, and says what was found.
-///
-/// # Errors
-/// As [`reconstruct`].
 pub fn run(args: &ReconstructArgs) -> Result<()> {
     let source = &args.photographs;
     ensure!(source.exists(), "there is nothing at {}: name a folder of photographs, or a video", source.display());
@@ -139,20 +134,6 @@ pub fn run(args: &ReconstructArgs) -> Result<()> {
     args.cameras.scale(&mut capture)?;
     progress::say(&format!("{}: train on it with `splat train {0}`", folder.display()));
     Ok(())
-}
-
-/// Whether `splat train` is to reconstruct this first: a video, or a folder of photographs without cameras. A folder with a broken
-/// reconstruction is not.
-pub fn is_needed(source: &Path) -> bool {
-    let has_cameras = Capture::is_in(source) || source.join(cache::SPARSE).exists();
-    let has_photographs =
-        || PhotographFolder::list(source).is_ok_and(|found| !found.names.is_empty() || !found.other.is_empty());
-    !has_cameras && (is_video(source) || source.is_dir() && has_photographs())
-}
-
-/// Whether a file is a video, as far as can be told: FFmpeg knows more kinds than this program.
-fn is_video(source: &Path) -> bool {
-    source.is_file() && FileKind::of(source).is_none_or(|kind| kind.class == FileClass::Video)
 }
 
 /// Whether a folder is a reconstruction of this program.
@@ -288,15 +269,4 @@ fn report(workspace: &Workspace, capture: &Capture) -> Result<()> {
         progress::note(&said);
     }
     Ok(())
-}
-
-/// The error of a folder of photographs, for subcommands that need cameras.
-pub fn advice(folder: &Path, error: CaptureError) -> anyhow::Error {
-    match is_needed(folder) {
-        true => anyhow::Error::from(error).context(format!(
-            "{} holds photographs whose cameras are unknown: find them with `splat reconstruct {0}`",
-            folder.display()
-        )),
-        false => error.into(),
-    }
 }

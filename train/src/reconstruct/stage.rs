@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use anyhow::{Context, Result};
 
-use crate::train::{Interrupted, Stop};
+use crate::stop::{Interrupted, Stop};
 
 /// Time between two looks at whether the user asked to stop.
 const LOOK: Duration = Duration::from_millis(100);

@@ -14,8 +14,8 @@ use super::cache::{DATABASE, DATABASE_FILES, IMAGES, LISTS, LOG, SPARSE, SPARSE_
 use super::photographs::{CameraModelName, extractions};
 use super::programs::Colmap;
 use super::{failure, stage};
-use crate::progress::{self, Counted};
-use crate::train::Stop;
+use crate::progress::{self, CountedProgress};
+use crate::stop::Stop;
 
 /// Most photographs of which every pair is compared: 79,800 pairs, hours on a CPU.
 const EXHAUSTIVE: usize = 400;
@@ -74,7 +74,7 @@ impl Stages<'_> {
         let options = self.colmap.options("feature_extractor")?;
         let on_gpu = options.first(&["FeatureExtraction.use_gpu", "SiftExtraction.use_gpu"]);
         let mut features = BTreeMap::new();
-        let mut counted = Counted::new("features").with_left(FULL_SIZE);
+        let mut counted = CountedProgress::new("features").with_left(FULL_SIZE);
         let extractions = extractions(photographs, self.model);
         for (i, extraction) in extractions.iter().enumerate() {
             let list = workspace.join(LISTS).join(format!("{i}.txt"));
@@ -145,7 +145,7 @@ impl Stages<'_> {
         {
             command.arg(format!("--{name}")).arg(value);
         }
-        let mut counted = Counted::new("matching");
+        let mut counted = CountedProgress::new("matching");
         self.succeed(workspace, command, "matching photographs", |line| {
             if let Some((done, all)) = matched(line) {
                 counted.set(done, Some(all));
@@ -179,7 +179,7 @@ impl Stages<'_> {
             for name in ERRORS.iter().filter_map(|name| options.first(&[name])) {
                 command.arg(format!("--{name}")).arg(&error);
             }
-            let mut counted = Counted::new("placing");
+            let mut counted = CountedProgress::new("placing");
             let during = "while COLMAP was placing photographs";
             let ended = stage::run(command, self.stop, during, &mut workspace.log()?, |line| {
                 if let Some(placed) = registered(line) {

@@ -15,8 +15,8 @@ use super::cache::{IMAGES, IMAGES_PARTIAL, LOG, Workspace};
 use super::failure;
 use super::programs::Ffmpeg;
 use super::stage::{self, Running};
-use crate::progress::Counted;
-use crate::train::{Interrupted, Stop};
+use crate::progress::CountedProgress;
+use crate::stop::{Interrupted, Stop};
 
 /// Longer side of the pictures whose sharpness is measured, px. Blur that matters is wider than its pixels.
 const MEASURED_SIDE: u32 = 960;
@@ -78,7 +78,7 @@ fn measure(ffmpeg: &Ffmpeg, video: &Path, stop: &Stop) -> Result<Vec<f64>> {
     );
     command.args(["-vf", &scale, ffmpeg.every_frame, "passthrough", "-c:v", "pgm", "-f", "image2pipe", "-"]);
     let mut decoder = Decoder::start(command)?;
-    let mut counted = Counted::new("measuring sharpness");
+    let mut counted = CountedProgress::new("measuring sharpness");
     let mut sharpness = Vec::new();
     while let Some((size, grey)) = next_picture(&mut decoder.frames).context("cannot read what ffmpeg decodes")? {
         if let Some(signal) = stop.asked() {

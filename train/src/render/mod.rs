@@ -59,10 +59,8 @@ pub struct RenderArgs {
     /// File format of the pictures
     #[arg(long, value_enum, default_value_t)]
     pub format: PictureFormat,
-    /// How the scene is shown.
     #[command(flatten)]
     pub show: ShowArgs,
-    /// Accuracy of the renders.
     #[command(flatten)]
     pub accuracy: AccuracyArgs,
 }

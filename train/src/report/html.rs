@@ -25,9 +25,6 @@ pub fn escape(text: &str) -> String {
 }
 
 /// Formats a value as JSON for a `script` element, which ends at the first `</script`, even inside a string.
-///
-/// # Errors
-/// If it cannot be written as JSON.
 pub fn in_script(value: &impl Serialize) -> serde_json::Result<String> {
     Ok(serde_json::to_string(value)?.replace('<', "\\u003c"))
 }

@@ -19,7 +19,7 @@ use super::metrics::Metrics;
 use crate::progress::{self, BETWEEN_FRAMES, BETWEEN_LINES, clock};
 
 /// Largest number of views scored during a run, spread evenly over the held-out views.
-pub const FEW: usize = 4;
+const FEW: usize = 4;
 
 /// A line of `--json`. Fields are added over time, and never renamed.
 #[derive(Serialize)]
@@ -35,7 +35,6 @@ pub enum LogLine<'a> {
     Done { out: String, metrics: &'a Metrics },
 }
 
-/// The log of a run.
 pub struct RunLog {
     pub recorder: Recorder,
     bar: Option<ProgressBar>,
@@ -46,7 +45,8 @@ pub struct RunLog {
     /// `[1]`: sum of the losses that were not read yet, and their number. Kept on the device, because each read would
     /// wait.
     losses: Option<(Tensor<1>, usize)>,
-    /// Time that scores have taken since the run began or was resumed, s.
+    /// Number of scores since the run began or was resumed, and the time that they have taken, s.
+    scored: usize,
     scoring_s: f64,
 }
 
@@ -66,6 +66,7 @@ impl RunLog {
             shown: Instant::now(),
             shown_losses: (0.0, 0),
             losses: None,
+            scored: 0,
             scoring_s: 0.0,
         }
     }
@@ -107,7 +108,7 @@ impl RunLog {
             steps: trainer.config().steps,
             loss: sum / count as f64,
             splats: trainer.gaussians().len(),
-            rate: 1.0 / self.forecast.mean_s(),
+            rate: 1.0 / self.forecast.step_s(),
             left_s: self.left_s(),
         };
         match &self.bar {
@@ -138,6 +139,7 @@ impl RunLog {
         let every = test.len().div_ceil(FEW).max(1);
         let photos = test.iter().step_by(every).map(|photo| Ok::<_, anyhow::Error>(photo.pixels()?));
         let scores = evaluate_each(&splats, photos, &background, &options, lpips, |_, _| {})?;
+        self.scored += 1;
         self.scoring_s += start.elapsed().as_secs_f64();
         let score = self.recorder.keep_score(trainer.steps_done(), &scores, start.elapsed());
         let perceived = score.lpips.map(|lpips| format!(", {lpips:.4} LPIPS")).unwrap_or_default();
@@ -149,9 +151,18 @@ impl RunLog {
         Ok(())
     }
 
-    /// Returns the time that scores have taken, relative to the time of training.
-    pub fn scoring_share(&self) -> f64 {
-        self.scoring_s / self.recorder.elapsed_s()
+    /// Returns the time that scores have taken since the run began or was resumed, s to the millisecond.
+    pub fn scoring_s(&self) -> f64 {
+        (1e3 * self.scoring_s).round() / 1e3
+    }
+
+    /// Returns the time that scores will have taken after the next one, s: it takes as long as those before, and the first one as long as a step
+    /// for each view.
+    pub fn scoring_s_with_next(&self, test: &[Photograph]) -> f64 {
+        match self.scored {
+            0 => test.len().min(FEW) as f64 * self.forecast.step_s(),
+            scored => self.scoring_s * (scored + 1) as f64 / scored as f64,
+        }
     }
 
     /// Predicts the time that the run has left, s.
@@ -166,7 +177,7 @@ impl RunLog {
         if let Some(bar) = &self.bar {
             bar.set_length(steps as u64);
         }
-        self.forecast.reschedule(trainer.config().clone(), refinements(trainer));
+        (self.forecast.config, self.forecast.refinements) = (trainer.config().clone(), refinements(trainer));
     }
 
     /// Ends the log after the last step.

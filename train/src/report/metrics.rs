@@ -7,7 +7,7 @@ use serde::Serialize;
 use serde_json::Value;
 use splat_model::evaluate::Scores;
 
-use crate::effects::Chosen;
+use crate::effects::ChosenEffects;
 
 /// Results of a run and its options. Keys are added over time, and never renamed.
 #[derive(Clone, Debug, Serialize)]
@@ -28,7 +28,7 @@ pub struct Metrics {
     /// Device: a CPU backend, or an adapter and its runtime.
     pub device: String,
     /// Simulated effects, the reasons for them, and their cost; null without training.
-    pub effects: Option<Chosen>,
+    pub effects: Option<ChosenEffects>,
     /// Seed of everything random; null where nothing was random.
     pub seed: Option<u64>,
     /// All options, including defaults.
@@ -44,11 +44,12 @@ pub struct Seconds {
     pub load: f64,
     /// The training steps alone; null without training.
     pub train: Option<f64>,
+    /// The scores during training, since the run began or was resumed; null without training.
+    pub scores: Option<f64>,
     /// The test views, including their pictures.
     pub eval: f64,
 }
 
-/// Seconds since `start`, to the millisecond.
 pub fn seconds_since(start: Instant) -> f64 {
     (start.elapsed().as_secs_f64() * 1e3).round() / 1e3
 }

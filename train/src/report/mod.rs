@@ -30,8 +30,6 @@ pub const SCENE: &str = "scene.ply";
 pub const METRICS: &str = "metrics.json";
 /// The report, for people.
 pub const REPORT: &str = "report.html";
-/// The background, where a run learned it.
-pub const BACKGROUND: &str = "background.json";
 /// Poses of the photographs, where a run refined them.
 pub const POSES: &str = "poses.json";
 /// The folder of pictures.
@@ -73,9 +71,6 @@ pub fn view_files<'a>(views: impl IntoIterator<Item = &'a str>) -> impl Iterator
 }
 
 /// Writes `metrics.json`, after removing pictures of an earlier run's test views that this run does not have.
-///
-/// # Errors
-/// If it cannot be written.
 pub fn finish(metrics: &Metrics, out: &OutputFolder) -> Result<()> {
     let current = metrics.test.iter().flat_map(|scores| &scores.views).map(|view| view.name.as_str());
     let current: Vec<PathBuf> = pictures::names(current, "png");

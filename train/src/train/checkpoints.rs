@@ -18,7 +18,6 @@ use crate::progress;
 use crate::report::METRICS;
 use crate::report::history::History;
 
-/// Folder of the checkpoints, below the output folder.
 pub const FOLDER: &str = "checkpoints";
 
 /// Folder to which a new run moves the checkpoints of an unfinished one.
@@ -265,7 +264,6 @@ fn name_of(step: usize) -> String {
     format!("step-{step:08}.safetensors")
 }
 
-/// The step of a file name that [`name_of`] gives.
 fn step_of(name: &str) -> Option<usize> {
     let step = name.strip_prefix("step-")?.strip_suffix(".safetensors")?.parse().ok()?;
     (name == name_of(step)).then_some(step)

@@ -5,10 +5,10 @@
 use std::fs;
 use std::path::Path;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, anyhow, bail};
+use clap::{Args, FromArgMatches};
 
 use super::TrainArgs;
-use crate::options::{self, Command};
 
 /// File of a run's options, in its output folder.
 pub const CONFIG: &str = "run.toml";
@@ -27,11 +27,10 @@ pub fn to_toml(args: &TrainArgs) -> Result<String> {
 /// # Errors
 /// If the file cannot be read or is no such file.
 pub fn read(path: &Path) -> Result<TrainArgs> {
-    let words = ["splat", "train", "--config"].map(Into::into).into_iter().chain([path.into()]);
-    match options::parse(words)?.command {
-        Command::Train(args) => Ok(TrainArgs { config: None, ..args }),
-        _ => bail!("`train` is another command"),
-    }
+    let command = TrainArgs::augment_args(clap::Command::new("train").no_binary_name(true));
+    let parsed = |words: Vec<String>| TrainArgs::from_arg_matches(&command.clone().try_get_matches_from(words)?);
+    let words = words(path, &command, &parsed(Vec::new())?)?;
+    parsed(words).map_err(|error| anyhow!("{}: {}", path.display(), error.render()))
 }
 
 /// Returns the options of a file as words of a command line for `train`, without those that `given` words replace.

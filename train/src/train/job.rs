@@ -14,7 +14,7 @@ use splat_model::trainer::ranks::{Alone, Ranks};
 use splat_model::trainer::{TrainConfig, Trainer};
 
 use super::{TrainArgs, budget};
-use crate::effects::Chosen;
+use crate::effects::ChosenEffects;
 use crate::input::PhotoSelection;
 use crate::{input, progress};
 
@@ -23,7 +23,7 @@ pub(crate) struct Job {
     pub args: TrainArgs,
     pub config: TrainConfig,
     pub capture: Arc<Capture>,
-    pub effects: Chosen,
+    pub effects: ChosenEffects,
     pub device: Device,
 }
 

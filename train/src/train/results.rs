@@ -9,25 +9,42 @@ use std::time::Instant;
 use anyhow::{Result, anyhow};
 use glam::DAffine3;
 use serde::Serialize;
+use splat_model::FileError;
 use splat_model::capture::{Capture, Photograph};
 use splat_model::effects::background::{Backdrop, Background};
 use splat_model::gaussians::Gaussians;
-use splat_model::ply::{self, PlyError, TrainedAs, WorldFrame};
+use splat_model::ply::{self, TrainedAs, WorldFrame};
 use splat_model::trainer::{TrainConfig, TrainError, Trainer};
 use splat_op::Projection;
 
+use super::checkpoints::Checkpoints;
 use super::setup::Setup;
-use super::steps::Done;
+use crate::background::BACKGROUND;
+use crate::input::PhotoArgs;
+use crate::live::Live;
 use crate::lpips::LpipsArgs;
-use crate::options::PhotoArgs;
 use crate::output::OutputFolder;
 use crate::progress;
+use crate::report::history::History;
 use crate::report::log::LogLine;
 use crate::report::metrics::{self, Metrics, Seconds, peak_rss_mib, seconds_since};
 use crate::report::page::{ReportPage, SCENE_BYTES};
-use crate::report::{self, BACKGROUND, METRICS, POSES, SCENE};
+use crate::report::{self, METRICS, POSES, SCENE};
 use crate::view::page::{SceneSource, Viewer};
 use crate::view::scene::{ShownScene, Viewpoint};
+
+/// Result of the steps, when all are done.
+pub struct Done<'a> {
+    /// Training time of all parts of the run, s.
+    pub seconds: f64,
+    /// Time of the scores during this part of the run, s.
+    pub scoring_s: f64,
+    pub history: History,
+    pub checkpoints: Checkpoints,
+    pub live: Option<Live<'a>>,
+    /// The step at which the view's button ended the run before its last step. The checkpoint of that step is kept.
+    pub stopped_at: Option<usize>,
+}
 
 /// The `options` of `metrics.json`.
 #[derive(Serialize)]
@@ -65,7 +82,8 @@ pub fn write(setup: &Setup, trainer: Trainer, test: &[Photograph], load_s: f64, 
     let start = Instant::now();
     let measure = || report::measure(&gaussians.splats(), test, &background, &render_options, lpips.as_ref(), out);
     let scores = if test.is_empty() { None } else { Some(measure()?) };
-    let seconds = Seconds { load: load_s, train: Some(done.seconds), eval: seconds_since(start) };
+    let seconds =
+        Seconds { load: load_s, train: Some(done.seconds), scores: Some(done.scoring_s), eval: seconds_since(start) };
     let options = TrainOptionsRecord {
         capture: &job.capture.folder,
         photos: &setup.photos,
@@ -112,7 +130,7 @@ pub fn write(setup: &Setup, trainer: Trainer, test: &[Photograph], load_s: f64, 
 }
 
 /// Writes the trained scene. Returns the number of its Gaussians that cannot be rendered.
-fn write_scene(trainer: &Trainer, capture: &Capture, path: &Path) -> Result<usize, PlyError> {
+fn write_scene(trainer: &Trainer, capture: &Capture, path: &Path) -> Result<usize, FileError> {
     let (count, sh_degree) = (trainer.gaussians().len(), trainer.gaussians().sh_degree());
     let mut unusable = 0;
     let parts = trainer.parts_of_rows().inspect(|part| unusable += part.unusable());

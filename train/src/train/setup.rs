@@ -16,12 +16,13 @@ use splat_model::trainer::ranks::Ranks;
 
 use super::config::CONFIG;
 use super::job::Job;
-use super::{OUT, TrainArgs, checkpoints};
+use super::{TrainArgs, checkpoints};
+use crate::background::BACKGROUND;
+use crate::input::PhotoArgs;
 use crate::inputs::Inputs;
-use crate::options::PhotoArgs;
-use crate::output::{self, OutputFolder};
+use crate::output::{self, OUT, OutputFolder};
 use crate::ranks::{self, RunSetup};
-use crate::report::{self, BACKGROUND, METRICS, POSES, REPORT, SCENE, VIEWS};
+use crate::report::{self, METRICS, POSES, REPORT, SCENE, VIEWS};
 use crate::{demo, input, progress, reconstruct};
 
 /// Folder of the demo capture, below the output folder.
@@ -56,7 +57,7 @@ impl Setup {
         // A run may be resumed from any working directory, and a video does not tell which folder its frames are in.
         if let Some(source) = args.capture.take() {
             args.cameras = args.cameras.from_anywhere();
-            let found = if reconstruct::is_needed(&source) { &capture.folder } else { &source };
+            let found = if input::lacks_cameras(&source) { &capture.folder } else { &source };
             args.capture = Some(std::path::absolute(found)?);
         }
         args.lpips = args.lpips.from_anywhere();
@@ -119,7 +120,7 @@ impl Setup {
 fn open(args: &TrainArgs) -> Result<(PathBuf, Capture, Instant)> {
     let out = || args.out.clone().unwrap_or_else(|| own_folder(args.capture.as_deref()));
     match &args.capture {
-        Some(source) if reconstruct::is_needed(source) => {
+        Some(source) if input::lacks_cameras(source) => {
             let folder = match &args.out {
                 Some(out) => out.join(reconstruct::FOLDER),
                 None => reconstruct::own_folder(source),

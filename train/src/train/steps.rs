@@ -7,23 +7,22 @@ use splat_model::trainer::ranks::Ranks;
 use splat_model::trainer::{TrainConfig, Trainer};
 
 use super::TrainArgs;
-use super::checkpoints::{Checkpoints, SoFar};
+use super::checkpoints::SoFar;
 use super::job::Job;
-use super::results::{self, export, keep_scene};
+use super::results::{self, Done, export, keep_scene};
 use super::run::Run;
 use super::setup::Setup;
-use super::stop::{Interrupted, Stop};
 use super::time_limit::{TimeLimit, set_steps};
 use crate::live::Live;
 use crate::ranks::{self, Order};
-use crate::report::history::History;
-use crate::report::log::{FEW, RunLog};
+use crate::report::log::RunLog;
 use crate::report::metrics::Metrics;
+use crate::stop::{Interrupted, Stop};
 
 /// Longest time between checkpoints.
 const BETWEEN_CHECKPOINTS: Duration = Duration::from_secs(120);
 
-/// Number of scores that are taken without being asked for, and the largest share of the training time that they take.
+/// Number of scores that are taken without being asked for, if they take at most this share of the training time.
 const SCORES: usize = 10;
 const SCORING_SHARE: f64 = 0.02;
 
@@ -36,31 +35,19 @@ fn is_checkpoint_due(every: Option<usize>, step: usize, since: Duration) -> bool
 }
 
 /// Whether scores are due at the trainer's step. `every` is `--eval-during`.
-fn is_score_due(every: Option<usize>, trainer: &Trainer, views: usize, share: f64) -> bool {
+fn is_score_due(every: Option<usize>, trainer: &Trainer, scoring_s: f64, training_s: f64) -> bool {
     let (step, steps) = (trainer.steps_done(), trainer.config().steps);
     match every {
         Some(every) => every > 0 && step.is_multiple_of(every),
-        None => scores_by_itself(step, steps, views, share),
+        None => scores_by_itself(step, steps, scoring_s, training_s),
     }
 }
 
-/// Whether a run that was not told when takes scores at a step: ten times, where a view that costs as much as a step keeps below the share,
-/// and as long as the measured share does.
-fn scores_by_itself(step: usize, steps: usize, views: usize, share: f64) -> bool {
-    let cost = (SCORES * views.min(FEW)) as f64;
+/// Whether a run that was not told when takes scores at a step: at each tenth of the steps at which the time of all scores so far and of
+/// this one, `scoring_s`, is at most a share of the time that the steps have taken, `training_s`.
+fn scores_by_itself(step: usize, steps: usize, scoring_s: f64, training_s: f64) -> bool {
     let is_turn = step * SCORES / steps > (step - 1) * SCORES / steps;
-    is_turn && views > 0 && cost <= SCORING_SHARE * steps as f64 && share <= SCORING_SHARE
-}
-
-/// Result of the steps, when all are done.
-pub struct Done<'a> {
-    /// Training time of all parts of the run, s.
-    pub seconds: f64,
-    pub history: History,
-    pub checkpoints: Checkpoints,
-    pub live: Option<Live<'a>>,
-    /// The step at which the view's button ended the run before its last step. The checkpoint of that step is kept.
-    pub stopped_at: Option<usize>,
+    is_turn && scoring_s <= SCORING_SHARE * training_s
 }
 
 impl Run {
@@ -74,6 +61,7 @@ impl Run {
         let mut live = server.map(|server| Live::start(server, &trainer, &test, device, out.path())).transpose()?;
         let stop = Stop::listen().context("cannot listen for Ctrl-C")?;
         let mut time_limit = args.time.map(TimeLimit::new);
+        let schedule = |config, steps| args.schedule(config, steps);
         // The first checkpoint comes before the first step: a run killed at once can be resumed too, and an unwritable
         // folder is found now.
         if trainer.steps_done() == 0 && args.checkpoint_every != Some(0) {
@@ -98,7 +86,8 @@ impl Run {
             order_step(&*ranks, &trainer, &mut told)?;
             let mut evaluated = Ok(());
             let step = trainer.step_and_look(|trainer| {
-                if is_score_due(args.eval_during, trainer, test.len(), log.scoring_share()) {
+                let scoring_s = if test.is_empty() { f64::INFINITY } else { log.scoring_s_with_next(&test) };
+                if is_score_due(args.eval_during, trainer, scoring_s, log.recorder.elapsed_s()) {
                     evaluated = log.evaluate(trainer, &test, device, lpips.as_ref());
                 }
             });
@@ -119,10 +108,10 @@ impl Run {
                 let so_far = so_far_of(&trainer, args, &log);
                 checkpoints.write(&mut trainer, args, &so_far)?;
                 // One more step, which waits for the device and finds its faults.
-                set_steps(trainer.steps_done() + 1, &mut trainer, args, &mut log)?;
+                set_steps(trainer.steps_done() + 1, &mut trainer, &schedule, &mut log)?;
             }
             if let Some(limit) = &mut time_limit {
-                limit.adjust(&mut trainer, args, &mut log)?;
+                limit.adjust(&mut trainer, &schedule, &mut log)?;
             }
             if args.export_every.is_some_and(|every| trainer.steps_done().is_multiple_of(every)) {
                 export(&trainer, capture, out);
@@ -136,8 +125,9 @@ impl Run {
         order(&*ranks, Order::End)?;
         // From here on, a signal ends the process at once.
         drop(stop);
-        let (seconds, history) = (log.recorder.seconds(), log.finish());
-        results::write(&setup, trainer, &test, load_s, Done { seconds, history, checkpoints, live, stopped_at })
+        let (seconds, scoring_s) = (log.recorder.seconds(), log.scoring_s());
+        let done = Done { seconds, scoring_s, history: log.finish(), checkpoints, live, stopped_at };
+        results::write(&setup, trainer, &test, load_s, done)
     }
 }
 

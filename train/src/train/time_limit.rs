@@ -8,9 +8,8 @@ use std::fmt;
 use std::str::FromStr;
 use std::time::Duration;
 
-use splat_model::trainer::{TrainError, Trainer};
+use splat_model::trainer::{TrainConfig, TrainError, Trainer};
 
-use super::TrainArgs;
 use crate::report::log::RunLog;
 
 /// Number of steps before any is measured.
@@ -62,6 +61,9 @@ impl TrainingTime {
     }
 }
 
+/// Returns the configuration with the schedules of a run of so many steps.
+pub type Schedule<'a> = &'a dyn Fn(TrainConfig, usize) -> TrainConfig;
+
 /// The choices of a run's number of steps.
 pub struct TimeLimit {
     /// Training time of the whole run, s.
@@ -77,7 +79,7 @@ impl TimeLimit {
 
     /// Chooses the number of steps after a step, if it is time to. One more step at least remains, which waits for the device
     /// and finds its faults.
-    pub fn adjust(&mut self, trainer: &mut Trainer, args: &TrainArgs, log: &mut RunLog) -> Result<(), TrainError> {
+    pub fn adjust(&mut self, trainer: &mut Trainer, schedule: Schedule, log: &mut RunLog) -> Result<(), TrainError> {
         let remaining = self.seconds - log.recorder.elapsed_s();
         let share = 1.0 - remaining / self.seconds;
         if share < self.next || trainer.is_done() {
@@ -85,7 +87,7 @@ impl TimeLimit {
         }
         if remaining <= 0.0 {
             self.next = f64::INFINITY;
-            return set_steps(trainer.steps_done() + 1, trainer, args, log);
+            return set_steps(trainer.steps_done() + 1, trainer, schedule, log);
         }
         self.next = share + share.min(BETWEEN);
         for _ in 0..CHANGES {
@@ -96,7 +98,7 @@ impl TimeLimit {
             }
             let change = (remaining / left).powf(DAMPING).clamp(CHANGE.0, CHANGE.1);
             let more = ((steps - step) as f64 * change).round().max(1.0) as usize;
-            set_steps(step + more, trainer, args, log)?;
+            set_steps(step + more, trainer, schedule, log)?;
             if (change - 1.0).abs() < SETTLED {
                 break;
             }
@@ -105,8 +107,8 @@ impl TimeLimit {
     }
 }
 
-pub fn set_steps(steps: usize, trainer: &mut Trainer, args: &TrainArgs, log: &mut RunLog) -> Result<(), TrainError> {
-    trainer.reschedule(&args.schedule(trainer.config().clone(), steps))?;
+pub fn set_steps(steps: usize, trainer: &mut Trainer, schedule: Schedule, log: &mut RunLog) -> Result<(), TrainError> {
+    trainer.reschedule(&schedule(trainer.config().clone(), steps))?;
     log.reschedule(trainer);
     Ok(())
 }

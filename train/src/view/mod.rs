@@ -37,7 +37,6 @@ pub fn run(args: &ViewArgs) -> Result<()> {
     server.serve(&pages[..])
 }
 
-/// Returns the pages to serve.
 fn pages(args: &ViewArgs) -> Result<[ServedFile; 2]> {
     const SCENE: &str = "/scene.ply";
     let (rows, TrainedAs { antialias, background, .. }) = input::rows("SCENE", &args.scene, None)?;

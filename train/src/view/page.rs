@@ -17,7 +17,6 @@ const LIBRARY: &str = include_str!("../../assets/viewer/library.js");
 /// Licences of the libraries, which go with every copy.
 const LICENSES: &str = include_str!("../../assets/viewer/LICENSES.txt");
 const SCRIPT: &str = include_str!("viewer.js");
-/// Style sheet of the viewer.
 const STYLE: &str = include_str!("viewer.css");
 
 /// Content-Security-Policy of pages with a viewer: nothing is loaded from outside. The libraries run WebAssembly, in
@@ -106,9 +105,6 @@ impl Viewer<'_> {
     }
 
     /// Returns the scripts that must follow the element.
-    ///
-    /// # Errors
-    /// If the setup cannot be written as JSON; no such case is known.
     pub fn scripts(&self) -> Result<String> {
         let outside = [Viewpoint::outside(&self.scene.extent)];
         let viewpoints = if self.viewpoints.is_empty() { &outside } else { self.viewpoints };
@@ -146,9 +142,6 @@ impl Viewer<'_> {
     }
 
     /// Returns a whole page that shows the scene and nothing else.
-    ///
-    /// # Errors
-    /// The errors of [`Self::scripts`].
     pub fn page(&self, title: &str) -> Result<String> {
         Ok(document(title, include_str!("page.css"), &(self.element() + &self.scripts()?)))
     }

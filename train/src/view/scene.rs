@@ -4,6 +4,7 @@ use anyhow::{Context, Result};
 use glam::{DAffine3, DVec3, Vec3};
 use serde::Serialize;
 use splat_model::capture::Photograph;
+use splat_model::cleanup::Bulk;
 use splat_model::gaussians::GaussianRows;
 use splat_model::ply;
 use splat_op::Intrinsics;
@@ -104,12 +105,7 @@ fn largest(rows: &GaussianRows, mut of: Vec<usize>, most: usize) -> Vec<usize> {
 impl Extent {
     /// Returns the extent of the Gaussians `which`; `None` if there are none.
     fn of(rows: &GaussianRows, which: &[usize]) -> Option<Self> {
-        let middle = |axis: usize| {
-            let mut values: Vec<f32> = which.iter().map(|&i| rows.means[i][axis]).collect();
-            let at = values.len() / 2;
-            (!values.is_empty()).then(|| f64::from(*values.select_nth_unstable_by(at, f32::total_cmp).1))
-        };
-        let centre = DVec3::new(middle(0)?, middle(1)?, middle(2)?);
+        let centre = DVec3::from(Bulk::of(which.iter().map(|&i| &rows.means[i]))?.middle);
         let mut distances: Vec<f64> =
             which.iter().map(|&i| Vec3::from(rows.means[i]).as_dvec3().distance(centre)).collect();
         let at = distances.len() * 9 / 10;
@@ -120,7 +116,6 @@ impl Extent {
     }
 }
 
-/// A viewpoint.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Viewpoint {
     /// Name of the photograph.

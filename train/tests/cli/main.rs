@@ -83,7 +83,7 @@ fn training_writes_the_scene_its_scores_and_its_pictures() {
     let scores = ["psnr", "ssim", "psnr_corrected", "ssim_corrected", "lpips", "lpips_missing"];
     assert_eq!(keys(&metrics["test"]), scores.into_iter().chain(["lpips_net", "views"]).collect());
     assert_eq!(keys(&metrics["test"]["views"][0]), scores.into_iter().chain(["name"]).collect());
-    assert_eq!(keys(&metrics["seconds"]), ["load", "train", "eval"].into());
+    assert_eq!(keys(&metrics["seconds"]), ["load", "train", "scores", "eval"].into());
     assert_eq!(metrics["test"]["views"].as_array().unwrap().len(), 1);
     assert_eq!(metrics["test"]["views"][0]["name"], TEST_VIEW);
     assert_eq!(metrics["test"]["psnr"], metrics["test"]["views"][0]["psnr"]);

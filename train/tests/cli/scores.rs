@@ -62,15 +62,32 @@ impl Strategy for Halve {
     }
 }
 
+/// The history in a run's report.
+fn history(out: &Path) -> Value {
+    let page = fs::read_to_string(out.join("report.html")).unwrap();
+    let data = page.split_once("id=\"history\">").unwrap().1.split_once("</script>").unwrap().0;
+    serde_json::from_str::<Value>(data).unwrap()[0].clone()
+}
+
+#[test]
+fn scores_that_a_run_takes_by_itself_take_a_fiftieth_of_its_time() {
+    let folder = tempfile::tempdir().unwrap();
+    succeed(splat(&TRAIN).arg(DEMO.as_path()).args(["--steps", "600", "--out", text(folder.path())]));
+    let metrics: Value = serde_json::from_slice(&fs::read(folder.path().join("metrics.json")).unwrap()).unwrap();
+    let [train, scores] = ["train", "scores"].map(|part| metrics["seconds"][part].as_f64().unwrap());
+    let count = history(folder.path())["scores"].as_array().unwrap().len();
+    assert!((1..=10).contains(&count), "{count} scores");
+    // The last may take longer than those before it, by which its time was predicted.
+    assert!(scores - 2.0 * scores / count as f64 <= 0.02 * train, "{count} scores took {scores} s of {train} s");
+}
+
 /// Trains within this process and returns the steps, scores and sizes of the scene after 4, 8, 12 and 16 steps.
 fn scores_with(strategy: Halve, out: &Path) -> Vec<[Value; 3]> {
     let run = ["--eval-during", "4", "--device", "cpu", "--out", text(out)];
     let arguments = [&["splat"], &TRAIN[..], &[text(&DEMO)], &run].concat();
     let Command::Train(args) = Cli::try_parse_from(arguments).unwrap().command else { panic!("asked for train") };
     train::run_with(&args, |trainer| trainer.with_strategy(strategy).unwrap()).unwrap();
-    let page = std::fs::read_to_string(out.join("report.html")).unwrap();
-    let data = page.split_once("id=\"history\">").unwrap().1.split_once("</script>").unwrap().0;
-    let history = serde_json::from_str::<Value>(data).unwrap()[0].clone();
+    let history = history(out);
     // The number of splats is that before the step's refinement too: of the step before it.
     let splats = |step: &Value| history["points"][step.as_u64().unwrap() as usize - 2]["splats"].clone();
     let scores = history["scores"].as_array().unwrap().iter();

@@ -40,7 +40,8 @@ pub(super) fn cells(capture: &Capture, blocks: usize, margin: f64) -> Result<Vec
         .map(|(at, weight)| Sample { at: everything.local(at), weight })
         .collect();
     let mut cells = Vec::with_capacity(blocks.min(samples.len()));
-    divide(&mut samples, everything, blocks, margin, &mut cells).ok_or(BlockError::TooFew { blocks })?;
+    let too_few = || BlockError(format!("the points and cameras cannot be divided into {blocks} blocks: plan fewer"));
+    divide(&mut samples, everything, blocks, margin, &mut cells).ok_or_else(too_few)?;
     Ok(cells)
 }
 

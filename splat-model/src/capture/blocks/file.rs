@@ -63,7 +63,7 @@ impl BlockFile {
     pub fn write(&self, folder: &Path) -> Result<(), CaptureError> {
         let file = folder.join(BLOCK);
         let write = |out: &mut dyn Write| Ok::<_, std::io::Error>(serde_json::to_writer(out, self)?);
-        replace(&file, |out| write(out)).map_err(|reason| CaptureError::Write { file, reason })
+        replace(&file, |out| write(out)).map_err(|reason| CaptureError::unwritable(&file, &reason))
     }
 
     /// Reads the file of a block's folder.

@@ -58,28 +58,10 @@ pub struct Block {
     pub points_in_cell: usize,
 }
 
-/// A capture that cannot be cut.
+/// A capture that cannot be cut: what was found, what was expected and what to do.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
-#[non_exhaustive]
-pub enum BlockError {
-    /// No block was asked for.
-    #[error("a plan of 0 blocks, expected at least one")]
-    NoBlocks,
-    /// Without points it is not known what photographs show.
-    #[error(
-        "the capture has no sparse points, by which blocks are cut: reconstruct it with COLMAP, or train it as a whole"
-    )]
-    NoPoints,
-    /// Fewer points and cameras than blocks, or all at one place.
-    #[error("the points and cameras cannot be divided into {blocks} blocks: plan fewer")]
-    TooFew {
-        /// Number of blocks.
-        blocks: usize,
-    },
-    /// No training photograph shows any point.
-    #[error("no training photograph shows a sparse point: check that the points belong to the photographs")]
-    NothingSeen,
-}
+#[error("{0}")]
+pub struct BlockError(String);
 
 /// Divides a capture with this split into blocks.
 ///
@@ -95,15 +77,17 @@ pub enum BlockError {
 /// If the capture has no points, or they cannot be divided.
 pub fn plan(capture: &Capture, split: &Split, options: &BlockOptions) -> Result<Vec<Block>, BlockError> {
     if options.blocks == 0 {
-        return Err(BlockError::NoBlocks);
+        return Err(BlockError("a plan of 0 blocks, expected at least one".into()));
     }
     if capture.points.positions.is_empty() {
-        return Err(BlockError::NoPoints);
+        let found = "the capture has no sparse points, by which blocks are cut: reconstruct it with COLMAP, or train it as a whole";
+        return Err(BlockError(found.into()));
     }
     let cells = cut::cells(capture, options.blocks, options.margin)?;
-    let seen = share::Seen::of(capture);
+    let seen = share::PointsByView::of(capture);
     if split.train.iter().all(|&view| seen.by_view[view].is_empty()) {
-        return Err(BlockError::NothingSeen);
+        let found = "no training photograph shows a sparse point: check that the points belong to the photographs";
+        return Err(BlockError(found.into()));
     }
     Ok(cells.into_iter().map(|cell| share::block(capture, split, &seen, cell, options.min_share)).collect())
 }

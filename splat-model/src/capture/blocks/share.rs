@@ -19,14 +19,14 @@ const LEAST_PHOTOGRAPHS: usize = 8;
 const BEYOND: f64 = 0.25;
 
 /// The points that each view shows.
-pub(super) struct Seen {
+pub(super) struct PointsByView {
     /// Points, ascending, for each view.
     pub by_view: Vec<Vec<u32>>,
     /// Distance between the points that were looked at: 1 with tracks.
     step: usize,
 }
 
-impl Seen {
+impl PointsByView {
     /// By the tracks, or by projection where there are none; then nothing hides anything.
     pub fn of(capture: &Capture) -> Self {
         let count = capture.points.positions.len();
@@ -50,7 +50,7 @@ impl Seen {
 }
 
 /// Chooses what a block trains on.
-pub(super) fn block(capture: &Capture, split: &Split, seen: &Seen, cell: Cell, min_share: f64) -> Block {
+pub(super) fn block(capture: &Capture, split: &Split, seen: &PointsByView, cell: Cell, min_share: f64) -> Block {
     let Cell { cell, region } = cell;
     let count = capture.points.positions.len();
     let within: Vec<bool> = (0..count).into_par_iter().map(|i| region.contains(capture.position(i))).collect();

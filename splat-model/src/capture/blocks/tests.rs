@@ -188,15 +188,16 @@ fn what_cannot_be_cut_is_refused() {
     let capture = &TOWN.1;
     let split = Split::of(capture, None);
     let refused = |capture: &Capture, blocks| {
-        plan(capture, &split, &BlockOptions { blocks, ..BlockOptions::default() }).unwrap_err()
+        plan(capture, &split, &BlockOptions { blocks, ..BlockOptions::default() }).unwrap_err().to_string()
     };
-    assert_eq!(refused(capture, 0), BlockError::NoBlocks);
-    assert_eq!(refused(capture, 5_000), BlockError::TooFew { blocks: 5_000 });
-    assert_eq!(refused(&Capture { points: Default::default(), ..capture.clone() }, 2), BlockError::NoPoints);
+    assert!(refused(capture, 0).contains("0 blocks"));
+    assert!(refused(capture, 5_000).contains("into 5000 blocks: plan fewer"));
+    let without_points = Capture { points: Default::default(), ..capture.clone() };
+    assert!(refused(&without_points, 2).contains("no sparse points"));
     let mut one = capture.clone();
     one.points.positions.fill([1.0; 3]);
     for view in &mut one.views {
         view.cam_from_world = glam::DAffine3::from_translation(DVec3::NEG_ONE);
     }
-    assert_eq!(refused(&one, 2), BlockError::TooFew { blocks: 2 });
+    assert!(refused(&one, 2).contains("into 2 blocks: plan fewer"));
 }

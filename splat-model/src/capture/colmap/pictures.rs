@@ -3,9 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use super::ImageRecord;
-use crate::capture::find::{SAMPLE, children, parent};
 use crate::capture::image;
-use crate::capture::names::{Names, PICTURES};
+use crate::capture::names::{Names, PICTURES, SAMPLE, children, parent};
 
 /// Where the pictures of a model may be.
 pub(in crate::capture) enum Pictures<'a> {

@@ -8,7 +8,7 @@ fn what_is_not_kept_is_decoded_each_time() {
     let photo = photos([0.0; 3]).remove(0);
     let count = Arc::new(AtomicUsize::new(0));
     let (again, counted) = (photo.clone(), Arc::clone(&count));
-    let read = Photograph::read_again(&photo, move || {
+    let read = Photograph::read_later((&photo).into(), &Arc::default(), move || {
         counted.fetch_add(1, Ordering::Relaxed);
         Ok(again.clone())
     });
@@ -57,10 +57,10 @@ fn what_is_read_later_is_kept_while_there_is_room() {
 fn a_picture_that_has_changed_is_refused() {
     let photo = photos([0.0; 3]).remove(0);
     let smaller = photo.resized(16, 12);
-    let changed = Photograph::read_again(&photo, move || Ok(smaller.clone()));
+    let changed = Photograph::read_later((&photo).into(), &Arc::default(), move || Ok(smaller.clone()));
     let error = changed.pixels().unwrap_err().to_string();
     assert!(error.contains(&photo.name) && error.contains("changed"), "{error}");
     let masked = Photo { mask: Some(vec![true; photo.rgb.len() / 3]), ..photo.clone() };
-    let changed = Photograph::read_again(&photo, move || Ok(masked.clone()));
+    let changed = Photograph::read_later((&photo).into(), &Arc::default(), move || Ok(masked.clone()));
     assert!(changed.pixels().is_err());
 }

@@ -60,7 +60,7 @@ fn fitted(pairs: &[(DVec3, Gps)], placed: usize) -> Result<Scale, ScaleError> {
     let pairs: Vec<Pair> =
         pairs.iter().map(|&(centre, gps)| Pair { centre, place_m: earth_centred(gps, heights) - first }).collect();
     let inliers = inliers(&pairs);
-    let similarity = Similarity::of(&inliers);
+    let similarity = WorldFit::of(&inliers);
     let n = inliers.len() as f64;
     let sum_squares: f64 = inliers.iter().map(|pair| similarity.error(pair).powi(2)).sum();
     let mean = inliers.iter().map(|pair| pair.centre).sum::<DVec3>() / n;
@@ -104,10 +104,10 @@ fn earth_centred(gps: Gps, with_height: bool) -> DVec3 {
 
 fn inliers(pairs: &[Pair]) -> Vec<Pair> {
     let mut random = ChaCha8Rng::seed_from_u64(0);
-    let mut best = (f64::INFINITY, Similarity::of(pairs));
+    let mut best = (f64::INFINITY, WorldFit::of(pairs));
     for _ in 0..DRAWS {
         let triple: Vec<Pair> = sample(&mut random, pairs.len(), 3).iter().map(|i| pairs[i]).collect();
-        let similarity = Similarity::of(&triple);
+        let similarity = WorldFit::of(&triple);
         let mut errors: Vec<f64> = pairs.iter().map(|pair| similarity.error(pair)).collect();
         errors.sort_by(f64::total_cmp);
         let median = errors[errors.len() / 2];
@@ -125,13 +125,13 @@ fn inliers(pairs: &[Pair]) -> Vec<Pair> {
 
 /// `place = scale · rotation · centre + shift`.
 #[derive(Clone, Copy, Debug)]
-struct Similarity {
+struct WorldFit {
     scale: f64,
     rotation: DQuat,
     shift: DVec3,
 }
 
-impl Similarity {
+impl WorldFit {
     /// The similarity with the least sum of squared distances from the places, whose error is that of GPS.
     fn of(pairs: &[Pair]) -> Self {
         let n = pairs.len() as f64;

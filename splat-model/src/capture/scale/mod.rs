@@ -69,7 +69,7 @@ impl Scale {
     pub fn save(&self, folder: &Path) -> Result<(), CaptureError> {
         let file = folder.join(SCALE_FILE);
         let text = serde_json::to_string_pretty(self).expect("numbers and text are JSON");
-        replace(&file, |out| writeln!(out, "{text}")).map_err(|reason| CaptureError::Write { file, reason })
+        replace(&file, |out| writeln!(out, "{text}")).map_err(|reason| CaptureError::unwritable(&file, &reason))
     }
 }
 

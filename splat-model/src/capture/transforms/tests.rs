@@ -10,8 +10,8 @@ use splat_op::CameraModel;
 
 use super::*;
 use crate::capture::image as photos;
+use crate::capture::masks;
 use crate::capture::testing::real_capture;
-use crate::effects::masks;
 
 /// A camera at (1, 2, 3) that looks along −x, with the world's y to its right and the world's z up.
 const LOOKING_BACK: &str = "[[0, 0, 1, 1], [1, 0, 0, 2], [0, 1, 0, 3], [0, 0, 0, 1]]";

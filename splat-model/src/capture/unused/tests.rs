@@ -2,6 +2,7 @@ use std::fs;
 
 use super::*;
 use crate::capture::testing::assert_says;
+use crate::effects::depth;
 use splat_demo::{self as demo, DemoOptions};
 
 /// A capture of three photographs, 0000.png to 0002.png, without the mark that it is a demo.

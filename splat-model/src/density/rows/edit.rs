@@ -55,10 +55,7 @@ impl RowEdit {
             let (found, expected) = (values.shape().num_elements(), count * width);
             match found == expected && width > 0 {
                 true => Ok(()),
-                false => {
-                    let (field, sh_degree) = ((*name).to_owned(), gaussians.sh_degree());
-                    Err(RowsError::Length { field, found, expected, count, sh_degree })
-                }
+                false => Err(RowsError::length(name, found, expected, count, gaussians.sh_degree())),
             }
         })
     }

@@ -8,7 +8,7 @@ use serde::Serialize;
 use super::Capture;
 use super::pictures::Glance;
 use crate::capture::image::has_alpha;
-use crate::effects::{depth, masks};
+use crate::capture::{depth_maps, masks};
 
 /// Alpha channels, masks and depth maps.
 #[derive(Clone, Debug, Serialize)]
@@ -25,8 +25,8 @@ pub struct FileEvidence {
 
 /// All files that a run on a capture may read: the capture's own, photographs, masks and depth maps.
 pub fn input_files(capture: &Capture) -> Vec<PathBuf> {
-    let scale = depth::folder(capture).map(|folder| capture.folder.join(folder).join(depth::SCALE));
-    let beside = [masks::find(capture), depth::find(capture)].concat();
+    let scale = depth_maps::folder(capture).map(|folder| capture.folder.join(folder).join(depth_maps::SCALE));
+    let beside = [masks::find(capture), depth_maps::find(capture)].concat();
     let photographs = capture.views.iter().map(|view| view.image_path.clone());
     capture.files.iter().cloned().chain(photographs).chain(beside.into_iter().flatten()).chain(scale).collect()
 }
@@ -40,6 +40,6 @@ pub(super) fn evidence(capture: &Capture, views: &[usize], glances: &[Glance]) -
         with_alpha: transparent + unseen.filter(|view| has_alpha(&capture.views[**view].image_path)).count(),
         with_mask: masks::find(capture).iter().flatten().count(),
         masked_share: masked.iter().sum::<f64>() / masked.len().max(1) as f64,
-        depth_maps: depth::folder(capture).map(|name| name.to_string_lossy().into_owned()),
+        depth_maps: depth_maps::folder(capture).map(|name| name.to_string_lossy().into_owned()),
     }
 }

@@ -6,12 +6,13 @@ use ply_rs_bw::ply::{ElementDef, Header, PropertyType, ScalarType};
 
 use super::pack::unpack_rest;
 use super::{CHUNK, CHUNKS, DEGREE_MAX, HARMONICS, PACKED, RANGES, Ranges};
-use crate::formats::{Format, FormatError};
+use crate::FileError;
+use crate::formats::Format;
 use crate::gaussians::GaussianRows;
 use crate::ply::{PlyReader, VERTEX, WorldFrame, brief, degree_of_rest, require, rest_names, vertex, world_frame};
 
 /// Reads a file whose header has been read, and its frame.
-pub fn read(path: &Path, mut input: PlyReader, header: &Header) -> Result<(GaussianRows, WorldFrame), FormatError> {
+pub fn read(path: &Path, mut input: PlyReader, header: &Header) -> Result<(GaussianRows, WorldFrame), FileError> {
     let world = world_frame(path, header)?;
     let vertex = vertex(path, header)?;
     let harmonics = header.elements.get(HARMONICS);
@@ -67,8 +68,8 @@ fn check(
     header: &Header,
     vertex: &ElementDef,
     harmonics: Option<&ElementDef>,
-) -> Result<(usize, usize), FormatError> {
-    let broken = |detail: String| FormatError::broken(path, Format::CompressedPly, detail);
+) -> Result<(usize, usize), FileError> {
+    let broken = |detail: String| FileError::broken(path, Format::CompressedPly, detail);
     let chunks = header
         .elements
         .get(CHUNKS)

@@ -9,13 +9,13 @@ use ply_rs_bw::writer::Writer;
 
 use super::pack::pack_rest;
 use super::{CHUNK, CHUNKS, HARMONICS, PACKED, RANGES, Ranges};
-use crate::formats::FormatError;
+use crate::FileError;
 use crate::gaussians::GaussianRows;
 use crate::ply::{VERTEX, WorldFrame, element, file_header, rest_names};
 use crate::replace::{WRITE, replace};
 
 /// Writes rows that fit the format ([`crate::formats::fit`]).
-pub fn write(path: &Path, rows: &GaussianRows, world: WorldFrame) -> Result<(), FormatError> {
+pub fn write(path: &Path, rows: &GaussianRows, world: WorldFrame) -> Result<(), FileError> {
     let of_chunk = |i: usize| CHUNK * i..rows.len().min(CHUNK * (i + 1));
     let ranges: Vec<Ranges> = (0..rows.len().div_ceil(CHUNK)).map(|i| Ranges::around(rows, of_chunk(i))).collect();
     let words: Vec<[u32; 4]> = (0..rows.len()).map(|row| ranges[row / CHUNK].pack(rows, row)).collect();
@@ -38,5 +38,5 @@ pub fn write(path: &Path, rows: &GaussianRows, world: WorldFrame) -> Result<(), 
         }
         out.write_all(&levels)
     };
-    replace(path, to_file).map_err(FormatError::io(path, WRITE))
+    replace(path, to_file).map_err(FileError::io(path, WRITE))
 }

@@ -10,7 +10,8 @@ use zip::ZipArchive;
 
 use super::meta::{Harmonics, Meta};
 use super::{DEGREE_MAX, LARGEST, LEVELS, META, PER_ROW, PLACES, expanded};
-use crate::formats::{Format, FormatError, SceneFile, extras, opacity, quaternion};
+use crate::FileError;
+use crate::formats::{Format, SceneFile, extras, opacity, quaternion};
 use crate::gaussians::GaussianRows;
 use crate::ply::{TrainedAs, WorldFrame, brief};
 
@@ -25,17 +26,17 @@ const EXPANSION_MAX: u64 = 16;
 const PIXELS_MORE: usize = 4_096;
 
 /// Reads an archive.
-pub fn read_archive(path: &Path) -> Result<SceneFile, FormatError> {
-    let file = File::open(path).map_err(FormatError::io(path, "open the scene (is the path right?)"))?;
-    let bytes = file.metadata().map_err(FormatError::io(path, "read the size of the file"))?.len();
-    let broken = |detail: String| FormatError::broken(path, Format::Sog, detail);
+pub fn read_archive(path: &Path) -> Result<SceneFile, FileError> {
+    let file = File::open(path).map_err(FileError::io(path, "open the scene (is the path right?)"))?;
+    let bytes = file.metadata().map_err(FileError::io(path, "read the size of the file"))?.len();
+    let broken = |detail: String| FileError::broken(path, Format::Sog, detail);
     let mut archive = ZipArchive::new(BufReader::new(file))
         .map_err(|error| broken(format!("its archive: {}", brief(&error.to_string()))))?;
     if archive.index_for_name(META).is_none() {
         let first = archive.file_names().next().and_then(Result::ok);
         let first = first.map_or("nothing".into(), |name| format!("`{}`", brief(&name)));
         let what = format!("a ZIP archive without `{META}`, so not SOG; it holds {first}");
-        return Err(FormatError::foreign(path, what, "unpack it, and name the scene in it"));
+        return Err(FileError::foreign(path, what, "unpack it, and name the scene in it"));
     }
     let mut load = |name: &str| {
         let entry = archive
@@ -51,12 +52,12 @@ pub fn read_archive(path: &Path) -> Result<SceneFile, FormatError> {
 }
 
 /// Reads a scene whose document `json` is the file `path`, with pictures beside it.
-pub fn read_folder(path: &Path, json: &[u8]) -> Result<SceneFile, FormatError> {
-    let broken = |detail: String| FormatError::broken(path, Format::Sog, detail);
+pub fn read_folder(path: &Path, json: &[u8]) -> Result<SceneFile, FileError> {
+    let broken = |detail: String| FileError::broken(path, Format::Sog, detail);
     let folder = path.with_file_name("");
     let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { &folder };
     let mut bytes = json.len() as u64;
-    let entries = fs::read_dir(folder).map_err(FormatError::io(path, "read the folder of the scene"))?;
+    let entries = fs::read_dir(folder).map_err(FileError::io(path, "read the folder of the scene"))?;
     for entry in entries.flatten() {
         bytes += entry.metadata().map_or(0, |metadata| metadata.len());
     }

@@ -11,14 +11,15 @@ use zip::{ZipArchive, ZipWriter};
 
 use super::META;
 use crate::formats::testing::{fixture, rows};
-use crate::formats::{self, Format, QuantisationError, SceneFile, SogOptions};
+use crate::formats::{self, Format, QuantisationError, SceneFile, SogOptions, WriteOptions};
 use crate::gaussians::GaussianRows;
 
 /// Writes with an entry of the palette for each Gaussian.
 fn written(rows: &GaussianRows, path: &Path) -> GaussianRows {
     let scene = SceneFile { rows: rows.clone(), ..SceneFile::default() };
-    let options = SogOptions { entries: Some(rows.len().max(1)) };
-    formats::write_sog(path, &scene, options).unwrap().rows.into_owned()
+    let sog = SogOptions { entries: Some(rows.len().max(1)) };
+    let options = WriteOptions { sog, ..WriteOptions::default() };
+    formats::write_with(path, &scene, Format::Sog, options).unwrap().rows.into_owned()
 }
 
 fn read(path: &Path) -> GaussianRows {

@@ -13,7 +13,8 @@ use super::codebook::{Quantised, quantise};
 use super::meta::{Asset, Harmonics, Means, Meta, PictureFiles, ValueCodes};
 use super::palette::palette;
 use super::{LARGEST, META, PER_ROW, PLACES, compressed};
-use crate::formats::{FormatError, SceneFile, extras, opacity, quaternion};
+use crate::FileError;
+use crate::formats::{SceneFile, extras, opacity, quaternion};
 use crate::gaussians::GaussianRows;
 use crate::replace::{WRITE, replace};
 
@@ -35,10 +36,10 @@ pub struct SogOptions {
 }
 
 /// Writes rows that fit the format ([`crate::formats::fit`]). `scene` gives the origin and the mark of antialiasing.
-pub fn write(path: &Path, rows: &GaussianRows, scene: &SceneFile, options: SogOptions) -> Result<(), FormatError> {
+pub fn write(path: &Path, rows: &GaussianRows, scene: &SceneFile, options: SogOptions) -> Result<(), FileError> {
     let archive = pack(rows, scene, options);
-    let archive = archive.map_err(FormatError::io(path, "code the pictures of the scene (write another format)"))?;
-    replace(path, |out| out.write_all(&archive)).map_err(FormatError::io(path, WRITE))
+    let archive = archive.map_err(FileError::io(path, "code the pictures of the scene (write another format)"))?;
+    replace(path, |out| out.write_all(&archive)).map_err(FileError::io(path, WRITE))
 }
 
 /// A picture of four channels, row by row.

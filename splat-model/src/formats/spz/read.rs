@@ -11,7 +11,8 @@ use splat_op::sh::SH_DEGREE_MAX;
 
 use super::pack::{Layout, SECTIONS, unpack};
 use super::{ANTIALIASED, GZIP, HEADER, MAGIC};
-use crate::formats::{Format, FormatError, SceneFile};
+use crate::FileError;
+use crate::formats::{Format, SceneFile};
 use crate::ply::TrainedAs;
 
 /// Maximum number of bytes that one byte of a file can expand to: the limit of deflate (zlib's documentation), and more than
@@ -33,11 +34,11 @@ pub fn is_spz(first: &[u8]) -> bool {
 }
 
 /// Reads a file that [`is_spz`] accepts.
-pub fn read(path: &Path) -> Result<SceneFile, FormatError> {
-    let file = File::open(path).map_err(FormatError::io(path, "open the scene (is the path right?)"))?;
-    let bytes = file.metadata().map_err(FormatError::io(path, "read the size of the file"))?.len();
+pub fn read(path: &Path) -> Result<SceneFile, FileError> {
+    let file = File::open(path).map_err(FileError::io(path, "open the scene (is the path right?)"))?;
+    let bytes = file.metadata().map_err(FileError::io(path, "read the size of the file"))?.len();
     let mut file = BufReader::with_capacity(1 << 20, file);
-    let is_gzip = file.fill_buf().map_err(FormatError::io(path, "read the scene"))?.starts_with(&GZIP);
+    let is_gzip = file.fill_buf().map_err(FileError::io(path, "read the scene"))?.starts_with(&GZIP);
     let of = Of { path, bytes };
     let (layout, flags, sections) = if is_gzip { of.gzip(file)? } else { of.zstd(file)? };
     let rows = unpack(&layout, sections.each_ref().map(Vec::as_slice));
@@ -55,12 +56,12 @@ struct Of<'a> {
 }
 
 impl Of<'_> {
-    fn broken(&self, detail: impl Into<String>) -> FormatError {
-        FormatError::broken(self.path, Format::Spz, detail)
+    fn broken(&self, detail: impl Into<String>) -> FileError {
+        FileError::broken(self.path, Format::Spz, detail)
     }
 
     /// Reads exactly `bytes` bytes; `name` describes them in messages. Memory grows only with bytes that exist.
-    fn exactly(&self, source: &mut impl Read, name: &str, bytes: usize) -> Result<Vec<u8>, FormatError> {
+    fn exactly(&self, source: &mut impl Read, name: &str, bytes: usize) -> Result<Vec<u8>, FileError> {
         let mut found = Vec::new();
         let read = source.take(bytes as u64).read_to_end(&mut found);
         read.map_err(|error| self.broken(format!("{name}: {error}")))?;
@@ -71,7 +72,7 @@ impl Of<'_> {
     }
 
     /// Versions 1 to 3.
-    fn gzip(&self, file: BufReader<File>) -> Result<SpzSections, FormatError> {
+    fn gzip(&self, file: BufReader<File>) -> Result<SpzSections, FileError> {
         let mut stream = GzDecoder::new(file);
         let header = self.exactly(&mut stream, "header", 16)?;
         let (layout, flags) = self.layout(&header, 1..=3)?;
@@ -86,7 +87,7 @@ impl Of<'_> {
     }
 
     /// Version 4.
-    fn zstd(&self, mut file: BufReader<File>) -> Result<SpzSections, FormatError> {
+    fn zstd(&self, mut file: BufReader<File>) -> Result<SpzSections, FileError> {
         let header = self.exactly(&mut file, "header", HEADER)?;
         let (layout, flags) = self.layout(&header, 4..=4)?;
         let sizes = layout.bytes().map(|each| each * layout.count);
@@ -124,13 +125,13 @@ impl Of<'_> {
         Ok((layout, flags, sections))
     }
 
-    fn seek(&self, file: &mut BufReader<File>, to: u64) -> Result<(), FormatError> {
-        file.seek(SeekFrom::Start(to)).map_err(FormatError::io(self.path, "read the scene")).map(drop)
+    fn seek(&self, file: &mut BufReader<File>, to: u64) -> Result<(), FileError> {
+        file.seek(SeekFrom::Start(to)).map_err(FileError::io(self.path, "read the scene")).map(drop)
     }
 
     /// Parses the 16 bytes that all versions begin with. Returns the layout and the flags. Refuses more Gaussians than the file
     /// can hold.
-    fn layout(&self, header: &[u8], versions: RangeInclusive<u32>) -> Result<(Layout, u8), FormatError> {
+    fn layout(&self, header: &[u8], versions: RangeInclusive<u32>) -> Result<(Layout, u8), FileError> {
         if header[..4] != MAGIC {
             let found = header[..4].escape_ascii();
             return Err(self.broken(format!("its contents begin with `{found}`, expected `NGSP`")));

@@ -11,7 +11,9 @@ use tempfile::TempDir;
 use super::pack::{Layout, farthest, fraction, pack};
 use super::{GZIP, HEADER, MAGIC};
 use crate::formats::testing::{fixture, rows, spoil};
-use crate::formats::{self, Format, QuantisationError, SceneFile, SpzOptions, SpzVersion};
+use crate::formats::{
+    self, FileError, Format, QuantisationError, SceneFile, SpzOptions, SpzVersion, WriteOptions, Written,
+};
 use crate::gaussians::GaussianRows;
 use crate::ply::TrainedAs;
 
@@ -20,11 +22,15 @@ fn written(rows: &GaussianRows, path: &Path) -> GaussianRows {
     formats::write(path, &scene, Format::Spz).unwrap().rows.into_owned()
 }
 
+fn write_spz<'a>(path: &Path, scene: &'a SceneFile, spz: SpzOptions) -> Result<Written<'a>, FileError> {
+    formats::write_with(path, scene, Format::Spz, WriteOptions { spz, ..WriteOptions::default() })
+}
+
 /// Writes version 3.
 fn written_three(rows: &GaussianRows, path: &Path) -> GaussianRows {
     let scene = SceneFile { rows: rows.clone(), ..SceneFile::default() };
     let options = SpzOptions { version: SpzVersion::Three, ..SpzOptions::default() };
-    formats::write_spz(path, &scene, options).unwrap().rows.into_owned()
+    write_spz(path, &scene, options).unwrap().rows.into_owned()
 }
 
 fn read(path: &Path) -> GaussianRows {
@@ -93,7 +99,7 @@ fn harmonics_have_the_bits_that_are_asked_for() {
     let scene = SceneFile { rows, ..SceneFile::default() };
     let mut bytes = 0;
     for bits in [[3, 2], [5, 4], [6, 6], [8, 8]] {
-        formats::write_spz(&path, &scene, SpzOptions { sh_bits: bits, ..SpzOptions::default() }).unwrap();
+        write_spz(&path, &scene, SpzOptions { sh_bits: bits, ..SpzOptions::default() }).unwrap();
         let found = read(&path);
         for (i, (a, b)) in scene.rows.sh_rest.iter().zip(&found.sh_rest).enumerate() {
             let half = 2.0_f32.powi(-i32::from(bits[usize::from(i % per_row >= 9)]));
@@ -103,7 +109,7 @@ fn harmonics_have_the_bits_that_are_asked_for() {
         assert!(size > bytes, "{bits:?}: {size} bytes after {bytes}");
         bytes = size;
     }
-    formats::write_spz(&path, &scene, SpzOptions { version: SpzVersion::Four, sh_bits: [5, 4] }).unwrap();
+    write_spz(&path, &scene, SpzOptions { version: SpzVersion::Four, sh_bits: [5, 4] }).unwrap();
     let same = fs::read(&path).unwrap();
     written(&scene.rows, &path);
     assert!(same == fs::read(&path).unwrap(), "the reference's version and bits are the default");
@@ -321,7 +327,7 @@ fn versions_three_and_four_hold_the_same() {
         (0..scene.rows.len()).for_each(|row| rows.push(&scene.rows, row));
         let scene = SceneFile { rows, ..scene };
         for (path, version) in [(&three, SpzVersion::Three), (&four, SpzVersion::Four)] {
-            formats::write_spz(path, &scene, SpzOptions { version, ..SpzOptions::default() }).unwrap();
+            write_spz(path, &scene, SpzOptions { version, ..SpzOptions::default() }).unwrap();
         }
         assert_eq!(formats::read(&three).unwrap(), formats::read(&four).unwrap());
         assert!(formats::read(&four).unwrap().0.trained.antialias);

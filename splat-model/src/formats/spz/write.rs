@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use super::pack::{farthest, fraction, pack};
 use super::{ANTIALIASED, HEADER, MAGIC};
-use crate::formats::FormatError;
+use crate::FileError;
 use crate::gaussians::GaussianRows;
 use crate::replace::{WRITE, replace};
 
@@ -43,8 +43,8 @@ impl Default for SpzOptions {
 }
 
 /// Writes rows that fit the format ([`crate::formats::fit`]).
-pub fn write(path: &Path, rows: &GaussianRows, antialiased: bool, options: SpzOptions) -> Result<(), FormatError> {
-    replace(path, |out| write_to(out, rows, antialiased, options)).map_err(FormatError::io(path, WRITE))
+pub fn write(path: &Path, rows: &GaussianRows, antialiased: bool, options: SpzOptions) -> Result<(), FileError> {
+    replace(path, |out| write_to(out, rows, antialiased, options)).map_err(FileError::io(path, WRITE))
 }
 
 fn write_to(out: &mut impl Write, rows: &GaussianRows, antialiased: bool, options: SpzOptions) -> io::Result<()> {

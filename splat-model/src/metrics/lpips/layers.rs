@@ -30,7 +30,7 @@ pub enum Net {
 }
 
 /// The layers between two taps. The features after the last layer are compared.
-pub type Slice = &'static [NetworkLayer];
+pub type LayerSlice = &'static [NetworkLayer];
 
 const fn conv(number: usize, channels: usize, side: usize, stride: usize, padding: usize) -> NetworkLayer {
     NetworkLayer { convolution: Some((number, channels)), side, stride, padding }
@@ -40,7 +40,7 @@ const fn pool(side: usize, stride: usize) -> NetworkLayer {
     NetworkLayer { convolution: None, side, stride, padding: 0 }
 }
 
-const ALEX: [Slice; TAPS] = [
+const ALEX: [LayerSlice; TAPS] = [
     &[conv(0, 64, 11, 4, 2)],
     &[pool(3, 2), conv(3, 192, 5, 1, 2)],
     &[pool(3, 2), conv(6, 384, 3, 1, 1)],
@@ -48,7 +48,7 @@ const ALEX: [Slice; TAPS] = [
     &[conv(10, 256, 3, 1, 1)],
 ];
 
-const VGG: [Slice; TAPS] = [
+const VGG: [LayerSlice; TAPS] = [
     &[conv(0, 64, 3, 1, 1), conv(2, 64, 3, 1, 1)],
     &[pool(2, 2), conv(5, 128, 3, 1, 1), conv(7, 128, 3, 1, 1)],
     &[pool(2, 2), conv(10, 256, 3, 1, 1), conv(12, 256, 3, 1, 1), conv(14, 256, 3, 1, 1)],
@@ -66,7 +66,7 @@ impl Net {
     }
 
     /// The layers up to each of the compared features.
-    pub fn slices(self) -> [Slice; TAPS] {
+    pub fn slices(self) -> [LayerSlice; TAPS] {
         match self {
             Self::Alex => ALEX,
             Self::Vgg => VGG,

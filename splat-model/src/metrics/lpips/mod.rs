@@ -25,7 +25,6 @@ use thiserror::Error;
 
 pub use self::layers::Net;
 use self::layers::{NetworkLayer, SidePart, TAPS, parts};
-pub use self::weights::WeightsError;
 
 /// Added to the length of a feature vector, as in the package's `normalize_tensor`.
 const LENGTH_EPSILON: f64 = 1e-10;

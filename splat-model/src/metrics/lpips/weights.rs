@@ -1,16 +1,16 @@
 //! Weights from a file: safetensors with the names and shapes of the package's own `state_dict`.
 
 use std::fs::File;
-use std::io::{self, Read};
-use std::path::{Path, PathBuf};
+use std::io::Read;
+use std::path::Path;
 
 use burn::tensor::{Device, Tensor, TensorData};
 use safetensors::{Dtype, SafeTensors};
 use splat_op::is_gpu;
-use thiserror::Error;
 
 use super::layers::{Net, NetworkLayer};
 use super::{Convolution, Lpips, MOST_ON_CPU, MOST_ON_GPU};
+use crate::FileError;
 use crate::ply::brief;
 
 /// Largest size of a file, bytes. Torchvision's complete VGG16, including the layers that LPIPS does not use, is 553 MB.
@@ -19,28 +19,6 @@ const MOST_BYTES: u64 = 600_000_000;
 /// The tensor whose shape identifies the network.
 const FIRST: &str = "net.slice1.0.weight";
 
-/// Weights that cannot be read. Each message names the file.
-#[derive(Debug, Error)]
-#[non_exhaustive]
-pub enum WeightsError {
-    /// The operating system reported an error.
-    #[error("{path}: could not read the weights of LPIPS: {source}", path = path.display())]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// The system's reason.
-        source: io::Error,
-    },
-    /// The file is not a safetensors file, is damaged, or holds other tensors than those of a supported network.
-    #[error("{path}: {detail}; docs/METRICS.md describes the tensors and has the command that exports them", path = path.display())]
-    Format {
-        /// The file.
-        path: PathBuf,
-        /// What was found and what was expected.
-        detail: String,
-    },
-}
-
 impl Lpips {
     /// Reads the weights of a network and moves them to a device. The shape of the first layer identifies the network. Tensors
     /// with other names are ignored.
@@ -48,9 +26,13 @@ impl Lpips {
     /// # Errors
     /// If the file cannot be read or is not a safetensors file, if its tensors belong to no supported network, or if one of
     /// them is missing, has another shape or type, or holds values that are not finite or, in a linear layer, negative.
-    pub fn read(path: &Path, device: &Device) -> Result<Self, WeightsError> {
-        let io = |source| WeightsError::Io { path: path.to_owned(), source };
-        let format = |detail: String| WeightsError::Format { path: path.to_owned(), detail };
+    pub fn read(path: &Path, device: &Device) -> Result<Self, FileError> {
+        let error = |detail: String| FileError::new(path, detail);
+        let io = |reason| FileError::io(path, "read the weights of LPIPS")(reason);
+        let format = |found: String| {
+            let advice = "docs/METRICS.md describes the tensors and has the command that exports them";
+            error(format!("{found}; {advice}"))
+        };
         let mut bytes = Vec::new();
         File::open(path).map_err(io)?.take(MOST_BYTES + 1).read_to_end(&mut bytes).map_err(io)?;
         if bytes.len() as u64 > MOST_BYTES {

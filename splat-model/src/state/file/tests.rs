@@ -51,7 +51,7 @@ fn other_files_are_told_apart() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.safetensors");
     let read = || State::read(&path).unwrap_err();
-    assert!(matches!(read(), FileError::Io { .. }));
+    assert!(read().to_string().contains("could not read it"), "{}", read());
     let state = state();
     let views = || state.views().map(Result::unwrap);
     safetensors::serialize_to_file(views(), None, &path).unwrap();
@@ -60,7 +60,7 @@ fn other_files_are_told_apart() {
     safetensors::serialize_to_file(views(), Some(newer), &path).unwrap();
     assert!(read().to_string().contains("\"2\""), "{}", read());
     fs::write(&path, b"").unwrap();
-    assert!(matches!(read(), FileError::Damaged { .. }));
+    assert!(read().to_string().contains("the file is damaged"), "{}", read());
 }
 
 #[test]

@@ -243,7 +243,7 @@ fn read_again(lost: Option<&'static str>) -> (Vec<Photograph>, Arc<AtomicUsize>)
     let count = Arc::new(AtomicUsize::new(0));
     let photograph = |photo: Photo| {
         let (again, counted) = (photo.clone(), Arc::clone(&count));
-        Photograph::read_again(&photo, move || {
+        Photograph::read_later((&photo).into(), &Arc::default(), move || {
             counted.fetch_add(1, Ordering::Relaxed);
             match lost == Some(again.name.as_str()) {
                 true => Err(CaptureError::Changed { name: again.name.clone() }),

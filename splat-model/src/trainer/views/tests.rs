@@ -104,7 +104,7 @@ fn forgetful(photos: &[Photo]) -> (Vec<Photograph>, Arc<Mutex<BTreeMap<String, u
     let counts = Arc::new(Mutex::new(BTreeMap::new()));
     let one = |photo: &Photo| {
         let (again, counts) = (photo.clone(), Arc::clone(&counts));
-        Photograph::read_again(photo, move || {
+        Photograph::read_later(photo.into(), &Arc::default(), move || {
             *counts.lock().unwrap().entry(again.name.clone()).or_insert(0) += 1;
             Ok(again.clone())
         })
@@ -143,7 +143,7 @@ fn what_is_let_go_is_decoded_in_time_and_once_a_step() {
 fn a_picture_that_has_gone_is_an_error() {
     let photo = photos([0.0; 3]).remove(0);
     let gone = || CaptureError::Changed { name: "a".into() };
-    let lost = Photograph::read_again(&photo, move || Err(gone()));
+    let lost = Photograph::read_later((&photo).into(), &Arc::default(), move || Err(gone()));
     let mut views = Views::new(vec![lost], [0.0; 3], 64, &Device::flex());
     assert!(views.prepare(0, None).is_err());
     views.expect([0]);

@@ -170,6 +170,57 @@ impl RayGaussian {
             alpha: select(known && seen && alpha >= frame.alpha_min, alpha, 0.0),
         }
     }
+
+    /// Adds a pixel to the sums, from `h = α ∂L/∂α` and the weight times the gradient of depth, `seen`.
+    fn add_to(
+        &self,
+        to: &mut RaySums,
+        layer: &RayLayer,
+        h: f32,
+        seen: f32,
+        #[comptime] depth: bool,
+        #[comptime] absolute: bool,
+    ) {
+        let (u, v) = (layer.u, layer.v);
+        let (slope_u, slope_v) = (self.depth_slope_u, self.depth_slope_v);
+        let (a, b, c) = (layer.apart_u, layer.apart_v, layer.apart_s);
+        // As `fma`, so that no compiler rounds otherwise where the sums of absolute values read these too.
+        let (reach_u, reach_v) = (fma(c, slope_u, a), fma(c, slope_v, b));
+        let of_depth = h * c;
+        let mut of_gamma = -of_depth;
+        let mut of_thickness = c * of_depth;
+        // The negative gradients of `α` and `β`.
+        let mut centre_u = h * reach_u;
+        let mut centre_v = h * reach_v;
+        if comptime!(depth) {
+            let of_lambda = seen * self.depth;
+            let (far, along_s) = (of_lambda * layer.phi, of_lambda * layer.along);
+            of_gamma += along_s;
+            of_thickness -= 2.0 * c * along_s;
+            centre_u = fma(h, reach_u, fma(far, u, -(along_s * slope_u)));
+            centre_v = fma(h, reach_v, fma(far, v, -(along_s * slope_v)));
+            to.sums[3] += far * reach_u * u;
+            to.sums[4] += far * reach_v * u;
+            to.sums[5] += far * reach_v * v;
+            to.sums[6] -= far * c * u;
+            to.sums[7] -= far * c * v;
+        }
+        to.sums[6] += of_gamma * a;
+        to.sums[7] += of_gamma * b;
+        to.sums[8] += self.thickness * of_thickness;
+        to.sums[9] += of_gamma;
+        to.sums[0] += h;
+        to.sums[1] += centre_u;
+        to.sums[2] += centre_v;
+        to.sums[3] += centre_u * a;
+        to.sums[4] += centre_v * a;
+        to.sums[5] += centre_v * b;
+        if comptime!(absolute) {
+            let (x, y) = self.per_px(centre_u, centre_v);
+            to.sums[10] += x.abs();
+            to.sums[11] += y.abs();
+        }
+    }
 }
 
 /// Takes the columns of a lens from three vectors of four, if there is one.
@@ -294,7 +345,7 @@ impl Splat for RayGaussian {
                 if comptime!(shape.depth) {
                     seen = weight * grad[of_depth + pixel.index];
                 }
-                sums.add(splat, &layer, heights[at], seen, shape.depth, absolute);
+                splat.add_to(&mut sums, &layer, heights[at], seen, shape.depth, absolute);
             }
         }
         sums.add_to(row, shape, absolute);

@@ -84,7 +84,7 @@ impl<F: Real> LensLimitsSimd<F> {
 /// Rows that hold what a lens makes of Gaussians.
 pub(super) struct Bent<S: Simd, F: Real> {
     pub row: Ellipse<F::Lanes<S>>,
-    /// Whether anything is known, and whether the Gaussian misses the picture.
+    /// Whether the lens gives bounds, and whether the Gaussian misses the picture.
     pub known: MaskOf<S, F>,
     pub missed: MaskOf<S, F>,
 }

@@ -50,9 +50,9 @@ fn nothing_is_left_after_the_last_step_and_nothing_is_known_before_the_second() 
     let config = TrainConfig { steps: 3, ..TrainConfig::default() };
     let mut forecast = Forecast::new(config, vec![], 10, 100.0);
     forecast.observe(RunProgress { step: 1, splats: 10, seconds: 9.0 });
-    assert_eq!((forecast.left_s(), forecast.mean_s()), (0.0, 0.0));
+    assert_eq!((forecast.left_s(), forecast.step_s()), (0.0, 0.0));
     forecast.observe(RunProgress { step: 2, splats: 10, seconds: 9.5 });
-    assert!((forecast.left_s() - 0.5).abs() < 1e-9 && (forecast.mean_s() - 0.5).abs() < 1e-9);
+    assert!((forecast.left_s() - 0.5).abs() < 1e-9 && (forecast.step_s() - 0.5).abs() < 1e-9);
     forecast.observe(RunProgress { step: 3, splats: 10, seconds: 10.0 });
     assert_eq!(forecast.left_s(), 0.0);
 }

@@ -8,7 +8,7 @@ use super::super::html::{escape, table};
 use super::super::metrics::{Metrics, Seconds};
 use super::super::{METRICS, VIEWS, perceived};
 use super::comparisons::{Comparisons, MOST};
-use crate::effects::Chosen;
+use crate::effects::ChosenEffects;
 use crate::inspect;
 
 /// The main results of a run.
@@ -93,7 +93,7 @@ pub fn views(scores: Option<&Scores>, comparisons: &Comparisons) -> String {
 }
 
 /// The survey of the capture and the decisions on effects.
-pub fn effects(chosen: Option<&Chosen>) -> String {
+pub fn effects(chosen: Option<&ChosenEffects>) -> String {
     let Some(chosen) = chosen else { return String::new() };
     let names: Vec<&str> = chosen.on.iter().map(|effect| effect.name()).collect();
     let on = if names.is_empty() { "none".into() } else { names.join(", ") };

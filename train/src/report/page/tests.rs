@@ -46,7 +46,7 @@ fn metrics(views: Vec<ViewScore>, capture: &str) -> Metrics {
         splats: 3,
         culled_non_finite: 0,
         steps: Some(100),
-        seconds: Seconds { load: 0.25, train: Some(100.5), eval: 1.0 },
+        seconds: Seconds { load: 0.25, train: Some(100.5), scores: Some(2.0), eval: 1.0 },
         peak_rss_mib: None,
         device: NASTY.into(),
         effects: None,

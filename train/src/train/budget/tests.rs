@@ -1,3 +1,5 @@
+use std::sync::Arc;
+
 use glam::DAffine3;
 use splat_model::capture::Photo;
 use splat_model::optim::MomentBits;
@@ -14,7 +16,7 @@ fn photo() -> Photo {
 #[test]
 fn a_budget_is_the_sum_of_what_is_there() {
     let kept = Photograph::from(photo());
-    let let_go = Photograph::read_again(&photo(), || Ok(photo()));
+    let let_go = Photograph::read_later((&photo()).into(), &Arc::default(), || Ok(photo()));
     let config = TrainConfig { sh_degree: 0, cache_mib: 0, ..TrainConfig::default() };
     let budget = MemoryEstimate::of(&[kept.clone(), let_go], &[kept], &config, 10);
     assert_eq!(budget.photographs, 2 * 15_000);

@@ -17,13 +17,13 @@ use burn::tensor::{Bool, Tensor};
 use rayon::prelude::*;
 use splat_op::Intrinsics;
 
-use crate::capture::names::Names;
-use crate::capture::{Capture, CaptureError, Photo, image};
+use super::names::Names;
+use super::{Capture, CaptureError, Photo, image};
 
 /// Folders of the capture that are searched for masks.
 const FOLDERS: [&str; 2] = ["masks", "mask"];
 
-pub(crate) fn folders(capture: &Capture) -> Vec<PathBuf> {
+pub(super) fn folders(capture: &Capture) -> Vec<PathBuf> {
     FOLDERS.iter().map(|name| capture.folder.join(name)).filter(|folder| folder.is_dir()).collect()
 }
 
@@ -42,7 +42,7 @@ fn of_views(capture: &Capture, views: impl IntoIterator<Item = usize>) -> Vec<Op
 }
 
 /// The names of a photograph's mask or depth map: its own with `.png` added, and with the extension replaced.
-pub(crate) fn names(photograph: &str) -> [String; 2] {
+pub(super) fn names(photograph: &str) -> [String; 2] {
     let replaced = Path::new(photograph).with_extension("png");
     [format!("{photograph}.png"), replaced.to_string_lossy().into_owned()]
 }
@@ -87,7 +87,7 @@ pub fn attach(capture: &Capture, views: &[usize], photos: &mut Vec<Photo>) -> Re
     masked.try_for_each(|(photo, view, file)| {
         let camera = &capture.views[view].intrinsics;
         let to = [photo.intrinsics.width, photo.intrinsics.height];
-        let mask = resized(&load(file, camera)?, [camera.width, camera.height], to);
+        let mask = image::resized_mask(&load(file, camera)?, [camera.width, camera.height], to);
         photo.mask = mask.contains(&false).then_some(mask);
         Ok(())
     })?;
@@ -98,20 +98,6 @@ pub fn attach(capture: &Capture, views: &[usize], photos: &mut Vec<Photo>) -> Re
 /// Share of a mask's pixels that do not count.
 pub fn excluded_share(mask: &[bool]) -> f64 {
     mask.iter().filter(|&&counts| !counts).count() as f64 / mask.len().max(1) as f64
-}
-
-/// Resizes a mask. A pixel counts if all pixels that it covers count.
-pub fn resized(mask: &[bool], from: [usize; 2], to: [usize; 2]) -> Vec<bool> {
-    let [width, height] = from;
-    let covered = |at: usize, from: usize, to: usize| at * from / to..((at + 1) * from).div_ceil(to);
-    let rows = (0..to[1]).map(|row| covered(row, height, to[1]));
-    let counts = rows.flat_map(|rows| {
-        let columns = (0..to[0]).map(|column| covered(column, width, to[0]));
-        columns.map(move |columns| {
-            rows.clone().all(|row| mask[row * width..][columns.clone()].iter().all(|&counts| counts))
-        })
-    });
-    counts.collect()
 }
 
 /// `image`, `[H, W, C]`, with zeros where `excluded`, `[1, H, W]`, is true. The gradient is exactly zero there.

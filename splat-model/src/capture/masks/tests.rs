@@ -2,6 +2,7 @@ use burn::tensor::{Device, Distribution, TensorData};
 use glam::DAffine3;
 
 use super::*;
+use crate::capture::image::resized_mask;
 use crate::capture::{PointCloud, View};
 use crate::gaussians::testing::devices;
 use crate::gaussians::values_of;
@@ -78,10 +79,10 @@ fn a_run_does_not_see_what_is_excluded() {
 fn a_smaller_mask_keeps_only_what_is_whole() {
     let mut mask = vec![true; 24];
     mask[2 * 6 + 3] = false;
-    assert_eq!(resized(&mask, [6, 4], [6, 4]), mask);
-    assert_eq!(resized(&mask, [6, 4], [3, 2]), [true, true, true, true, false, true]);
+    assert_eq!(resized_mask(&mask, [6, 4], [6, 4]), mask);
+    assert_eq!(resized_mask(&mask, [6, 4], [3, 2]), [true, true, true, true, false, true]);
     // Pixel 1 of 4 covers the range 1.5 to 3 of 6, pixel 2 the range 3 to 4.5.
-    assert_eq!(resized(&mask, [6, 4], [4, 1]), [true, true, false, true]);
+    assert_eq!(resized_mask(&mask, [6, 4], [4, 1]), [true, true, false, true]);
 }
 
 #[test]
