@@ -110,7 +110,9 @@ fn no_correction_is_the_pose_to_the_last_bit_and_others_are_rigid() {
         let square: f64 = omega.iter().map(|x| x * x).sum();
         let trace = found[0] + found[5] + found[10];
         assert!((trace - 1.0 - 2.0 * (2.0 * (square.sqrt() / 2.0).atan()).cos()).abs() < 1e-12);
+        let axial = [found[9] - found[6], found[2] - found[8], found[4] - found[1]];
         for i in 0..3 {
+            assert!((axial[i] - 2.0 * omega[i] / (1.0 + square / 4.0)).abs() < 1e-12, "the sense of the rotation");
             assert!((inner_product(&found[4 * i..4 * i + 3], omega) - omega[i]).abs() < 1e-12 * size);
             assert!((found[4 * i + 3] - 3.0 * correction[3 + i]).abs() < 1e-12 * size);
         }
