@@ -22,6 +22,11 @@ const DRAWS: u64 = 6;
 /// Magnitude below which an f32, or an intermediate product, may have been flushed to zero.
 const SMALLEST: f64 = 1e-36;
 
+/// Whether nothing is compared: on the driver that launches nothing, `tests/cards/driver.c`, tests serve to launch every form of a kernel.
+fn launches_only() -> bool {
+    std::env::var_os("SPLAT_CAPABILITY").is_some()
+}
+
 /// Class of each row; `None` for a row in the boundary band, which is not compared.
 pub type Classes = [Option<u8>];
 
@@ -55,7 +60,7 @@ impl PerturbedReference {
     pub fn new(inputs: &[Vec<f64>], evaluate: impl Fn(&[Vec<f64>]) -> Vec<Vec<f64>>) -> Self {
         let expected = evaluate(inputs);
         let mut spread: Vec<Vec<f64>> = expected.iter().map(|tensor| vec![0.0; tensor.len()]).collect();
-        for draw in 0..DRAWS {
+        for draw in 0..if launches_only() { 0 } else { DRAWS } {
             let mut random = Random::new(1000 + draw);
             let inputs: Vec<Vec<f64>> = inputs.iter().map(|tensor| moved(tensor, &mut random)).collect();
             for ((spread, plain), moved) in spread.iter_mut().zip(&expected).zip(evaluate(&inputs)) {
@@ -74,6 +79,9 @@ impl PerturbedReference {
 
     /// Asserts the ceiling and returns the largest share of it that an element uses.
     pub fn check(&self, what: &str, tensor: usize, found: &[f32], classes: &Classes) -> f64 {
+        if launches_only() {
+            return 0.0;
+        }
         let (expected, spread) = (&self.expected[tensor], &self.spread[tensor]);
         assert_eq!(found.len(), expected.len(), "{what}");
         let columns = expected.len() / classes.len().max(1);
@@ -110,6 +118,9 @@ impl PerturbedReference {
     /// same. A row that one ulp in the inputs moves by more than the tolerance is subject to the ceiling alone; the share of such
     /// rows in `ordinary` classes is bounded.
     pub fn check_gradient(&self, what: &str, tensor: usize, found: &[f32], classes: &Classes, ordinary: &[u8]) -> f64 {
+        if launches_only() {
+            return 0.0;
+        }
         let worst = self.check(what, tensor, found, classes);
         let (expected, spread) = (&self.expected[tensor], &self.spread[tensor]);
         let columns = expected.len() / classes.len().max(1);

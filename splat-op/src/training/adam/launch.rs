@@ -1,7 +1,5 @@
 //! Launches of Adam's step and of the check for finite values.
 
-use cubecl::prelude::ComptimeOptionArgs;
-
 use super::forward::{AdamParamLaunch, StepFactorsLaunch, WatchedCountsLaunch, adam_kernel, watch_kernel};
 use super::rule::{Band, Factors, WATCHED};
 use crate::gpu::{Buffer, Gpu, elementwise, given, search};
@@ -51,10 +49,7 @@ pub(crate) fn launch_adam(gpu: &Gpu, steps: &[&DeviceStep], verdict: Option<&Buf
     if count == 0 {
         return;
     }
-    let other = |i: usize| match others.get(i) {
-        Some(step) => ComptimeOptionArgs::Some(step.arg()),
-        None => ComptimeOptionArgs::None,
-    };
+    let other = |i: usize| others.get(i).map(|step| step.arg()).into();
     let (unused, marks) = (Buffer::new(gpu, 0), mark.is_some());
     let (grid, dim) = elementwise(count);
     // SAFETY: every access is guarded by the lengths given, which the buffers of a parameter share.

@@ -60,7 +60,7 @@ pub struct Stepped<const D: usize> {
 /// Pass `from` by its only handle: memory that nothing else holds is reused.
 ///
 /// # Panics
-/// If [`has_kernel`] is false; use tensor code there.
+/// If [`has_kernel`] is false; use tensor code there. If the gradient or a moment has another shape than the parameter.
 pub fn step<const D: usize>(
     from: Stepped<D>,
     grad: &Tensor<D>,
@@ -92,7 +92,7 @@ pub struct GroupStep {
 /// [`crate::activate::activated`].
 ///
 /// # Panics
-/// If [`has_kernel`] is false.
+/// As [`step`].
 pub fn step_groups(
     steps: Vec<GroupStep>,
     verdict: Option<&Tensor<1, Int>>,

@@ -21,7 +21,8 @@ use crate::gpu::Buffer;
 /// Returns a tensor of integers in the type that the kernels use: none of theirs is negative, or they are bits.
 #[cfg(feature = "cube")]
 pub(super) fn unsigned(tensor: &CubeTensor, len: usize) -> Buffer<u32> {
-    debug_assert!(tensor.dtype == DType::I32 && tensor.shape().num_elements() == len);
+    // Kernels read it unchecked.
+    assert!(tensor.dtype == DType::I32 && tensor.shape().num_elements() == len, "expected {len} integers of 32 bits");
     Buffer::from_handle(tensor.handle.clone(), len)
 }
 
@@ -40,12 +41,6 @@ fn prepared(args: &mut GpuArgs, first: usize, factors: Factors) -> DeviceStep {
     DeviceStep { state: DeviceState { param, m, v }, grad, factors, band }
 }
 
-#[cfg(feature = "cube")]
-fn stepped(step: DeviceStep) -> [GpuOutput; 3] {
-    let DeviceState { param, m, v } = step.state;
-    [param, m, v].map(|buffer| Some(buffer.handle))
-}
-
 /// One step of some parameters, unless the verdict names a step. Takes, optionally, the verdict, `[2]`, and the mark, `[1]`, and of each
 /// parameter itself, its gradient and its two moments; returns the mark, and each parameter and its moments, in place where nothing else
 /// holds their memory. The mark is set if a number of the parameter at `marked` is not usable afterwards, or if nobody looked.
@@ -57,6 +52,10 @@ pub(super) struct AdamGroups {
 
 impl Operation for AdamGroups {
     fn outputs(&self, inputs: &[Option<Spec>]) -> Vec<Option<Spec>> {
+        for tensors in inputs[2..].chunks(4) {
+            let same = tensors.iter().all(|tensor| *tensor == tensors[0]);
+            assert!(same, "a parameter, its gradient and its moments have one shape, found {tensors:?}");
+        }
         let of_steps = (0..self.factors.len()).flat_map(|i| [2, 4, 5].map(|j| 4 * i + j));
         [1].into_iter().chain(of_steps).map(|i| inputs[i].clone()).collect()
     }
@@ -75,7 +74,8 @@ impl Operation for AdamGroups {
         if let Some((before, (step, mark))) = before {
             launch_adam(&gpu, &[before, step], verdict.as_ref(), Some(&unsigned(mark, 1)));
         }
-        [mark.map(|mark| mark.handle)].into_iter().chain(steps.into_iter().flat_map(stepped)).collect()
+        let states = steps.into_iter().flat_map(|DeviceStep { state: DeviceState { param, m, v }, .. }| [param, m, v]);
+        [mark.map(|mark| mark.handle)].into_iter().chain(states.map(|buffer| Some(buffer.handle))).collect()
     }
 }
 

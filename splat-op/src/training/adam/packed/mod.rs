@@ -138,7 +138,7 @@ pub struct PackedStep<const D: usize> {
 /// Pass `from` by its only handle: memory that nothing else holds is reused.
 ///
 /// # Panics
-/// If [`super::has_kernel`] is false; use [`step_on_host`] there.
+/// If [`super::has_kernel`] is false; use [`step_on_host`] there. If the gradient or the moments do not fit the parameter.
 pub fn step_packed<const D: usize>(
     from: PackedStep<D>,
     grad: &Tensor<D>,
