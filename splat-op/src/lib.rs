@@ -96,10 +96,12 @@ pub use effects::{bilateral, colour_map, depth_miss, environment, optics, pose, 
 pub use error::SplatError;
 pub use read::read_back;
 pub use stages::colour::{colours, colours_up_to, evaluate_sh, visible_colours};
+pub use stages::contributors::{Contributors, MAX_CONTRIBUTORS, contributors};
 pub use stages::normals::normals;
 pub use stages::options::{Accumulation, MAX_UNCULLED_INTERSECTIONS, Projection, RenderOptions};
 pub use stages::render::{render, render_each, render_view};
 pub use stages::splats::{Colour, Extras, Splats};
+pub use stages::tile_mask::intersect_masked;
 // Names of stages are those of functions and of their modules.
 pub use stages::{Ellipses, Intersections, Projected, Rendered, intersect, project, rasterize};
 pub use stages::{options, rasterize_rays, ray_space, sh};

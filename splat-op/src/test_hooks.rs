@@ -27,7 +27,7 @@ pub fn pair_counts(
     intersections: &crate::Intersections,
     options: &crate::RenderOptions,
 ) -> Result<Option<PairCounts>, crate::SplatError> {
-    let trace = crate::rasterize::TraceCell::default();
+    let trace = crate::intersect::Kept::default();
     count_pairs(true);
     // Reading waits until the render has run, after which nothing is counted, in case of an error too.
     let rendered = crate::stages::traced(projected, features, intersections, options, &trace);

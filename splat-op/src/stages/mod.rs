@@ -16,11 +16,13 @@ pub mod rasterize_rays;
 
 // Their inputs, and all of them in one call.
 pub(crate) mod colour;
+pub(crate) mod contributors;
 pub(crate) mod normals;
 pub mod options;
 pub(crate) mod projected;
 pub(crate) mod render;
 pub(crate) mod splats;
+pub(crate) mod tile_mask;
 
 use burn::tensor::{Int, Tensor};
 
@@ -32,13 +34,13 @@ use crate::camera::{Camera, Intrinsics};
 use crate::check::{Reference, check_positive};
 use crate::error::SplatError;
 use crate::intersect::operation::Intersect;
-use crate::intersect::{IntersectionCell, tile_grid};
+use crate::intersect::{Kept, tile_grid};
 use crate::limits::Need;
 use crate::options::RenderOptions;
 use crate::project::operation::Project;
 use crate::project::{COLUMNS, Geometry, ProjectSpec};
+use crate::rasterize::RasterizeSpec;
 use crate::rasterize::operation::Rasterize;
-use crate::rasterize::{RasterizeSpec, TraceCell};
 use crate::ray_space::operation::{Bounds, RaySpace};
 
 /// The intersections of Gaussians and tiles of one view, as [`intersect`](fn@intersect) returns them.
@@ -46,7 +48,7 @@ use crate::ray_space::operation::{Bounds, RaySpace};
 pub struct Intersections {
     /// `[tiles along y, tiles along x]`: number of Gaussians listed in each tile of 16 × 16 px.
     pub counts: Tensor<2, Int>,
-    cell: IntersectionCell,
+    lists: Kept,
     /// Number of Gaussians, and what else the lists depend on.
     of: (usize, RasterizeSpec),
 }
@@ -139,19 +141,28 @@ pub fn project(
 /// If an option is out of range, if `projected` was not made with `options.projection`, or if
 /// `options.alpha_min` is zero and there are more than [`crate::MAX_UNCULLED_INTERSECTIONS`] pairs of a Gaussian and a tile.
 pub fn intersect(projected: &Projected, options: &RenderOptions) -> Result<Intersections, SplatError> {
+    lists_of(projected, None, options)
+}
+
+/// Lists the Gaussians in the tiles of a mask, i32, or in all tiles.
+fn lists_of(
+    projected: &Projected,
+    mask: Option<Tensor<2, Int>>,
+    options: &RenderOptions,
+) -> Result<Intersections, SplatError> {
     options.check()?;
     let [tiles_x, tiles_y] = tile_grid(projected.intrinsics.width, projected.intrinsics.height);
     options.check_uncut(projected.len(), tiles_x * tiles_y)?;
     check_rays(projected, options)?;
     check_fits(&projected.packed.device(), &[packed_need(projected.len())])?;
-    let cell = IntersectionCell::default();
+    let lists = Kept::default();
     let spec = RasterizeSpec { intrinsics: projected.intrinsics, options: *options };
     let mut packed = projected.packed.clone().detach();
     if let Some(ray_space) = &projected.ray_space {
         packed = apply(Bounds(spec), [packed.into(), ray_space.clone().detach().into()]).float(0);
     }
-    let counts = apply(Intersect { spec, cell: cell.clone() }, [packed.into()]).int(0);
-    Ok(Intersections { counts, cell, of: (projected.len(), spec) })
+    let counts = apply(Intersect { spec, lists: lists.clone() }, [packed.into(), mask.into()]).int(0);
+    Ok(Intersections { counts, lists, of: (projected.len(), spec) })
 }
 
 /// Rasterizes features `[N, C]`: blends the Gaussians of each tile front to back over `extras.background`.
@@ -180,7 +191,7 @@ pub(crate) fn traced(
     features: &Tensor<2>,
     intersections: &Intersections,
     options: &RenderOptions,
-    trace: &TraceCell,
+    trace: &Kept,
 ) -> Result<Rendered<3>, SplatError> {
     rasterized(projected, features, intersections, &Extras::default(), options, Some(trace.clone()))
 }
@@ -191,7 +202,7 @@ fn rasterized(
     intersections: &Intersections,
     extras: &Extras,
     options: &RenderOptions,
-    trace: Option<TraceCell>,
+    trace: Option<Kept>,
 ) -> Result<Rendered<3>, SplatError> {
     options.check()?;
     check_rays(projected, options)?;
@@ -210,7 +221,7 @@ fn rasterized(
     reference.check_device("intersections", &intersections.counts.device())?;
     let spec = RasterizeSpec { intrinsics: projected.intrinsics, options: *options };
     intersections.check(count, &spec)?;
-    let (counts, lists) = (&intersections.counts, intersections.cell.clone());
+    let (counts, lists) = (&intersections.counts, intersections.lists.clone());
     let ray_space = projected.ray_space.as_ref().map_or(Slot::Absent, Slot::from);
     let inputs =
         [(&projected.packed).into(), features.into(), background.into(), probe.into(), ray_space, counts.into()];

@@ -8,6 +8,7 @@ use crate::camera::Camera;
 use crate::check::{Reference, check_positive};
 use crate::error::SplatError;
 use crate::options::RenderOptions;
+use crate::stages::tile_mask::intersect_masked;
 use crate::stages::{Rendered, check_render_fits, intersect, project, rasterize};
 
 /// Renders Gaussians as seen by one or several cameras with pictures of one size.
@@ -87,7 +88,10 @@ pub fn render_view(
     check_render_fits(splats, 1, &camera.intrinsics, options)?;
     let projected = project(splats, camera, extras, options)?;
     let features = visible_colours(splats, camera, &projected, options)?;
-    let tiles = intersect(&projected, options)?;
+    let tiles = match &extras.tile_mask {
+        Some(tile_mask) => intersect_masked(&projected, tile_mask, options)?,
+        None => intersect(&projected, options)?,
+    };
     rasterize(&projected, &features, &tiles, extras, options)
 }
 

@@ -1,6 +1,6 @@
 //! Inputs of a render besides cameras and options: Gaussians, their colours, and optional inputs.
 
-use burn::tensor::Tensor;
+use burn::tensor::{Bool, Tensor};
 
 use crate::limits::Need;
 
@@ -34,6 +34,10 @@ pub struct Extras {
     pub mean2d_probe: Option<Tensor<2>>,
     /// `[N, 2]`: as `mean2d_probe`, with the absolute value of each pixel's contribution (AbsGrad, Ye et al. 2024).
     pub mean2d_abs_probe: Option<Tensor<2>>,
+    /// `[tiles along y, tiles along x]`: the tiles of 16 × 16 px to render, all if absent. The others show the background alone, with an
+    /// alpha of zero, and are not rasterized. All cameras of a call share it. Between the stages it is
+    /// [`intersect_masked`](crate::intersect_masked) that takes it.
+    pub tile_mask: Option<Tensor<2, Bool>>,
 }
 
 /// Colours or features of Gaussians.
