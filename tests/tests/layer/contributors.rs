@@ -75,7 +75,7 @@ fn contributors_are_the_first_of_the_exact_render_with_their_weights() {
                     assert!(halves.contains(&medians[pixel]), "{what}: {} instead of {halves:?}", medians[pixel]);
                     several += usize::from(medians[pixel] >= 0 && medians[pixel] != ids[pixel * k]);
                 }
-                assert!(several > 100 && medians.iter().any(|id| *id < 0), "{what}: {several} medians prove little");
+                assert!(several > 40 && medians.iter().any(|id| *id < 0), "{what}: {several} medians prove little");
             }
         }
     }
