@@ -81,6 +81,7 @@ pub use error::SplatError;
 pub use product::product;
 pub use read::read_back;
 pub use stages::colour::{colours, colours_up_to, evaluate_sh, visible_colours};
+pub use stages::contributors::{Contributors, MAX_CONTRIBUTORS, contributors};
 pub use stages::intersections::{Intersections, intersect};
 pub use stages::normals::normals;
 pub use stages::options::{Accumulation, MAX_UNCULLED_INTERSECTIONS, Projection, RenderOptions};
@@ -89,6 +90,7 @@ pub use stages::projected::{Ellipses, Projected, project};
 pub use stages::render::{render, render_each, render_view};
 pub use stages::rendered::{Rendered, rasterize};
 pub use stages::splats::{Colour, Extras, Splats};
+pub use stages::tile_mask::intersect_masked;
 // Three names of stages are those of a function and of a module.
 pub use stages::{intersect, options, project, rasterize, rasterize_rays, ray_space, sh};
 pub use tensor_code::{in_tensor_code, is_tensor_code};

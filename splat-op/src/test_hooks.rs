@@ -29,7 +29,7 @@ pub fn pair_counts(
     intersections: &crate::Intersections,
     options: &crate::RenderOptions,
 ) -> Result<Option<PairCounts>, crate::SplatError> {
-    let trace = crate::rasterize::TraceCell::default();
+    let trace = crate::intersect::Kept::default();
     let (checked, blend) = check(projected, features, intersections, &crate::Extras::default(), options)?;
     let blend = Blend { trace: Some(trace.clone()), ..blend };
     count_pairs(true);

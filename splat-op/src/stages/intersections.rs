@@ -7,7 +7,7 @@ use super::projected::Projected;
 use crate::backend::apply;
 use crate::camera::Intrinsics;
 use crate::error::SplatError;
-use crate::intersect::IntersectionCell;
+use crate::intersect::Kept;
 use crate::intersect::operation::Intersect;
 use crate::options::RenderOptions;
 use crate::rasterize::RasterizeSpec;
@@ -18,7 +18,7 @@ use crate::ray_space::operation::Bounds;
 pub struct Intersections {
     /// `[tiles along y, tiles along x]`: number of Gaussians listed in each tile of 16 × 16 px.
     pub counts: Tensor<2, Int>,
-    pub(super) cell: IntersectionCell,
+    pub(super) lists: Kept,
     /// Number of Gaussians, and what else the lists depend on.
     of: (usize, RasterizeSpec),
 }
@@ -56,17 +56,17 @@ impl Intersections {
 pub fn intersect(projected: &Projected, options: &RenderOptions) -> Result<Intersections, SplatError> {
     let checked = projected.checked(options)?;
     checked.lists(projected.intrinsics())?;
-    Ok(listed(&checked, projected))
+    Ok(listed(&checked, projected, None))
 }
 
-/// [`intersect`](fn@intersect) of inputs that have been checked.
-pub(super) fn listed(checked: &Checked, projected: &Projected) -> Intersections {
-    let cell = IntersectionCell::default();
+/// [`intersect`](fn@intersect) of inputs that have been checked, in the tiles of a mask, i32, or in all tiles.
+pub(super) fn listed(checked: &Checked, projected: &Projected, mask: Option<Tensor<2, Int>>) -> Intersections {
+    let lists = Kept::default();
     let spec = RasterizeSpec { intrinsics: projected.intrinsics, options: *checked.options };
     let mut packed = projected.packed.clone().detach();
     if let Some(ray_space) = &projected.ray_space {
         packed = apply(Bounds(spec), [packed.into(), ray_space.clone().detach().into()]).float(0);
     }
-    let counts = apply(Intersect { spec, cell: cell.clone() }, [packed.into()]).int(0);
-    Intersections { counts, cell, of: (checked.count, spec) }
+    let counts = apply(Intersect { spec, lists: lists.clone() }, [packed.into(), mask.into()]).int(0);
+    Intersections { counts, lists, of: (checked.count, spec) }
 }

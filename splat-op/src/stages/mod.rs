@@ -17,6 +17,7 @@ pub mod rasterize_rays;
 // Their inputs, checks and results with the functions that make them, and all stages in one call.
 pub(crate) mod checked;
 pub(crate) mod colour;
+pub(crate) mod contributors;
 mod covariances;
 pub(crate) mod intersections;
 pub(crate) mod normals;
@@ -26,5 +27,6 @@ pub(crate) mod projected;
 pub(crate) mod render;
 pub(crate) mod rendered;
 pub(crate) mod splats;
+pub(crate) mod tile_mask;
 
 pub(crate) use self::projected::Projected;

@@ -158,6 +158,10 @@ impl Panorama {
             let (found, expected) = ("given".into(), "`background`: all faces have one");
             return Err(SplatError::Value { field: "backgrounds", found, expected });
         }
+        if extras.tile_mask.is_some() {
+            let (found, expected) = ("given".into(), "none: a panorama has no tiles");
+            return Err(SplatError::Value { field: "tile_mask", found, expected });
+        }
         if options.radii || options.visible {
             let field = if options.radii { "radii" } else { "visible" };
             let expected = "false: a panorama has no ellipses, but those of each of its `faces`";

@@ -2,7 +2,7 @@
 
 use std::slice;
 
-use burn::tensor::Tensor;
+use burn::tensor::{Int, Tensor};
 
 use super::checked::Checked;
 use super::colour::seen;
@@ -12,6 +12,7 @@ use super::normals::facing;
 use super::projected::projected;
 use super::rendered::{Blend, Rendered, blended};
 use super::splats::{Extras, Splats};
+use super::tile_mask::checked_mask;
 use crate::abilities::check_fits;
 use crate::backend::custom_grad::constant;
 use crate::camera::Camera;
@@ -85,12 +86,15 @@ pub fn render_each(
         }
         None => vec![checked.background(extras.background.clone(), channels)?; cameras.len()],
     };
+    let mut masks = Vec::with_capacity(cameras.len());
     for camera in cameras {
         checked.camera(camera)?;
         checked.lists(&camera.intrinsics)?;
         checked.picture(&camera.intrinsics, channels + if options.normals { 3 } else { 0 })?;
+        let mask = extras.tile_mask.as_ref().map(|mask| checked_mask(&checked, &camera.intrinsics, mask));
+        masks.push(mask.transpose()?);
     }
-    let one = |(camera, mut background): (&Camera, Tensor<1>)| {
+    let one = |((camera, mask), mut background): ((&Camera, Option<Tensor<2, Int>>), Tensor<1>)| {
         let projected = projected(&checked, &shapes, factors, camera, mean2d_probe.clone());
         let mut features = seen(&splats.colour, &splats.means, camera, Some(&projected), options);
         if options.normals {
@@ -98,14 +102,14 @@ pub fn render_each(
             background = with_three(background, Tensor::zeros([3], checked.reference().options()));
         }
         let blend = Blend { features, background, mean2d_abs_probe: mean2d_abs_probe.clone(), trace: None };
-        let mut picture = blended(&checked, &projected, &listed(&checked, &projected), blend);
+        let mut picture = blended(&checked, &projected, &listed(&checked, &projected, mask), blend);
         if options.normals {
             picture.normals = Some(picture.colour.clone().narrow(2, channels, 3));
             picture.colour = picture.colour.narrow(2, 0, channels);
         }
         picture
     };
-    Ok(cameras.iter().zip(backgrounds).map(one).collect())
+    Ok(cameras.iter().zip(masks).zip(backgrounds).map(one).collect())
 }
 
 /// Renders Gaussians as seen by one camera.

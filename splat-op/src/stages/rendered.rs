@@ -9,9 +9,10 @@ use super::projected::Projected;
 use super::splats::Extras;
 use crate::backend::apply;
 use crate::error::SplatError;
+use crate::intersect::Kept;
 use crate::options::RenderOptions;
+use crate::rasterize::RasterizeSpec;
 use crate::rasterize::operation::Rasterize;
-use crate::rasterize::{RasterizeSpec, TraceCell};
 
 /// Rendered pictures: `Rendered<3>` holds the picture of one camera, `[H, W, …]`; `Rendered<4>` holds those of several cameras,
 /// `[B, H, W, …]`. Pictures are differentiable.
@@ -127,7 +128,7 @@ pub(crate) struct Blend {
     pub background: Tensor<1>,
     pub mean2d_abs_probe: Tensor<2>,
     /// See [`Rasterize`].
-    pub trace: Option<TraceCell>,
+    pub trace: Option<Kept>,
 }
 
 /// [`rasterize`](fn@rasterize) of inputs that have been checked.
@@ -143,7 +144,7 @@ pub(crate) fn blended(checked: &Checked, projected: &Projected, lists: &Intersec
         projected.ray_space.as_ref().into(),
         (&lists.counts).into(),
     ];
-    let mut planes = apply(Rasterize { spec, lists: lists.cell.clone(), trace }, inputs);
+    let mut planes = apply(Rasterize { spec, lists: lists.lists.clone(), trace }, inputs);
     let mut picture = |i: usize| planes.float::<3>(i).permute([1, 2, 0]);
     let (colour, alpha) = (picture(0), picture(1));
     let depth = spec.options.depth.then(|| picture(2));

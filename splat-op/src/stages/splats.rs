@@ -1,6 +1,6 @@
 //! Inputs of a render besides cameras and options: Gaussians, their colours, and optional inputs.
 
-use burn::tensor::Tensor;
+use burn::tensor::{Bool, Tensor};
 
 /// Gaussians with activated parameters, one row each, all of one float type (f32; f64 on CPU devices) and on one device.
 #[derive(Clone, Debug)]
@@ -39,6 +39,10 @@ pub struct Extras {
     pub mean2d_probe: Option<Tensor<2>>,
     /// `[N, 2]`: as `mean2d_probe`, with the absolute value of each pixel's contribution (AbsGrad, Ye et al. 2024).
     pub mean2d_abs_probe: Option<Tensor<2>>,
+    /// `[tiles along y, tiles along x]`: the tiles of 16 × 16 px to render, all if absent. The others show the background alone, with an
+    /// alpha of zero, and are not rasterized. All cameras of a call share it. Between the stages it is
+    /// [`intersect_masked`](crate::intersect_masked) that takes it.
+    pub tile_mask: Option<Tensor<2, Bool>>,
 }
 
 /// Declares the builders of [`Extras`], each of which sets one field.
@@ -59,6 +63,7 @@ builders! {
     with_covariances(covariances: Tensor<3>);
     with_mean2d_probe(mean2d_probe: Tensor<2>);
     with_mean2d_abs_probe(mean2d_abs_probe: Tensor<2>);
+    with_tile_mask(tile_mask: Tensor<2, Bool>);
 }
 
 /// Colours or features of Gaussians.

@@ -20,8 +20,11 @@ const CHUNK: usize = 2048;
 const SORTERS: usize = 16;
 
 /// Computes the lists of a view from its `[N, 7]` packed ellipses.
-pub(crate) fn intersect_cpu<F: Real>(packed: &[F], camera: &Intrinsics, cut: Cut) -> IntersectionLists {
-    let found = find(packed, camera, cut);
+pub(crate) fn intersect_cpu<F: Real>(packed: &[F], camera: &Intrinsics, cut: Cut<&[i32]>) -> IntersectionLists {
+    let extent = ExtentRules::new(camera, cut);
+    let found = tasks::map_with(packed.chunks(CHUNK * COLUMNS), ExtentScratch::default, |scratch, chunk, rows| {
+        ChunkIntersections::<F>::new((chunk * CHUNK) as u32, rows, &extent, scratch)
+    });
     let intersections: usize = found.iter().map(|found| found.tiles.len()).sum();
     assert!(
         u32::try_from(intersections).is_ok(),
@@ -60,14 +63,6 @@ pub(crate) fn intersect_cpu<F: Real>(packed: &[F], camera: &Intrinsics, cut: Cut
         intersection_of_visible: plain(intersection_of_visible),
         boxes,
     }
-}
-
-/// Finds the intersections of all Gaussians, chunk by chunk.
-fn find<F: Real>(packed: &[F], camera: &Intrinsics, cut: Cut) -> Vec<ChunkIntersections<F>> {
-    let extent = ExtentRules::new(camera, cut);
-    tasks::map_with(packed.chunks(CHUNK * COLUMNS), ExtentScratch::default, |scratch, chunk, rows| {
-        ChunkIntersections::new((chunk * CHUNK) as u32, rows, &extent, scratch)
-    })
 }
 
 /// Intersections of consecutive Gaussians, in the order in which they are found. Counting and writing both read this

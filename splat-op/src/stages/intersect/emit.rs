@@ -3,7 +3,7 @@
 
 use cubecl::prelude::*;
 
-use super::forward::TileCoverage;
+use super::forward::{TileCoverage, TileMask};
 use super::sort::uniform;
 use crate::gpu::UNITS;
 use crate::gpu::reduce::{SUM_ROOM, cube_exclusive_sum};
@@ -22,13 +22,14 @@ fn ranks(visible: u32, chunks: u32) -> (u32, u32) {
     (first, min(first + each, visible))
 }
 
-/// Counts the intersections of each Gaussian in depth order, and of each cube's Gaussians together. A cube's sum is two
-/// numbers, `2^16 high + low`, so that it cannot wrap.
+/// Counts the intersections of each Gaussian in depth order, with the tiles of `mask` if it is given, and of each cube's Gaussians
+/// together. A cube's sum is two numbers, `2^16 high + low`, so that it cannot wrap.
 #[cube(launch_unchecked)]
 pub(super) fn count_kernel(
     order: &[u32],
     covers: &[u32],
     visible: &[u32],
+    mask: ComptimeOption<TileMask>,
     counts: &mut [u32],
     sums: &mut [u32],
     chunks: u32,
@@ -38,7 +39,8 @@ pub(super) fn count_kernel(
     let mut own = 0u32;
     let mut rank = first + UNIT_POS;
     while rank < end {
-        let count = TileCoverage::load(covers, order[rank as usize] as usize).count();
+        let cover = TileCoverage::load(covers, order[rank as usize] as usize);
+        let count = count_of(&cover, &mask);
         counts[rank as usize] = count;
         // At most the largest u32, which no list holds.
         own += min(count, 0xffff_ffff - own);
@@ -49,6 +51,15 @@ pub(super) fn count_kernel(
     if UNIT_POS == 0 {
         sums[2 * CUBE_POS] = low;
         sums[2 * CUBE_POS + 1] = high;
+    }
+}
+
+#[cube]
+fn count_of(cover: &TileCoverage, mask: &ComptimeOption<TileMask>) -> u32 {
+    #[comptime]
+    match mask {
+        ComptimeOption::Some(mask) => cover.count_in(mask),
+        ComptimeOption::None => cover.count(),
     }
 }
 
@@ -197,6 +208,34 @@ pub(super) fn emit_kernel(
                 let (x, y) = cover.tile(intersection - first_intersection[rank]);
                 tiles[intersection as usize] = y * tiles_x + x;
                 gaussians[intersection as usize] = gaussian;
+            }
+        }
+    }
+}
+
+/// Writes the tile and the Gaussian of each intersection with a tile of `mask`; a unit writes those of a Gaussian.
+#[cube(launch_unchecked)]
+pub(super) fn emit_masked_kernel(
+    order: &[u32],
+    covers: &[u32],
+    first_intersection: &[u32],
+    sizes: &[u32],
+    mask: TileMask,
+    tiles: &mut [u32],
+    gaussians: &mut [u32],
+) {
+    let rank = ABSOLUTE_POS;
+    let (listed, visible) = (sizes[0], sizes[1]);
+    if rank < visible as usize {
+        let gaussian = order[rank];
+        let cover = TileCoverage::load(covers, gaussian as usize);
+        let mut intersection = first_intersection[rank];
+        for index in 0..cover.count() {
+            let (x, y) = cover.tile(index);
+            if mask.holds(x, y) && intersection < listed {
+                tiles[intersection as usize] = mask.number(x, y);
+                gaussians[intersection as usize] = gaussian;
+                intersection += 1;
             }
         }
     }

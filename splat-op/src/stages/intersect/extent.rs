@@ -35,26 +35,28 @@ pub(crate) fn half_extent<F: Real>(ellipse: &Ellipse<F>, limit: F) -> [F; 2] {
 
 /// Parameters of a Gaussian's extent.
 #[derive(Clone, Copy)]
-pub(super) struct ExtentRules<F> {
+pub(super) struct ExtentRules<'a, F> {
     grid: [usize; 2],
     /// Size of the picture, px.
     size: [F; 2],
     alpha_min: F,
     boxes: bool,
+    mask: Option<&'a [i32]>,
 }
 
-impl<F: Real> ExtentRules<F> {
-    pub fn new(camera: &Intrinsics, cut: Cut) -> Self {
+impl<'a, F: Real> ExtentRules<'a, F> {
+    pub fn new(camera: &Intrinsics, cut: Cut<&'a [i32]>) -> Self {
         Self {
             grid: tile_grid(camera.width, camera.height),
             size: [camera.width, camera.height].map(|px| F::of(px as f64)),
             alpha_min: F::of(cut.alpha_min),
             boxes: cut.boxes,
+            mask: cut.mask,
         }
     }
 
-    /// Appends to `tiles` the tiles of up to [`ROW_BLOCK`] Gaussians, one Gaussian after another: the tiles whose rectangle
-    /// of pixel centres its ellipse meets. Returns each Gaussian's number of tiles. Appends their boxes to `boxes` if they are
+    /// Appends to `tiles` the tiles of up to [`ROW_BLOCK`] Gaussians, one Gaussian after another: the tiles of the mask whose
+    /// rectangle of pixel centres its ellipse meets. Returns each Gaussian's number of tiles. Appends their boxes to `boxes` if they are
     /// asked for.
     #[inline(always)]
     pub fn emit<S: Simd>(
@@ -94,7 +96,11 @@ impl<F: Real> ExtentRules<F> {
                 let before = tiles.len();
                 for (y, [from, to]) in rows.zip(&scratch.spans) {
                     let row = (y * self.grid[0]) as u32;
-                    tiles.extend(row + from[lane].index() as u32..row + to[lane].index() as u32);
+                    let met = row + from[lane].index() as u32..row + to[lane].index() as u32;
+                    match self.mask {
+                        None => tiles.extend(met),
+                        Some(mask) => tiles.extend(met.filter(|&tile| mask[tile as usize] != 0)),
+                    }
                 }
                 counts[first + lane] = (tiles.len() - before) as u32;
             }

@@ -44,6 +44,25 @@ impl TileLists {
     }
 }
 
+/// The tiles whose lists are not empty, `[tiles along y, tiles along x]`: those that are not zero.
+#[derive(CubeType, CubeLaunch)]
+pub(super) struct TileMask {
+    tiles: Box<[i32]>,
+    tiles_x: u32,
+}
+
+#[cube]
+impl TileMask {
+    /// Returns the number of a tile.
+    pub fn number(&self, x: u32, y: u32) -> u32 {
+        y * self.tiles_x + x
+    }
+
+    pub fn holds(&self, x: u32, y: u32) -> bool {
+        self.tiles[self.number(x, y) as usize] != 0
+    }
+}
+
 /// Tiles that list a Gaussian.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
@@ -121,6 +140,16 @@ impl TileCoverage {
             for row in 0..comptime!(CELLS) {
                 count += self.tile_rows(row) * self.tiles_across(row);
             }
+        }
+        count
+    }
+
+    /// Returns the number of covered tiles of a mask.
+    pub fn count_in(&self, mask: &TileMask) -> u32 {
+        let mut count = 0u32;
+        for index in 0..self.count() {
+            let (x, y) = self.tile(index);
+            count += select(mask.holds(x, y), 1u32, 0u32);
         }
         count
     }

@@ -109,6 +109,38 @@ fn lists_do_not_depend_on_the_expected_length() {
     }
 }
 
+/// Gaussians of each tile of the device's lists, front to back.
+fn by_tile_on(gpu: &Gpu, lists: &DeviceIntersections) -> Vec<Vec<u32>> {
+    let (_, [_, _, start, places, gaussians]) = all_of(gpu, lists);
+    let of_tile = |ends: &[u32]| &places[ends[0] as usize..ends[1] as usize];
+    let gaussian = |place: &u32| gaussians[*place as usize];
+    start.windows(2).map(|ends| of_tile(ends).iter().map(gaussian).collect()).collect()
+}
+
+#[test]
+fn lists_of_a_mask_are_those_of_its_tiles() {
+    let Some(gpu) = gpu() else { return };
+    let camera = Intrinsics::centred(331, 203, 30.0);
+    let mask: Vec<i32> = (0..tile_grid(331, 203).iter().product()).map(|tile| i32::from(tile * tile % 5 < 2)).collect();
+    let on_device = Buffer::from_slice(&gpu, &mask);
+    let cut = Cut::from(1.0 / 255.0);
+    for count in [0, 20_000] {
+        let projected: Vec<f32> = ellipses(9, count, &camera, [0.003, 1.0]).iter().map(|&v| v as f32).collect();
+        let projected = Buffer::from_slice(&gpu, &projected);
+        let all = launch_intersect_within(&gpu, &projected, &camera, cut, None);
+        let mut expected = by_tile_on(&gpu, &all);
+        expected.iter_mut().zip(&mask).filter(|(_, inside)| **inside == 0).for_each(|(list, _)| list.clear());
+        let needed = expected.iter().map(Vec::len).sum::<usize>();
+        assert!(count == 0 || (needed > 1_000 && needed < all.intersections));
+        for capacity in [None, Some(1), Some(needed as u64 - u64::from(needed > 0)), Some(all.intersections as u64)] {
+            let masked = Cut { mask: Some(&on_device), ..cut };
+            let found = launch_intersect_within(&gpu, &projected, &camera, masked, capacity);
+            assert_eq!(found.intersections, needed, "{count} Gaussians, {capacity:?} expected");
+            assert!(by_tile_on(&gpu, &found) == expected, "{count} Gaussians, {capacity:?} expected: other lists");
+        }
+    }
+}
+
 /// A word that no kernel of the lists writes.
 const GUARD: u32 = 0xfeed_beef;
 

@@ -2,9 +2,9 @@
 
 use cubecl::prelude::CubeDim;
 
-use super::emit::{LIST_BLOCK, count_kernel, emit_kernel, number_kernel, ranges_kernel};
+use super::emit::{LIST_BLOCK, count_kernel, emit_kernel, emit_masked_kernel, number_kernel, ranges_kernel};
 use super::expected::{expected, remember};
-use super::forward::{COVER, TileListsLaunch, cover_kernel};
+use super::forward::{COVER, TileListsLaunch, TileMaskLaunch, cover_kernel};
 use super::sort::{Sorted, launch_sort};
 use super::{Cut, tile_grid};
 use crate::camera::Intrinsics;
@@ -58,7 +58,7 @@ pub(crate) fn launch_intersect(
     gpu: &Gpu,
     projected: &Buffer<f32>,
     camera: &Intrinsics,
-    cut: Cut,
+    cut: Cut<&Buffer<i32>>,
 ) -> DeviceIntersections {
     let (tiles, count) = (tile_grid(camera.width, camera.height), projected.len / crate::project::COLUMNS);
     let capacity = forced_capacity().or_else(|| expected(tiles, count)).filter(|capacity| *capacity > 0);
@@ -72,7 +72,7 @@ pub(super) fn launch_intersect_within(
     gpu: &Gpu,
     projected: &Buffer<f32>,
     camera: &Intrinsics,
-    cut: Cut,
+    cut: Cut<&Buffer<i32>>,
     capacity: Option<u64>,
 ) -> DeviceIntersections {
     let counted = Counted::launch(gpu, projected, camera, cut);
@@ -92,7 +92,7 @@ pub(super) fn launch_intersect_within(
     list.assert_fits(gpu.buffer_limit);
     // The limit is below 2^32 elements.
     let intersections = intersections as usize;
-    let lists = early.filter(|lists| intersections <= lists.capacity).unwrap_or_else(|| {
+    let lists = early.filter(|lists| intersections <= lists.intersections).unwrap_or_else(|| {
         if capacity.is_some() {
             count_repeated_lists(1);
         }
@@ -100,14 +100,11 @@ pub(super) fn launch_intersect_within(
     });
     let listed = |list: Buffer<u32>| Buffer::from_handle(list.handle, intersections);
     DeviceIntersections {
-        counts: lists.counts,
-        tile_start: lists.tile_start,
-        intersection_of_place: listed(lists.by_tile.indices),
+        intersection_of_place: listed(lists.intersection_of_place),
         gaussian_of_intersection: listed(lists.gaussian_of_intersection),
-        order: counted.by_depth.indices,
-        first_intersection: lists.first_intersection,
         visible,
         intersections,
+        ..lists
     }
 }
 
@@ -120,6 +117,7 @@ pub(super) struct Counted {
     sums: Buffer<u32>,
     chunks: usize,
     tiles: [usize; 2],
+    mask: Option<Buffer<i32>>,
 }
 
 /// Buffers of the intersections in the order of the Gaussians, for `capacity` of them.
@@ -130,16 +128,6 @@ pub(super) struct Room {
     pub gaussians: Buffer<u32>,
 }
 
-/// Lists for at most `capacity` intersections.
-pub(super) struct Lists {
-    capacity: usize,
-    counts: Buffer<i32>,
-    pub tile_start: Buffer<u32>,
-    by_tile: Sorted,
-    gaussian_of_intersection: Buffer<u32>,
-    first_intersection: Buffer<u32>,
-}
-
 impl Room {
     pub fn new(gpu: &Gpu, capacity: usize) -> Self {
         let [tiles, gaussians] = [(); 2].map(|()| Buffer::with_headroom(gpu, capacity));
@@ -148,7 +136,7 @@ impl Room {
 }
 
 impl Counted {
-    pub fn launch(gpu: &Gpu, projected: &Buffer<f32>, camera: &Intrinsics, cut: Cut) -> Self {
+    pub fn launch(gpu: &Gpu, projected: &Buffer<f32>, camera: &Intrinsics, cut: Cut<&Buffer<i32>>) -> Self {
         let count = projected.len / crate::project::COLUMNS;
         let (covers, depths) = (Buffer::<u32>::new(gpu, count * COVER), Buffer::<u32>::new(gpu, count));
         let (client, (grid, dim)) = (&gpu.client, elementwise(count));
@@ -170,6 +158,7 @@ impl Counted {
         let by_depth = launch_sort(gpu, depths, None, u32::BITS);
         let chunks = count.div_ceil(UNITS).clamp(1, COUNTERS);
         let (counts, sums) = (Buffer::<u32>::new(gpu, count), Buffer::<u32>::new(gpu, 2 * chunks));
+        let (tiles, mask) = (tile_grid(camera.width, camera.height), cut.mask.cloned());
         // SAFETY: every access is guarded by the number of visible Gaussians.
         unsafe {
             count_kernel::launch_unchecked(
@@ -179,12 +168,13 @@ impl Counted {
                 by_depth.indices.arg(),
                 covers.arg(),
                 by_depth.kept.arg(),
+                mask.as_ref().map(|mask| TileMaskLaunch::new(mask.arg(), tiles[0] as u32)).into(),
                 counts.arg(),
                 sums.arg(),
                 chunks as u32,
             );
         }
-        Self { covers, by_depth, counts, sums, chunks, tiles: tile_grid(camera.width, camera.height) }
+        Self { covers, by_depth, counts, sums, chunks, tiles, mask }
     }
 
     /// Writes the tile and the Gaussian of each intersection that `room` holds. Returns the number of the first
@@ -208,26 +198,47 @@ impl Counted {
                 self.chunks as u32,
                 room.capacity as u32,
             );
-            emit_kernel::launch_unchecked(
-                client,
-                cubes(blocks),
-                dim,
-                by_depth.indices.arg(),
-                covers.arg(),
-                first_intersection.arg(),
-                room.rank_of_block.arg(),
-                sizes.arg(),
-                room.tiles.arg(),
-                room.gaussians.arg(),
-                blocks as u32,
-                self.tiles[0] as u32,
-            );
+        }
+        match &self.mask {
+            // SAFETY: as above.
+            None => unsafe {
+                emit_kernel::launch_unchecked(
+                    client,
+                    cubes(blocks),
+                    dim,
+                    by_depth.indices.arg(),
+                    covers.arg(),
+                    first_intersection.arg(),
+                    room.rank_of_block.arg(),
+                    sizes.arg(),
+                    room.tiles.arg(),
+                    room.gaussians.arg(),
+                    blocks as u32,
+                    self.tiles[0] as u32,
+                );
+            },
+            // SAFETY: as above; the public functions check that a mask has all tiles.
+            Some(mask) => unsafe {
+                emit_masked_kernel::launch_unchecked(
+                    client,
+                    cubes(counts.len.div_ceil(UNITS)),
+                    dim,
+                    by_depth.indices.arg(),
+                    covers.arg(),
+                    first_intersection.arg(),
+                    sizes.arg(),
+                    TileMaskLaunch::new(mask.arg(), self.tiles[0] as u32),
+                    room.tiles.arg(),
+                    room.gaussians.arg(),
+                );
+            },
         }
         [first_intersection, sizes]
     }
 
-    /// Writes the lists, of the first intersections alone if `room` does not hold all.
-    pub fn lists(&self, gpu: &Gpu, room: Room) -> Lists {
+    /// Writes the lists, of the first intersections alone if `room` does not hold all. Their numbers of Gaussians and of intersections are
+    /// those that there is room for.
+    pub fn lists(&self, gpu: &Gpu, room: Room) -> DeviceIntersections {
         let [first_intersection, sizes] = self.emit(gpu, &room);
         let tiles = self.tiles[0] * self.tiles[1];
         let by_tile = launch_sort(gpu, room.tiles, Some(sizes.clone()), usize::BITS - (tiles - 1).leading_zeros());
@@ -246,7 +257,15 @@ impl Counted {
                 tiles as u32,
             );
         }
-        let (capacity, gaussian_of_intersection) = (room.capacity, room.gaussians);
-        Lists { capacity, counts, tile_start, by_tile, gaussian_of_intersection, first_intersection }
+        DeviceIntersections {
+            counts,
+            tile_start,
+            intersection_of_place: by_tile.indices,
+            gaussian_of_intersection: room.gaussians,
+            order: self.by_depth.indices.clone(),
+            first_intersection,
+            visible: self.counts.len,
+            intersections: room.capacity,
+        }
     }
 }

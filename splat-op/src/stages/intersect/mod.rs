@@ -7,7 +7,7 @@
 //! tile's pixel centres meets that ellipse, with a margin for the rounding of `rasterize`. The CPU twin computes the
 //! interval that the ellipse spans on each row of tiles; the kernel tests each tile of the bounding box.
 //!
-//! The lists live in a cell beside the tensors, because their length depends on the data. See `IntersectionCell`.
+//! The lists live in a cell beside the tensors, because their length depends on the data. See `Kept`.
 
 pub(crate) mod cpu;
 #[cfg(feature = "cube")]
@@ -31,6 +31,7 @@ mod testing;
 #[cfg(test)]
 mod tests;
 
+use std::any::Any;
 use std::sync::{Arc, OnceLock};
 
 use crate::options::RenderOptions;
@@ -48,15 +49,17 @@ pub(crate) fn tile_grid(width: usize, height: usize) -> [usize; 2] {
 
 /// Parameters that decide which tiles list a Gaussian.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Cut {
+pub(crate) struct Cut<M> {
     pub alpha_min: f64,
     /// Whether the lists of the CPU hold the boxes of the Gaussians.
     pub boxes: bool,
+    /// `[tiles along y, tiles along x]`: zero for tiles with empty lists.
+    pub mask: Option<M>,
 }
 
-impl Cut {
+impl<M> Cut<M> {
     pub fn of(options: &RenderOptions) -> Self {
-        Self { alpha_min: options.alpha_min, boxes: options.along_rays() }
+        Self { alpha_min: options.alpha_min, boxes: options.along_rays(), mask: None }
     }
 }
 
@@ -90,15 +93,24 @@ pub(crate) struct IntersectionLists {
     pub boxes: Vec<PixelBox>,
 }
 
-/// Lists of one view, on the host or on the device where the view's stages run.
-#[derive(Debug)]
-pub(crate) enum StoredIntersections {
-    Host(IntersectionLists),
-    #[cfg(feature = "cube")]
-    Device(Box<launch::DeviceIntersections>),
-}
-
-/// Holds the lists of one view once they are computed. It is passed to forward and backward as an ordinary argument; the
-/// tensor of counts that `intersect` returns orders them for backends that run lazily.
+/// Holds what an operation computes for others that run later, of any type. It is passed to them as an ordinary argument; a tensor of that
+/// operation among their inputs orders them for backends that run lazily.
 #[derive(Clone, Debug, Default)]
-pub struct IntersectionCell(pub(crate) Arc<OnceLock<StoredIntersections>>);
+pub(crate) struct Kept(Arc<OnceLock<Box<dyn Any + Send + Sync>>>);
+
+impl Kept {
+    /// Keeps a value. If there is one already, it is the same.
+    pub fn keep<T: Any + Send + Sync>(&self, value: T) {
+        let _ = self.0.set(Box::new(value));
+    }
+
+    /// Returns the value, if there is one of this type.
+    pub fn kept<T: Any>(&self) -> Option<&T> {
+        self.0.get()?.downcast_ref()
+    }
+
+    /// Returns the lists of a view, on the host or on a device.
+    pub fn read<T: Any>(&self) -> &T {
+        self.kept().expect("who reads lists is on their device and has their counts as an input, and so runs later")
+    }
+}

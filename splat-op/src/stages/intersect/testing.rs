@@ -3,9 +3,9 @@
 use super::{Cut, IntersectionLists};
 
 /// Tests keep boxes.
-impl From<f64> for Cut {
+impl<M> From<f64> for Cut<M> {
     fn from(alpha_min: f64) -> Self {
-        Self { alpha_min, boxes: true }
+        Self { alpha_min, boxes: true, mask: None }
     }
 }
 

@@ -1,8 +1,6 @@
 //! CPU twin of `rasterize`: both passes, parallel over tiles. The gradient of each intersection is stored separately,
 //! and those of a Gaussian are added in a fixed order, so the number of threads never changes a result.
 
-use std::borrow::Cow;
-
 use super::gather_cpu::{RowSums, gather};
 use super::layer_cpu::Thresholds;
 use super::pixels::SIMD_WIDTH;
@@ -23,15 +21,15 @@ use crate::tasks;
 /// zero if no specialised version exists. `$long` is the constant of [`is_long`].
 #[rustfmt::skip] // rustfmt indents the inner macro further at every run
 macro_rules! specialised {
-    ($prepared:expr, $tile:expr, $simd:ident, $c:ident, $long:ident => $body:expr) => {{
+    ($channels:expr, $is_long:expr, $simd:ident, $c:ident, $long:ident => $body:expr) => {{
         macro_rules! with {
-            ($count:literal, $is_long:literal) => {{
+            ($count:literal, $on_long:literal) => {{
                 const $c: usize = $count;
-                const $long: bool = $is_long;
+                const $long: bool = $on_long;
                 dispatch!(F, $simd => $body)
             }};
         }
-        match ($prepared.channels, $prepared.is_long($tile)) {
+        match ($channels, $is_long) {
             (1, false) if const { is_f32::<F>() && !P::ALONG_RAYS } => with!(1, false),
             (3, false) if const { is_f32::<F>() } => with!(3, false),
             (4, false) if const { is_f32::<F>() } => with!(4, false),
@@ -63,20 +61,18 @@ fn forward<F: Real, P: Footprint<F>>(
     intersections: &IntersectionLists,
     keep: bool,
 ) -> (Vec<F>, Option<SplatTrace<F, P>>) {
-    let prepared = Prepared::<F, P>::new(inputs, spec, intersections, None);
+    let prepared = Prepared::<F, P>::new(&inputs, spec, intersections);
     let size = PictureSize { pixels: prepared.size, features: inputs.background.len(), depth: prepared.depth };
     let (planes, tiles) = picture(&size, inputs.background, |tile, planes| {
-        let view = prepared.view(tile);
+        let (view, long) = prepared.view(tile, &inputs, intersections);
         let mut trace = TileTrace::default();
-        specialised!(prepared, tile, simd, C, IS_LONG => {
+        specialised!(prepared.channels, long, simd, C, IS_LONG => {
             let thresholds = Thresholds::<_, F>::new(simd, prepared.thresholds);
-            rasterize_tile::<_, F, P, C, IS_LONG>(simd, &view, &thresholds, planes, keep.then_some(&mut trace));
+            rasterize_tile::<_, F, P, C, IS_LONG>(&view, &thresholds, planes, keep.then_some(&mut trace));
         });
         trace
     });
-    let Prepared { footprints, colours, finite, .. } = prepared;
-    let colours = if let Cow::Owned(colours) = colours { colours } else { Vec::new() };
-    (planes, keep.then_some(SplatTrace { footprints: footprints.into_owned(), colours, finite, tiles }))
+    (planes, keep.then_some(SplatTrace { prepared, tiles }))
 }
 
 /// Size of a picture and its numbers of planes.
@@ -184,35 +180,42 @@ fn backward<F: Real, P: Footprint<F>>(
     trace: &SplatTrace<F, P>,
     needs: Layers<bool>,
 ) -> Layers<Vec<F>> {
-    let prepared = Prepared::new(inputs, spec, intersections, Some(trace));
+    let prepared = &trace.prepared;
     let columns = MOMENTS + prepared.channels + P::EXTRA_COLUMNS + if needs.mean2d_abs { 2 } else { 0 };
     let features = inputs.background.len();
-    let job = TileSums { prepared: &prepared, background: inputs.background, grad, trace, needs };
-    let (rows, background) =
-        tile_rows(intersections, [columns, features], |buffers, tile, sums| job.fill(tile, sums, buffers));
-    let ray_columns = if P::ALONG_RAYS { ray_space::columns(&spec.intrinsics) } else { 0 };
-    let sums = RowSums { rows: &rows, columns, channels: prepared.channels, unscale: P::UNSCALE };
-    let grads = gather(inputs.projected, features, intersections, &sums, needs, ray_columns);
-    Layers { background: if needs.background { background } else { Vec::new() }, ..grads }
-}
-
-/// Runs `tile` on each tile's rows, `columns` values per intersection, in parallel. Returns all rows, and the sums of
-/// the `features` values, or none, that `tile` returns.
-fn tile_rows<F: Real>(
-    intersections: &IntersectionLists,
-    [columns, features]: [usize; 2],
-    tile: impl Fn(&mut Buffers<F>, usize, &mut [F]) -> Vec<F> + Sync,
-) -> (Vec<F>, Vec<F>) {
+    let size = PictureSize { pixels: prepared.size, features, depth: prepared.depth };
+    // Fills a tile's sums per intersection and returns its share of the background's gradient if it is needed.
+    let fill = |Buffers { grad: of_planes, scratch }: &mut Buffers<F>, tile: usize, sums: &mut [F]| {
+        let (view, long) = prepared.view(tile, &inputs, intersections);
+        of_planes.read(grad, &size, view.origin, inputs.background);
+        let wanted = if needs.background { features } else { 0 };
+        if of_planes.is_zero() {
+            return vec![F::ZERO; wanted];
+        }
+        let TilePlanes { planes, background_rho } = of_planes;
+        let (trace, absolute, finite, depth) = (&trace.tiles[tile], needs.mean2d_abs, prepared.finite, prepared.depth);
+        let tile_grad = TileGrad { planes, background_rho, trace, absolute, finite, depth };
+        let mut transmittance = [F::ZERO; TILE_PIXELS];
+        specialised!(prepared.channels, long, simd, C, IS_LONG => {
+            let thresholds = Thresholds::<_, F>::new(simd, prepared.thresholds);
+            let out = (&mut *sums, &mut transmittance);
+            rasterize_tile_backward::<_, F, P, C, IS_LONG>(simd, &view, &tile_grad, &thresholds, out, scratch);
+        });
+        of_planes.background_gradient(&transmittance, wanted)
+    };
     let mut rows = vec![F::ZERO; intersections.gaussian.len() * columns];
     let mut rest = rows.as_mut_slice();
     let counts = intersections.tile_start.windows(2).map(|ends| ends[1] - ends[0]);
     let of_tile = |count: usize| rest.split_off_mut(..count * columns).expect("as many intersections as their lists");
-    let parts = tasks::map_with(counts.map(of_tile), Buffers::default, tile);
-    let mut sums = vec![F::ZERO; features];
+    let parts = tasks::map_with(counts.map(of_tile), Buffers::default, fill);
+    let mut background = vec![F::ZERO; features];
     for part in parts {
-        sums.iter_mut().zip(part).for_each(|(sum, value)| *sum += value);
+        background.iter_mut().zip(part).for_each(|(sum, value)| *sum += value);
     }
-    (rows, sums)
+    let ray_columns = if P::ALONG_RAYS { ray_space::columns(&spec.intrinsics) } else { 0 };
+    let sums = RowSums { rows: &rows, columns, channels: prepared.channels, unscale: P::UNSCALE };
+    let grads = gather(inputs.projected, features, intersections, &sums, needs, ray_columns);
+    Layers { background: if needs.background { background } else { Vec::new() }, ..grads }
 }
 
 /// Buffers of one thread.
@@ -220,41 +223,6 @@ fn tile_rows<F: Real>(
 struct Buffers<F: Real> {
     grad: TilePlanes<F>,
     scratch: TileScratch<F>,
-}
-
-/// What the backward pass needs for each tile.
-struct TileSums<'a, F: Real, P: Footprint<F>> {
-    prepared: &'a Prepared<'a, F, P>,
-    background: &'a [F],
-    grad: PlaneParts<&'a [F]>,
-    trace: &'a SplatTrace<F, P>,
-    needs: Layers<bool>,
-}
-
-impl<F: Real, P: Footprint<F>> TileSums<'_, F, P> {
-    /// Fills one tile's sums per intersection and returns its share of the background's gradient if it is needed.
-    fn fill(&self, tile: usize, sums: &mut [F], buffers: &mut Buffers<F>) -> Vec<F> {
-        let Self { prepared, background, grad, needs, .. } = *self;
-        let (view, trace) = (prepared.view(tile), &self.trace.tiles[tile]);
-        let features = background.len();
-        let size = PictureSize { pixels: prepared.size, features, depth: prepared.depth };
-        let Buffers { grad: of_planes, scratch } = buffers;
-        of_planes.read(grad, &size, view.origin, background);
-        let wanted = if needs.background { features } else { 0 };
-        if of_planes.is_zero() {
-            return vec![F::ZERO; wanted];
-        }
-        let TilePlanes { planes, background_rho } = of_planes;
-        let (absolute, finite, depth) = (needs.mean2d_abs, prepared.finite, prepared.depth);
-        let tile_grad = TileGrad { planes, background_rho, trace, absolute, finite, depth };
-        let mut transmittance = [F::ZERO; TILE_PIXELS];
-        specialised!(prepared, tile, simd, C, IS_LONG => {
-            let thresholds = Thresholds::<_, F>::new(simd, prepared.thresholds);
-            let out = (sums, &mut transmittance);
-            rasterize_tile_backward::<_, F, P, C, IS_LONG>(simd, &view, &tile_grad, &thresholds, out, scratch);
-        });
-        of_planes.background_gradient(&transmittance, wanted)
-    }
 }
 
 /// Gradients of a tile's planes.

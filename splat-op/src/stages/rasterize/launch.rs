@@ -15,7 +15,7 @@ use super::splat::Splat;
 use super::suffix::rasterize_suffix_kernel;
 use super::trace::{DeviceTrace, PAIR_COUNTS, TraceRun, runs_of};
 use super::{Layers, RasterizeSpec};
-use crate::camera::{Intrinsics, PictureRays};
+use crate::camera::PictureRays;
 use crate::counters::pairs_are_counted;
 use crate::gpu::reduce::launch_column_sums;
 use crate::gpu::{Buffer, Gpu, PART_BYTES, cubes, elementwise, given};
@@ -42,7 +42,7 @@ pub(super) fn frame(spec: &RasterizeSpec) -> RasterFrameLaunch {
 }
 
 /// The Gaussians of a view on the device.
-struct DeviceSplats<'a> {
+pub(super) struct DeviceSplats<'a> {
     inputs: &'a Layers<Buffer<f32>>,
     lists: &'a DeviceIntersections,
     /// Whether they are seen along rays, and the slopes of the rays of a camera with a lens, `[H, W, 2]`.
@@ -51,25 +51,27 @@ struct DeviceSplats<'a> {
 }
 
 impl<'a> DeviceSplats<'a> {
-    fn new(gpu: &Gpu, inputs: &'a Layers<Buffer<f32>>, lists: &'a DeviceIntersections, spec: &RasterizeSpec) -> Self {
+    pub fn new(
+        gpu: &Gpu,
+        inputs: &'a Layers<Buffer<f32>>,
+        lists: &'a DeviceIntersections,
+        spec: &RasterizeSpec,
+    ) -> Self {
         let along_rays = spec.options.along_rays();
-        let slopes = if along_rays { slopes(gpu, &spec.intrinsics) } else { None };
+        let rays = if along_rays { PictureRays::of(&spec.intrinsics) } else { None };
+        let slopes = rays.map(|rays| {
+            let slopes: Vec<f32> = rays.slopes.as_flattened().iter().map(|slope| *slope as f32).collect();
+            Buffer::from_slice(gpu, &slopes)
+        });
         Self { inputs, lists, along_rays, slopes }
     }
 
-    fn arg(&self) -> SplatInputsLaunch {
+    pub fn arg(&self) -> SplatInputsLaunch {
         let Layers { projected, features, ray_space, .. } = self.inputs;
         let ray_space = self.along_rays.then(|| ray_space.arg());
         let slopes = self.slopes.as_ref().map(Buffer::arg);
         SplatInputsLaunch::new(projected.arg(), features.arg(), ray_space.into(), slopes.into(), self.lists.arg())
     }
-}
-
-/// Uploads the slopes of the rays of a camera with a lens.
-fn slopes(gpu: &Gpu, camera: &Intrinsics) -> Option<Buffer<f32>> {
-    let rays = PictureRays::of(camera)?;
-    let slopes: Vec<f32> = rays.slopes.as_flattened().iter().map(|slope| *slope as f32).collect();
-    Some(Buffer::from_slice(gpu, &slopes))
 }
 
 /// Number of values of an intersection's row of sums.
@@ -194,7 +196,8 @@ pub(crate) fn launch_rasterize_backward(
         (true, true) => Rows::of_intersections(gpu, lists, columns),
         (true, false) => {
             let count = inputs.projected.len / COLUMNS;
-            vec![Rows::of_gaussians(lists, count, Buffer::zeros(gpu, count * columns))]
+            let sums = Buffer::zeros(gpu, count * columns);
+            vec![Rows { ranks: 0..count, intersections: 0..lists.intersections, sums }]
         }
     };
     let splats = DeviceSplats::new(gpu, inputs, lists, spec);

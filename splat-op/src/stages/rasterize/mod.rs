@@ -25,6 +25,11 @@ mod backward_block;
 mod backward_planes;
 #[cfg(feature = "cube")]
 pub(crate) mod blocks;
+#[cfg(feature = "cube")]
+mod contributors;
+mod contributors_cpu;
+#[cfg(all(test, feature = "cube"))]
+mod contributors_tests;
 pub(crate) mod cpu;
 #[cfg(feature = "cube")]
 mod ellipse;
@@ -65,15 +70,15 @@ mod tile_blocks;
 #[cfg(feature = "cube")]
 pub(crate) mod trace;
 
-use std::any::Any;
-use std::sync::{Arc, OnceLock};
-
 use crate::camera::Intrinsics;
 use crate::options::RenderOptions;
 use crate::record::record;
 
 /// Number of moments: the sums of `h, h u, h v, h u², h u v, h v²` with `h = α ∂L/∂α` where alpha is not at its limit.
 pub(crate) const MOMENTS: usize = 6;
+
+/// Transmittance at which the median of a pixel lies.
+pub(crate) const MEDIAN: f64 = 0.5;
 
 record! {
     /// Inputs of the rasterizer.
@@ -119,8 +124,3 @@ impl RasterizeSpec {
         features + 1 + usize::from(self.options.depth)
     }
 }
-
-/// Cache of the transmittances that the forward pass keeps for the backward pass. A backward pass that finds it empty
-/// recomputes them.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct TraceCell(pub(crate) Arc<OnceLock<Box<dyn Any + Send + Sync>>>);

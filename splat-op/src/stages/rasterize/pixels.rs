@@ -21,17 +21,7 @@ pub(crate) const SIMD_BLOCK_ROW: usize = SIMD_ROWS * TILE_SIZE;
 /// One value for each pixel of a tile: block by block, within a block row by row. The blocks run along x, then y.
 pub(crate) type Plane<F> = [F; TILE_PIXELS];
 
-/// Brings values in the order of a tile's rows into the order of its blocks.
-#[inline(always)]
-fn in_blocks<F: Real>(rows: &Plane<F>) -> Plane<F> {
-    let mut plane = [F::ZERO; TILE_PIXELS];
-    for (eight, values) in rows.as_chunks::<SIMD_WIDTH>().0.iter().enumerate() {
-        plane.as_chunks_mut::<SIMD_WIDTH>().0[in_block_order(eight)] = *values;
-    }
-    plane
-}
-
-/// The inverse of [`in_blocks`].
+/// Brings values in the order of a tile's blocks into the order of its rows.
 #[inline(always)]
 pub(super) fn in_rows<F: Real>(plane: &Plane<F>) -> Plane<F> {
     let mut rows = [F::ZERO; TILE_PIXELS];
@@ -45,6 +35,13 @@ pub(super) fn in_rows<F: Real>(plane: &Plane<F>) -> Plane<F> {
 pub(super) const fn in_block_order(eight: usize) -> usize {
     let (row, column) = (eight / (TILE_SIZE / SIMD_WIDTH), eight % (TILE_SIZE / SIMD_WIDTH));
     (row / SIMD_ROWS * (TILE_SIZE / SIMD_WIDTH) + column) * SIMD_ROWS + row % SIMD_ROWS
+}
+
+/// Returns the row and the column in the tile of the pixel at a place.
+pub(super) const fn row_and_column(place: usize) -> [usize; 2] {
+    let (block, eight) = (place / SIMD_BLOCK, place % SIMD_BLOCK / SIMD_WIDTH);
+    let across = TILE_SIZE / SIMD_WIDTH;
+    [block / across * SIMD_ROWS + eight, block % across * SIMD_WIDTH + place % SIMD_WIDTH]
 }
 
 /// Number of lanes of a vector of pixels.
@@ -64,32 +61,6 @@ pub(crate) fn store<S: Simd, L: SimdFloat<S>>(lanes: L, plane: &mut [L::Element]
     lanes.store_slice(&mut plane[place..place + L::LEN]);
 }
 
-/// Returns the initial transmittances of a tile that has `size` pixels inside the picture: one inside, finished outside.
-#[inline(always)]
-fn open_transmittance<F: Real>(size: [usize; 2]) -> Plane<F> {
-    let mut transmittance = [-F::ONE; TILE_PIXELS];
-    for row in transmittance.chunks_exact_mut(TILE_SIZE).take(size[1]) {
-        row[..size[0]].fill(F::ONE);
-    }
-    in_blocks(&transmittance)
-}
-
-/// Returns the row of each pixel of a tile.
-#[inline(always)]
-fn pixel_rows<F: Real>() -> Plane<F> {
-    let mut rows = [F::ZERO; TILE_PIXELS];
-    for (number, row) in rows.as_chunks_mut::<TILE_SIZE>().0.iter_mut().enumerate() {
-        *row = [F::of(number as f64); TILE_SIZE];
-    }
-    in_blocks(&rows)
-}
-
-/// Centres along x, px, of the pixels of a row of blocks.
-#[inline(always)]
-fn centres<F: Real>(left: F) -> [F; SIMD_BLOCK_ROW] {
-    std::array::from_fn(|place| left + F::of((place / SIMD_BLOCK * SIMD_WIDTH + place % SIMD_WIDTH) as f64 + 0.5))
-}
-
 /// The pixels of a tile.
 pub(crate) struct TilePixels<F> {
     /// Centres along x of a row of blocks, px.
@@ -107,14 +78,24 @@ pub(crate) struct TilePixels<F> {
 impl<F: Real> TilePixels<F> {
     #[inline(always)]
     pub fn new<P>(view: &TileView<F, P>) -> Self {
-        let corner = view.corner();
+        let [left, top] = view.corner();
         let mut pixels = Self {
-            x: centres(corner[0]),
-            top: corner[1] + F::of(0.5),
-            rows: pixel_rows(),
+            x: [left; SIMD_BLOCK_ROW],
+            top: top + F::of(0.5),
+            rows: [F::ZERO; TILE_PIXELS],
             slopes: None,
-            open: open_transmittance(view.size),
+            open: [-F::ONE; TILE_PIXELS],
         };
+        for place in 0..TILE_PIXELS {
+            let [row, column] = row_and_column(place);
+            pixels.rows[place] = F::of(row as f64);
+            if place < SIMD_BLOCK_ROW {
+                pixels.x[place] += F::of(column as f64 + 0.5);
+            }
+            if row < view.size[1] && column < view.size[0] {
+                pixels.open[place] = F::ONE;
+            }
+        }
         if let Some((width, slopes)) = view.slopes {
             pixels.read_slopes(view.origin, view.size, width, slopes);
         }

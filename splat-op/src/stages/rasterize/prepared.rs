@@ -1,6 +1,5 @@
 //! Preparation of the CPU twin's inputs before its loops over the tiles.
 
-use std::borrow::Cow;
 use std::sync::Arc;
 
 use super::footprint::EllipseFootprint;
@@ -28,19 +27,15 @@ pub(crate) enum Trace<F> {
 
 /// A trace of one kind of splats.
 pub(crate) struct SplatTrace<F, P> {
-    pub(super) footprints: Vec<P>,
-    /// Features and depth of each Gaussian if depth is rendered; otherwise nothing.
-    pub(super) colours: Vec<F>,
-    /// Whether all features are finite.
-    pub(super) finite: bool,
+    pub(super) prepared: Prepared<F, P>,
     pub(super) tiles: Vec<TileTrace<F>>,
 }
 
-/// Inputs in the form that the loops over the tiles read.
-pub(super) struct Prepared<'a, F: Real, P: Footprint<F>> {
-    pub footprints: Cow<'a, [P]>,
-    /// Features, followed by depth as one more channel if the render accumulates it.
-    pub colours: Cow<'a, [F]>,
+/// A view in the form that the loops over the tiles read.
+pub(super) struct Prepared<F, P> {
+    footprints: Vec<P>,
+    /// Features and depth of each Gaussian if depth is rendered; otherwise nothing.
+    with_depth: Vec<F>,
     pub channels: usize,
     /// Whether depth is the last channel.
     pub depth: bool,
@@ -50,12 +45,11 @@ pub(super) struct Prepared<'a, F: Real, P: Footprint<F>> {
     pub finite: bool,
     pub grid: [usize; 2],
     pub size: [usize; 2],
-    pub intersections: &'a IntersectionLists,
     pub thresholds: [F; 3],
 }
 
 /// Returns the features of each Gaussian, followed by its depth: `[N, features + 1]`.
-fn with_depth<F: Real>(inputs: Layers<&[F]>, features: usize) -> Vec<F> {
+fn with_depth<F: Real>(inputs: &Layers<&[F]>, features: usize) -> Vec<F> {
     let mut out = vec![F::ZERO; inputs.projected.len() / COLUMNS * (features + 1)];
     let chunks = inputs.projected.chunks(COLUMNS * CHUNK).zip(inputs.features.chunks(features * CHUNK));
     tasks::for_each(out.chunks_mut((features + 1) * CHUNK).zip(chunks), |_, (out, (ellipses, of_chunk))| {
@@ -77,62 +71,46 @@ fn footprints<F: Real, P: Footprint<F>>(inputs: &Layers<&[F]>, view: &FootprintV
     all
 }
 
-impl<'a, F: Real, P: Footprint<F>> Prepared<'a, F, P> {
-    /// `trace` is that of an earlier pass over the same inputs.
-    pub fn new(
-        inputs: Layers<&'a [F]>,
-        spec: &RasterizeSpec,
-        intersections: &'a IntersectionLists,
-        trace: Option<&'a SplatTrace<F, P>>,
-    ) -> Self {
+impl<F: Real, P: Footprint<F>> Prepared<F, P> {
+    pub fn new(inputs: &Layers<&[F]>, spec: &RasterizeSpec, intersections: &IntersectionLists) -> Self {
         let options = &spec.options;
         let rays = if P::ALONG_RAYS { PictureRays::of(&spec.intrinsics) } else { None };
+        let lens = rays.as_ref().map(|rays| LensLimitsSimd::new(&spec.intrinsics, rays));
         let features = inputs.background.len();
-        let colours: Cow<[F]> = match trace {
-            _ if !options.depth => inputs.features.into(),
-            Some(trace) => trace.colours.as_slice().into(),
-            None => with_depth(inputs, features).into(),
-        };
+        let with_depth = if options.depth { with_depth(inputs, features) } else { Vec::new() };
         Self {
-            footprints: match trace {
-                Some(trace) => trace.footprints.as_slice().into(),
-                None => {
-                    let lens = rays.as_ref().map(|rays| LensLimitsSimd::new(&spec.intrinsics, rays));
-                    let view = FootprintView { spec, lens, boxes: &intersections.boxes };
-                    footprints(&inputs, &view).into()
-                }
-            },
-            finite: trace.map_or_else(|| is_finite(&colours), |trace| trace.finite),
-            colours,
+            footprints: footprints(inputs, &FootprintView { spec, lens, boxes: &intersections.boxes }),
+            finite: is_finite(if options.depth { &with_depth[..] } else { inputs.features }),
+            with_depth,
             channels: features + usize::from(options.depth),
             depth: options.depth,
             rays,
             grid: tile_grid(spec.intrinsics.width, spec.intrinsics.height),
             size: [spec.intrinsics.width, spec.intrinsics.height],
-            intersections,
             thresholds: [F::of(options.alpha_min), F::of(options.alpha_max), F::of(options.transmittance_min)],
         }
     }
 
-    /// Whether the tile's list is long; see [`fn@is_long`].
-    pub fn is_long(&self, tile: usize) -> bool {
-        let listed = self.intersections.tile_start[tile + 1] - self.intersections.tile_start[tile];
-        is_long(listed, self.thresholds[0])
-    }
-
-    pub fn view(&self, tile: usize) -> TileView<'_, F, P> {
+    /// Returns a tile, and whether its list is long; see [`fn@is_long`].
+    pub fn view<'a>(
+        &'a self,
+        tile: usize,
+        inputs: &Layers<&'a [F]>,
+        intersections: &'a IntersectionLists,
+    ) -> (TileView<'a, F, P>, bool) {
         let origin = [tile % self.grid[0] * TILE_SIZE, tile / self.grid[0] * TILE_SIZE];
-        TileView {
+        let gaussians = &intersections.gaussian[intersections.tile_start[tile]..intersections.tile_start[tile + 1]];
+        let view = TileView {
             origin,
             size: [0, 1].map(|axis| TILE_SIZE.min(self.size[axis] - origin[axis])),
-            gaussians: &self.intersections.gaussian
-                [self.intersections.tile_start[tile]..self.intersections.tile_start[tile + 1]],
+            gaussians,
             slopes: self.rays.as_ref().map(|rays| (self.size[0], &rays.slopes[..])),
             footprints: &self.footprints,
-            colours: &self.colours,
+            colours: if self.depth { &self.with_depth[..] } else { inputs.features },
             channels: self.channels,
             depth: self.depth,
             finite: self.finite,
-        }
+        };
+        (view, is_long(gaussians.len(), self.thresholds[0]))
     }
 }

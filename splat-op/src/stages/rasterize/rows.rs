@@ -18,11 +18,6 @@ pub(crate) struct Rows {
 }
 
 impl Rows {
-    /// Returns the rows of all `count` Gaussians, one per Gaussian, in `sums`.
-    pub fn of_gaussians(lists: &DeviceIntersections, count: usize, sums: Buffer<f32>) -> Self {
-        Self { ranks: 0..count, intersections: 0..lists.intersections, sums }
-    }
-
     /// Allocates rows of `columns` sums, one per intersection, in as many buffers as the device's largest makes necessary. Each
     /// has all rows of its Gaussians, so the order of sums does not depend on the device. Waits for the device if one buffer is
     /// too small.

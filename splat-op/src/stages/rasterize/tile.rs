@@ -85,13 +85,78 @@ pub(super) struct TileTrace<F> {
     pub checkpoints: Vec<F>,
 }
 
+/// What the Gaussians of a tile share.
+struct TilePass<'a, S: Simd, F: Real> {
+    thresholds: &'a Thresholds<S, F>,
+    pixels: &'a TilePixels<F>,
+    blocks: &'a TileBlocks<F>,
+    /// Upper border of the tile, px.
+    top: F,
+    /// Whether depth is the last channel.
+    depth: bool,
+}
+
+/// What a Gaussian did to a tile.
+struct Passed {
+    /// A bit for each block that it reaches.
+    reached: u16,
+    /// Number of pixels that it finishes.
+    finished: usize,
+}
+
+impl<S: Simd, F: Real> TilePass<'_, S, F> {
+    /// Adds the colours of a Gaussian to `sums` and updates the transmittances. Without `FINITE` only the pixels that see it are added
+    /// to: zero times a colour that is not finite is undefined.
+    #[inline(always)]
+    fn add<P: Footprint<F>, const C: usize, const LONG: bool, const FINITE: bool>(
+        &self,
+        footprint: &P,
+        colour: &[F],
+        transmittance: &mut Transmittances<F>,
+        sums: &mut [Plane<F>],
+    ) -> Passed {
+        let Self { thresholds, pixels, blocks, .. } = self;
+        let (simd, channels) = (thresholds.zero.token(), if C == 0 { colour.len() } else { C });
+        let splat = footprint.lanes(simd, self.top);
+        let [middle, half] = footprint.bounds();
+        let window = TileWindow::around(blocks.met(simd, middle, half));
+        let colour_lanes = colour_lanes::<S, F, C>(simd, colour);
+        let mut passed = Passed { reached: 0, finished: 0 };
+        for part in (window.first_column * SIMD_BLOCK..window.end_column * SIMD_BLOCK).step_by(len::<S, F>()) {
+            let column = splat.column(pixels.x(simd, part));
+            for row in (window.first_row..window.end_row).step_by(SIMD_ROWS) {
+                let place = row * TILE_SIZE + part;
+                let before = transmittance.load::<S, LONG>(simd, place);
+                let layer = thresholds.layer::<_, LONG>(&splat, &column, pixels, place, before);
+                passed.reached |= if layer.near.any_true() { 1 << (place / SIMD_BLOCK) } else { 0 };
+                transmittance.store::<S, LONG>(layer.transmittance, place);
+                let weight = layer.alpha * before[0];
+                for (channel, sum) in sums.iter_mut().enumerate() {
+                    let mut colour =
+                        if C == 0 { F::Block::<S>::splat(simd, colour[channel]) } else { colour_lanes[channel] };
+                    if P::ALONG_RAYS && self.depth && channel + 1 == channels {
+                        colour *= layer.depth_factor;
+                    }
+                    let sum_before = lanes(simd, sum, place);
+                    let mut sum_behind = weight.mul_add(colour, sum_before);
+                    if !FINITE {
+                        sum_behind = layer.alpha.simd_gt(thresholds.zero).select(sum_behind, sum_before);
+                    }
+                    store(sum_behind, sum, place);
+                }
+                passed.finished += layer.finished;
+            }
+        }
+        passed
+    }
+}
+
 /// Rasterizes a tile. Writes the sums `Σ w c` and the transmittance (positive) to `planes`, `[channels + 1, 256]`.
 /// Fills `trace`, if given.
 ///
 /// `C` is the number of channels if it is known at compile time, else zero.
 #[inline(always)]
 pub(super) fn rasterize_tile<S: Simd, F: Real, P: Footprint<F>, const C: usize, const LONG: bool>(
-    simd: S,
     view: &TileView<F, P>,
     thresholds: &Thresholds<S, F>,
     planes: &mut [F],
@@ -99,7 +164,8 @@ pub(super) fn rasterize_tile<S: Simd, F: Real, P: Footprint<F>, const C: usize, 
 ) {
     let channels = if C == 0 { view.channels } else { C };
     let corner = view.corner();
-    let (pixels, blocks) = (TilePixels::new(view), TileBlocks::new(corner));
+    let (pixels, blocks) = (&TilePixels::new(view), &TileBlocks::new(corner));
+    let tile = TilePass { thresholds, pixels, blocks, top: corner[1], depth: view.depth };
     let mut transmittance = Transmittances::new(pixels.open);
     let mut open = view.open(&pixels.open);
     let (sums, final_transmittance) = planes.as_chunks_mut::<TILE_PIXELS>().0.split_at_mut(channels);
@@ -120,51 +186,17 @@ pub(super) fn rasterize_tile<S: Simd, F: Real, P: Footprint<F>, const C: usize, 
             summed = 0;
         }
         let footprint = &near.footprints[i % CHECKPOINT_EVERY];
-        let splat = footprint.lanes(simd, corner[1]);
         let colour = if C == 0 { view.colour(gaussian) } else { &near.colours[i % CHECKPOINT_EVERY] };
-        let mut reached = 0;
-        let [middle, half] = footprint.bounds();
-        let window = TileWindow::around(blocks.met(simd, middle, half));
-        let mut colour_lanes = colour_lanes::<S, F, C>(simd, colour);
-        let hidden;
-        let mut colour = colour;
-        if !(view.finite || is_finite(colour)) {
-            add_visible::<S, F, P, LONG>(
-                thresholds,
-                (&splat, &window, &pixels),
-                (colour, view.depth),
-                &transmittance,
-                sums,
-            );
-            // They are added.
-            colour_lanes = [thresholds.zero; C];
-            hidden = vec![F::ZERO; channels];
-            colour = &hidden;
-        }
-        for part in (window.first_column * SIMD_BLOCK..window.end_column * SIMD_BLOCK).step_by(len::<S, F>()) {
-            let column = splat.column(pixels.x(simd, part));
-            for row in (window.first_row..window.end_row).step_by(SIMD_ROWS) {
-                let place = row * TILE_SIZE + part;
-                let before = transmittance.load::<S, LONG>(simd, place);
-                let layer = thresholds.layer::<_, LONG>(&splat, &column, &pixels, place, before);
-                reached |= if layer.near.any_true() { 1 << (place / SIMD_BLOCK) } else { 0 };
-                transmittance.store::<S, LONG>(layer.transmittance, place);
-                let weight = layer.alpha * before[0];
-                for (channel, sum) in sums.iter_mut().enumerate() {
-                    let mut colour =
-                        if C == 0 { F::Block::<S>::splat(simd, colour[channel]) } else { colour_lanes[channel] };
-                    if P::ALONG_RAYS && view.depth && channel + 1 == channels {
-                        colour *= layer.depth_factor;
-                    }
-                    store(weight.mul_add(colour, lanes(simd, sum, place)), sum, place);
-                }
-                open -= layer.finished;
-            }
-        }
+        let Passed { reached, finished } = if view.finite || is_finite(colour) {
+            tile.add::<P, C, LONG, true>(footprint, colour, &mut transmittance, sums)
+        } else {
+            tile.add::<P, C, LONG, false>(footprint, colour, &mut transmittance, sums)
+        };
         summed += usize::from(reached != 0);
         if let Some(trace) = trace.as_deref_mut() {
             trace.reached.push(reached);
         }
+        open -= finished;
         if open == 0 {
             break;
         }
@@ -177,35 +209,5 @@ pub(super) fn rasterize_tile<S: Simd, F: Real, P: Footprint<F>, const C: usize, 
     final_transmittance[0] = transmittance.kept.map(F::abs);
     for plane in planes.as_chunks_mut::<TILE_PIXELS>().0 {
         *plane = in_rows(plane);
-    }
-}
-
-/// Adds the colours of a Gaussian, not all of which are finite, to the `sums` of the pixels that see it.
-#[inline(always)]
-fn add_visible<S: Simd, F: Real, P: Footprint<F>, const LONG: bool>(
-    thresholds: &Thresholds<S, F>,
-    (splat, window, pixels): (&P::Broadcast<S>, &TileWindow, &TilePixels<F>),
-    (colour, depth): (&[F], bool),
-    transmittance: &Transmittances<F>,
-    sums: &mut [Plane<F>],
-) {
-    let (simd, channels) = (thresholds.zero.token(), colour.len());
-    for part in (window.first_column * SIMD_BLOCK..window.end_column * SIMD_BLOCK).step_by(len::<S, F>()) {
-        let column = splat.column(pixels.x(simd, part));
-        for row in (window.first_row..window.end_row).step_by(SIMD_ROWS) {
-            let place = row * TILE_SIZE + part;
-            let before = transmittance.load::<S, LONG>(simd, place);
-            let layer = thresholds.layer::<_, LONG>(splat, &column, pixels, place, before);
-            let shows = layer.alpha.simd_gt(thresholds.zero);
-            for (channel, (sum, &colour)) in sums.iter_mut().zip(colour).enumerate() {
-                let mut colour = F::Block::<S>::splat(simd, colour);
-                if P::ALONG_RAYS && depth && channel + 1 == channels {
-                    colour *= layer.depth_factor;
-                }
-                let sum_before = lanes(simd, sum, place);
-                let sum_behind = (layer.alpha * before[0]).mul_add(colour, sum_before);
-                store(shows.select(sum_behind, sum_before), sum, place);
-            }
-        }
     }
 }

@@ -1,5 +1,8 @@
 //! What users of other rasterizers expect of the layer: planes and radii that cull, backgrounds and sizes for each camera, radii,
-//! expected depth and normals, on every device.
+//! expected depth, normals, contributors, median depth and masks of tiles, on every device.
+
+mod contributors;
+mod masks;
 
 use burn::tensor::{Bool, DType, Device, Tensor};
 use glam::{DAffine3, DMat3, DQuat, DVec3};
