@@ -13,7 +13,7 @@ use crate::camera::PictureRays;
 use crate::intersect::{IntersectionLists, TILE_SIZE, tile_grid};
 use crate::project::{COLUMNS, Ellipse};
 use crate::rasterize_rays::footprint::RayFootprint;
-use crate::ray_space::LensLimitsSimd;
+use crate::ray_space::LensLimits;
 use crate::simd::real::Real;
 use crate::tasks;
 
@@ -97,7 +97,7 @@ impl<'a, F: Real, P: Footprint<F>> Prepared<'a, F, P> {
             footprints: match trace {
                 Some(trace) => trace.footprints.as_slice().into(),
                 None => {
-                    let lens = rays.as_ref().map(|rays| LensLimitsSimd::new(&spec.intrinsics, rays));
+                    let lens = rays.as_ref().map(|rays| LensLimits::new(&spec.intrinsics, rays));
                     let view = FootprintView { spec, lens, boxes: &intersections.boxes };
                     footprints(&inputs, &view).into()
                 }
