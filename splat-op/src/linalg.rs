@@ -1,6 +1,6 @@
-//! Small vectors and matrices of numbers or SIMD lanes, for the CPU twins of `project` and `evaluate_sh`.
+//! Small vectors and matrices of numbers, SIMD lanes or values of a kernel, and the numbers that kernels and CPU twins share.
 
-use std::ops::{Add, Mul, Neg, Sub};
+use std::ops::{Add, BitAnd, BitOr, Div, Mul, Neg, Not, Sub};
 
 use crate::simd::real::Real;
 
@@ -11,6 +11,65 @@ pub(crate) trait Entry:
 }
 
 impl<T: Copy + Add<Output = T> + Sub<Output = T> + Mul<Output = T> + Neg<Output = T>> Entry for T {}
+
+/// The number of a formula that a kernel shares with its CPU twin: a value of the kernel that is being compiled, or a vector of SIMD
+/// lanes. Compilers of shaders may assume that no NaN or infinity occurs, so [`Self::finite`] decides about those, and a
+/// comparison decides only where its operands are finite.
+pub(crate) trait Number:
+    Entry
+    + Div<Output = Self>
+    + Add<f64, Output = Self>
+    + Sub<f64, Output = Self>
+    + Mul<f64, Output = Self>
+    + Div<f64, Output = Self>
+{
+    /// What a comparison finds.
+    type Mask: Copy + BitAnd<Output = Self::Mask> + BitOr<Output = Self::Mask> + Not<Output = Self::Mask>;
+
+    /// Returns a constant of the kind of this number, rounded.
+    fn constant(self, value: f64) -> Self;
+    fn sqrt(self) -> Self;
+    fn ln(self) -> Self;
+    fn abs(self) -> Self;
+    fn min(self, other: Self) -> Self;
+    fn max(self, other: Self) -> Self;
+    fn lt(self, other: Self) -> Self::Mask;
+    fn le(self, other: Self) -> Self::Mask;
+    fn gt(self, other: Self) -> Self::Mask;
+    fn ge(self, other: Self) -> Self::Mask;
+    fn eq(self, other: Self) -> Self::Mask;
+    /// Whether the number is neither infinite nor NaN.
+    fn finite(self) -> Self::Mask;
+    /// Returns `then` where the mask is set, else `or`.
+    fn select(mask: Self::Mask, then: Self, or: Self) -> Self;
+    /// Whether a mask may be set anywhere: a kernel that is being compiled does not know, and says yes.
+    fn any(mask: Self::Mask) -> bool;
+    /// Length of a vector, without intermediate overflow or underflow.
+    fn length(v: [Self; 3]) -> Self;
+
+    /// Length of a vector in the plane.
+    #[inline(always)]
+    fn hypotenuse(self, other: Self) -> Self {
+        Self::length([self, other, self.constant(0.0)])
+    }
+
+    /// Selects arrays by [`Self::select`].
+    #[inline(always)]
+    fn select_all<const C: usize>(mask: Self::Mask, then: [Self; C], or: [Self; C]) -> [Self; C] {
+        let mut out = or;
+        for i in 0..C {
+            out[i] = Self::select(mask, then[i], or[i]);
+        }
+        out
+    }
+
+    /// Returns `above / below`, or `or` where the mask is not set. Nothing is divided by zero where `below` is not zero under the mask.
+    #[inline(always)]
+    fn ratio(mask: Self::Mask, above: Self, below: Self, or: f64) -> Self {
+        let one = below.constant(1.0);
+        Self::select(mask, above / Self::select(mask, below, one), below.constant(or))
+    }
+}
 
 /// 3 × 3 matrix, row-major.
 pub(crate) type Matrix3<F> = [[F; 3]; 3];

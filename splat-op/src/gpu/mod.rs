@@ -4,6 +4,7 @@
 pub(crate) mod atomic;
 mod buffer;
 pub(crate) mod math;
+pub(crate) mod number;
 pub(crate) mod reduce;
 
 use std::ops::Range;

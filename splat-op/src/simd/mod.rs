@@ -2,6 +2,7 @@
 
 pub(crate) mod blocks;
 pub(crate) mod lanes;
+pub(crate) mod number;
 pub(crate) mod real;
 
 /// `each!(array, |element| value)`: the array of the values. A closure that the compiler leaves out of line lacks the vector

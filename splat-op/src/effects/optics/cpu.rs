@@ -2,12 +2,14 @@
 
 use fearless_simd::prelude::*;
 
-use super::simd::{ChangeSimd, EllipseSimd};
+use super::formulas::Change;
 use super::{Exposed, OpticsSpec, PARAMETERS};
-use crate::project::COLUMNS;
-use crate::simd::dispatch;
-use crate::simd::lanes::{Columns, ROW_BLOCK, width};
+use crate::linalg::Number;
+use crate::project::{COLUMNS, Ellipse};
+use crate::simd::lanes::{Columns, MaskOf, ROW_BLOCK, width};
+use crate::simd::number::LaneNumber;
 use crate::simd::real::Real;
+use crate::simd::{dispatch, each};
 use crate::tasks;
 
 /// Number of Gaussians per task.
@@ -24,19 +26,38 @@ pub(crate) fn expose_cpu<F: Real>(inputs: Exposed<&[F]>, spec: &OpticsSpec) -> V
 }
 
 #[inline(always)]
+fn change_of<S: Simd, F: Real>(simd: S, twist: &[F], spec: &OpticsSpec) -> Change<LaneNumber<S, F>> {
+    let lanes = |value: f64| LaneNumber::splat(simd, F::of(value));
+    Change {
+        exposure: spec.exposure,
+        axes: each!(spec.axes(), |axis| each!(axis, |value| lanes(value))),
+        height: lanes(spec.intrinsics.height as f64),
+        twist: each!([0, 1, 2, 3, 4, 5], |i| LaneNumber::splat(simd, twist[i])),
+    }
+}
+
+#[inline(always)]
 fn change_run<S: Simd, F: Real>(simd: S, twist: &[F], spec: &OpticsSpec, rows: &[F], out: &mut [F]) {
-    let change = ChangeSimd::<S, F>::new(simd, twist, spec);
+    let change = change_of(simd, twist, spec);
     let (mut ellipses, mut changed) = (Columns::<F, COLUMNS>::new(), Columns::<F, COLUMNS>::new());
     for (rows, out) in rows.chunks(ROW_BLOCK * COLUMNS).zip(out.chunks_mut(ROW_BLOCK * COLUMNS)) {
         ellipses.read(rows);
         for at in (0..rows.len() / COLUMNS).step_by(width::<S, F>()) {
-            let eight = EllipseSimd::of_row(ellipses.all_lanes(simd, at));
-            for (column, value) in change.of(eight).to_row().into_iter().enumerate() {
-                changed.store(column, at, value);
+            let row = ellipses.numbers(simd, at);
+            let found = change.of(&Ellipse::from_row(&row)).to_row();
+            let kept = LaneNumber::select_all(culled(&row), row, found);
+            for (column, value) in kept.into_iter().enumerate() {
+                changed.store(column, at, value.0);
             }
         }
         changed.write(out);
     }
+}
+
+/// Whether Gaussians are culled: their depth is zero.
+#[inline(always)]
+fn culled<S: Simd, F: Real>(row: &[LaneNumber<S, F>; COLUMNS]) -> MaskOf<S, F> {
+    row[5].eq(row[5].constant(0.0))
 }
 
 /// Returns the gradients of the ellipses and of the twist from `grad`, `[N, 7]`.
@@ -64,8 +85,9 @@ fn gradients_of_run<S: Simd, F: Real>(
     grad: &[F],
     out: &mut [F],
 ) -> [F; PARAMETERS] {
-    let change = ChangeSimd::<S, F>::new(simd, twist, spec);
-    let mut sums = [F::Lanes::<S>::splat(simd, F::ZERO); PARAMETERS];
+    let change = change_of(simd, twist, spec);
+    let zero = F::Lanes::<S>::splat(simd, F::ZERO);
+    let mut sums = [zero; PARAMETERS];
     let mut found = Columns::<F, COLUMNS>::new();
     let blocks = rows.chunks(ROW_BLOCK * COLUMNS).zip(grad.chunks(ROW_BLOCK * COLUMNS));
     for ((rows, grad), out) in blocks.zip(out.chunks_mut(ROW_BLOCK * COLUMNS)) {
@@ -74,11 +96,15 @@ fn gradients_of_run<S: Simd, F: Real>(
         ellipses.read(rows);
         of_ellipses.read(grad);
         for at in (0..rows.len() / COLUMNS).step_by(width::<S, F>()) {
-            let eight = EllipseSimd::of_row(ellipses.all_lanes(simd, at));
-            let of_eight = EllipseSimd::of_row(of_ellipses.all_lanes(simd, at));
-            let gradient = change.backward(&eight, &of_eight, &mut sums);
-            for (column, value) in gradient.to_row().into_iter().enumerate() {
-                found.store(column, at, value);
+            let (row, grad) = (ellipses.numbers(simd, at), of_ellipses.numbers(simd, at));
+            let (of_ellipse, of_twist) = change.backward(&Ellipse::from_row(&row), &Ellipse::from_row(&grad));
+            let culled = culled(&row);
+            let kept = LaneNumber::select_all(culled, grad, of_ellipse.to_row());
+            for (column, value) in kept.into_iter().enumerate() {
+                found.store(column, at, value.0);
+            }
+            for (sum, value) in sums.iter_mut().zip(of_twist) {
+                *sum += culled.select(zero, value.0);
             }
         }
         found.write(out);

@@ -1,23 +1,18 @@
 //! Launches of the changes of ellipses.
 
-use super::backward::expose_backward_kernel;
-use super::forward::{AxisLaunch, ChangeLaunch, Kind, expose_kernel};
-use super::{Exposed, Exposure, OpticsSpec, PARAMETERS};
+use super::kernels::{AxisLaunch, ChangeArgLaunch, expose_backward_kernel, expose_kernel};
+use super::{Exposed, OpticsSpec, PARAMETERS};
 use crate::gpu::reduce::launch_column_sums;
 use crate::gpu::{Buffer, Gpu, UNITS, elementwise};
 use crate::project::COLUMNS;
 
 /// Camera and change as an argument of the kernels.
-fn change(spec: &OpticsSpec) -> ChangeLaunch {
-    let kind = match spec.exposure {
-        Exposure::MotionBlur => Kind::MotionBlur,
-        Exposure::RollingShutter => Kind::RollingShutter,
-    };
+fn change(spec: &OpticsSpec) -> ChangeArgLaunch {
     let [x, y] = spec.axes().map(|axis| {
         let [focal, principal, low, high] = axis.map(|value| value as f32);
         AxisLaunch::new(focal, principal, low, high)
     });
-    ChangeLaunch::new(x, y, spec.intrinsics.height as f32, kind)
+    ChangeArgLaunch::new(x, y, spec.intrinsics.height as f32, spec.exposure)
 }
 
 /// Returns the changed ellipses, `[N, 7]`.

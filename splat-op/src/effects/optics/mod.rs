@@ -53,17 +53,15 @@
 //! `v_y` is clamped to half of `H` either way: near `H` a point would stay ahead of the shutter for ever, and beyond it be visible in
 //! no row or upside down.
 
-#[cfg(feature = "cube")]
-mod backward;
 pub(crate) mod cpu;
-#[cfg(feature = "cube")]
-mod forward;
+mod formulas;
 #[cfg(all(test, feature = "cube"))]
 mod kernel_tests;
 #[cfg(feature = "cube")]
+mod kernels;
+#[cfg(feature = "cube")]
 pub(crate) mod launch;
 mod operation;
-mod simd;
 mod tensors;
 #[cfg(test)]
 mod tests;
@@ -95,7 +93,7 @@ record! {
 }
 
 /// How a picture is exposed.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Exposure {
     /// The shutter is open while the camera moves.
     MotionBlur,

@@ -3,10 +3,11 @@ use fearless_simd::prelude::*;
 use glam::{DQuat, DVec3};
 
 use super::cpu::{expose_backward_cpu, expose_cpu};
-use super::simd::{EllipseSimd, MovingSimd, RolledSimd, WidenedSimd};
+use super::formulas::{Change, Moving, Rolled, Widened};
 use super::*;
-use crate::project::COLUMNS;
+use crate::project::{COLUMNS, Ellipse};
 use crate::simd::dispatch;
+use crate::simd::number::LaneNumber;
 use crate::simd::real::Real;
 use crate::testing::finite::{check_gradient, inner_product};
 use crate::testing::random::Random;
@@ -80,8 +81,16 @@ fn check_covariance(before: &[f64], after: &[f64], right: [f64; 3], grows: bool,
 }
 
 /// Returns the first of the lanes, which hold the same value.
-fn first<S: Simd, F: Real>(lanes: F::Lanes<S>) -> f64 {
-    lanes[0].f64()
+fn first<S: Simd, F: Real>(lanes: LaneNumber<S, F>) -> f64 {
+    lanes.0[0].f64()
+}
+
+fn lanes<S: Simd, F: Real>(simd: S, value: f64) -> LaneNumber<S, F> {
+    LaneNumber::splat(simd, F::of(value))
+}
+
+fn ellipse<S: Simd, F: Real>(simd: S, row: &[f64]) -> Ellipse<LaneNumber<S, F>> {
+    Ellipse::from_row(&row.iter().map(|value| lanes(simd, *value)).collect::<Vec<_>>())
 }
 
 fn widened<F: Real>(row: &[f64], w: [f64; 2]) -> [f64; COLUMNS] {
@@ -89,9 +98,8 @@ fn widened<F: Real>(row: &[f64], w: [f64; 2]) -> [f64; COLUMNS] {
 }
 
 fn widened_by<S: Simd, F: Real>(simd: S, row: &[f64], w: [f64; 2]) -> [f64; COLUMNS] {
-    let lanes = |value: f64| F::Lanes::<S>::splat(simd, F::of(value));
-    let e = EllipseSimd::of_row(std::array::from_fn(|i| lanes(row[i])));
-    WidenedSimd::<S, F>::new(&e, w.map(lanes)).of(e).to_row().map(first::<S, F>)
+    let e = ellipse::<S, F>(simd, row);
+    Widened::new(&e, w.map(|value| lanes(simd, value))).of(&e).to_row().map(first)
 }
 
 fn rolled<F: Real>(row: &[f64], velocity: [f64; 2], height: f64) -> [f64; COLUMNS] {
@@ -99,25 +107,27 @@ fn rolled<F: Real>(row: &[f64], velocity: [f64; 2], height: f64) -> [f64; COLUMN
 }
 
 fn rolled_by<S: Simd, F: Real>(simd: S, row: &[f64], velocity: [f64; 2], height: f64) -> [f64; COLUMNS] {
-    let lanes = |value: f64| F::Lanes::<S>::splat(simd, F::of(value));
-    let e = EllipseSimd::of_row(std::array::from_fn(|i| lanes(row[i])));
-    RolledSimd::<S, F>::new(&e, velocity.map(lanes), lanes(height)).of(e).to_row().map(first::<S, F>)
+    let e = ellipse::<S, F>(simd, row);
+    Rolled::new(&e, velocity.map(|value| lanes(simd, value)), lanes(simd, height)).of(&e).to_row().map(first)
 }
 
 fn velocity_by<S: Simd>(simd: S, row: [f64; COLUMNS], twist: [f64; PARAMETERS], axes: [[f64; 4]; 2]) -> [f64; 2] {
-    let lanes = |value: f64| <f64 as Real>::Lanes::<S>::splat(simd, value);
-    let moving =
-        MovingSimd::<S, f64>::new(&EllipseSimd::of_row(row.map(lanes)), &twist.map(lanes), &axes.map(|a| a.map(lanes)));
-    moving.velocity.map(first::<S, f64>)
+    let lanes = |value: f64| lanes::<S, f64>(simd, value);
+    let change = Change {
+        exposure: Exposure::MotionBlur,
+        axes: axes.map(|axis| axis.map(lanes)),
+        height: lanes(1.0),
+        twist: twist.map(lanes),
+    };
+    Moving::new(&ellipse(simd, &row), &change).velocity.map(first)
 }
 
 /// The gradients of `sigma_u`, the shear, `sigma_v`, the opacity and `w`.
 fn widened_backward<S: Simd, F: Real>(simd: S, [row, grad]: [[f64; COLUMNS]; 2], w: [f64; 2]) -> [f64; 6] {
-    let lanes = |value: f64| F::Lanes::<S>::splat(simd, F::of(value));
-    let [e, grad] = [row, grad].map(|row| EllipseSimd::of_row(row.map(lanes)));
-    let of = WidenedSimd::<S, F>::new(&e, w.map(lanes)).backward(&e, &grad);
-    let row = of.ellipse.to_row();
-    [row[2], row[3], row[4], row[6], of.w[0], of.w[1]].map(first::<S, F>)
+    let [e, grad] = [row, grad].map(|row| ellipse::<S, F>(simd, &row));
+    let (of_ellipse, of_w) = Widened::new(&e, w.map(|value| lanes(simd, value))).backward(&e, &grad);
+    let row = of_ellipse.to_row();
+    [row[2], row[3], row[4], row[6], of_w[0], of_w[1]].map(first)
 }
 
 #[test]

@@ -12,7 +12,7 @@ use crate::camera::PictureRays;
 use crate::intersect::{IntersectionLists, TILE_SIZE, tile_grid};
 use crate::project::{COLUMNS, Ellipse};
 use crate::rasterize_rays::footprint::RayFootprint;
-use crate::ray_space::LensLimitsSimd;
+use crate::ray_space::LensLimits;
 use crate::simd::real::Real;
 use crate::tasks;
 
@@ -75,7 +75,7 @@ impl<F: Real, P: Footprint<F>> Prepared<F, P> {
     pub fn new(inputs: &Layers<&[F]>, spec: &RasterizeSpec, intersections: &IntersectionLists) -> Self {
         let options = &spec.options;
         let rays = if P::ALONG_RAYS { PictureRays::of(&spec.intrinsics) } else { None };
-        let lens = rays.as_ref().map(|rays| LensLimitsSimd::new(&spec.intrinsics, rays));
+        let lens = rays.as_ref().map(|rays| LensLimits::new(&spec.intrinsics, rays));
         let features = inputs.background.len();
         let with_depth = if options.depth { with_depth(inputs, features) } else { Vec::new() };
         Self {

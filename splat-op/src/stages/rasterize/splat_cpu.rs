@@ -6,13 +6,13 @@ use fearless_simd::prelude::*;
 use super::pixels::TilePixels;
 use super::{Layers, MOMENTS, RasterizeSpec};
 use crate::intersect::PixelBox;
-use crate::ray_space::{LensLimitsSimd, SLOPES};
+use crate::ray_space::{LensLimits, SLOPES};
 use crate::simd::real::Real;
 
 /// The view that footprints are read for.
 pub(crate) struct FootprintView<'a, F> {
     pub spec: &'a RasterizeSpec,
-    pub lens: Option<LensLimitsSimd<F>>,
+    pub lens: Option<LensLimits<F>>,
     /// `[N]` or empty: boxes of the Gaussians.
     pub boxes: &'a [PixelBox],
 }

@@ -10,7 +10,7 @@ use crate::rasterize::Layers;
 use crate::rasterize::footprint::WHITEN;
 use crate::rasterize::pixels::{TilePixels, lanes};
 use crate::rasterize::splat_cpu::{Footprint, FootprintLanes, FootprintView, PairSums, SplatAt};
-use crate::ray_space::{LensFrameSimd, SLOPES, beyond, columns};
+use crate::ray_space::{LensFrame, SLOPES, beyond, columns};
 use crate::simd::each;
 use crate::simd::real::Real;
 
@@ -37,7 +37,7 @@ pub(crate) struct RayFootprint<F> {
     /// Whether the centre is not the origin.
     beyond: bool,
     /// The columns of a lens that take the slopes of a ray to its whitened coordinates.
-    frame: LensFrameSimd<F>,
+    frame: LensFrame<F>,
     /// Middle and half the size of its box, px.
     bounds: [[f32; 2]; 2],
 }
@@ -63,7 +63,7 @@ impl<F: Real> Footprint<F> for RayFootprint<F> {
         // Limits at which no product of `u`, `v` and `s` overflows anywhere in the picture.
         let widest = F::of(WHITENED_MAX);
         let size = [spec.intrinsics.width, spec.intrinsics.height].map(|px| F::of(px as f64));
-        let frame = LensFrameSimd::of(slopes).unwrap_or_default();
+        let frame = LensFrame::of(slopes).unwrap_or_default();
         let [far_x, far_y] = [0, 1].map(|axis| {
             let base = base_px[axis];
             let far = base.abs().max_of((size[axis] - base).abs()).max_of(F::ONE);
@@ -100,7 +100,7 @@ impl<F: Real> Footprint<F> for RayFootprint<F> {
             centre,
             gamma: centre_depth - depth_slope[0] * centre[0] - depth_slope[1] * centre[1],
             beyond: away != [F::ZERO; 2] || centre_depth != F::ONE,
-            frame: LensFrameSimd { by: whitened, ..frame },
+            frame: LensFrame { by: whitened, ..frame },
             bounds: [found.middle, found.half],
         }
     }
@@ -165,7 +165,7 @@ impl<S: Simd, F: Real> RayLanes<S, F> {
     fn whitened(&self, x: F::Block<S>, pixels: &TilePixels<F>, place: usize) -> [F::Block<S>; 2] {
         let splat = |value: F| F::Block::<S>::splat(self.simd, value);
         if let Some(slopes) = &pixels.slopes {
-            let LensFrameSimd { centre, by } = self.splat.frame;
+            let LensFrame { centre, by } = self.splat.frame;
             let x = lanes::<S, F>(self.simd, &slopes[0], place) - splat(centre[0]);
             let y = lanes::<S, F>(self.simd, &slopes[1], place) - splat(centre[1]);
             each!(by, |[by_x, by_y]| splat(by_x).mul_add(x, y * splat(by_y)))

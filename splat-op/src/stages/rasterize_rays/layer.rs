@@ -10,7 +10,7 @@ use crate::project::forward::PackedEllipse;
 use crate::rasterize::blocks::{BLOCK_PIXELS, HALF_BLOCKS, pixel_of};
 use crate::rasterize::layer::{Four, KernelShape, RasterFrame, SplatInputs, TilePixel, four};
 use crate::rasterize::splat::{BlockPairs, Splat};
-use crate::ray_space::{LENS_FRAME, LensFrame, RAY_SPACE, SLOPES};
+use crate::ray_space::{KernelFrame, LENS_FRAME, RAY_SPACE, SLOPES};
 
 /// A Gaussian as pixels evaluate it: its whitening, its depth slope, its centre relative to the origin of the whitened
 /// coordinates, and the columns of a lens.
@@ -31,7 +31,7 @@ pub(crate) struct RayGaussian {
     pub alpha: f32,
     pub beta: f32,
     pub gamma: f32,
-    frame: ComptimeOption<LensFrame>,
+    frame: ComptimeOption<KernelFrame>,
 }
 
 /// Whitened coordinates.
@@ -53,11 +53,11 @@ fn whiten(dx: f32, dy: f32, sigma_u: f32, shear: f32, sigma_v: f32) -> WhitenedP
 
 /// Returns the columns of a lens of the row of `ray_space` that begins at `at`, if there is one.
 #[cube]
-fn frame_of(inputs: &SplatInputs, at: usize) -> ComptimeOption<LensFrame> {
+fn frame_of(inputs: &SplatInputs, at: usize) -> ComptimeOption<KernelFrame> {
     let first = at + comptime!(RAY_SPACE);
     #[comptime]
     match &inputs.slopes {
-        ComptimeOption::Some(_slopes) => ComptimeOption::new_Some(LensFrame {
+        ComptimeOption::Some(_slopes) => ComptimeOption::new_Some(KernelFrame {
             centre: Vec2::new(inputs.ray_value(first), inputs.ray_value(first + 1)),
             x: Vec2::new(inputs.ray_value(first + 2), inputs.ray_value(first + 3)),
             y: Vec2::new(inputs.ray_value(first + 4), inputs.ray_value(first + 5)),
@@ -225,10 +225,10 @@ impl RayGaussian {
 
 /// Takes the columns of a lens from three vectors of four, if there is one.
 #[cube]
-fn stored_frame(centre: Four, rows: Four, inputs: &SplatInputs) -> ComptimeOption<LensFrame> {
+fn stored_frame(centre: Four, rows: Four, inputs: &SplatInputs) -> ComptimeOption<KernelFrame> {
     #[comptime]
     match &inputs.slopes {
-        ComptimeOption::Some(_slopes) => ComptimeOption::new_Some(LensFrame {
+        ComptimeOption::Some(_slopes) => ComptimeOption::new_Some(KernelFrame {
             centre: Vec2::new(centre.extract(0usize), centre.extract(1usize)),
             x: Vec2::new(rows.extract(0usize), rows.extract(1usize)),
             y: Vec2::new(rows.extract(2usize), rows.extract(3usize)),

@@ -2,75 +2,91 @@
 
 use cubecl::prelude::*;
 
-use super::lens_bounds_kernel::{LensFrame, jacobian_at};
-use super::{LENS_FRAME, RAY_SPACE, THICKNESS_MAX};
-use crate::gpu::math::{Vec2, Vec3, finite};
-use crate::project::forward::{Gaussian, GeometryInputs, ProjectCamera, ProjectionTerms, project_one};
+use super::formulas::{Factored, RaySpaceTerms};
+use super::{LENS_COLUMNS, LensFrame, RAY_SPACE};
+use crate::gpu::math::{Mat3, Vec2, Vec3};
+use crate::gpu::number::{KernelMask, KernelNumber, store_row};
+use crate::project::forward::{
+    Gaussian, GaussianExpand, GeometryInputs, ProjectCamera, ProjectionTerms, ProjectionTermsExpand, project_one,
+};
+use crate::project::lens_forward::{Distortion, LensProjection, bent_rows};
 
-/// Intermediate results of the forward pass that the backward pass needs again, with the names of the module's documentation.
+/// The linear map at a Gaussian: the slopes `t` and the rows of `G`, px per slope; with a lens the columns of a row.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
-pub(super) struct RaySpaceTerms {
-    /// False if the Gaussian has no depth slope, because it is culled or too long.
-    pub sound: bool,
-    /// `j`: the last row of `W R` over z; `mz`: `j` times the scales.
-    pub j: Vec3,
-    pub mz: Vec3,
-    pub c: Vec3,
-    pub p: Vec3,
-    pub a: Vec3,
-    pub b: f32,
-    pub b_u: f32,
-    pub depth_slope_u: f32,
-    pub depth_slope_v: f32,
-    pub thickness: f32,
-    /// Whether the thickness is not clamped.
-    pub free: bool,
+pub(crate) struct KernelFrame {
+    pub centre: Vec2,
+    pub x: Vec2,
+    pub y: Vec2,
+}
+
+impl KernelFrameExpand {
+    /// The map as numbers.
+    pub(super) fn numbers<'a>(&self, scope: &'a Scope) -> LensFrame<KernelNumber<'a>> {
+        let [centre, x, y] = [self.centre, self.x, self.y]
+            .map(|pair| [KernelNumber::of(scope, pair.x), KernelNumber::of(scope, pair.y)]);
+        LensFrame { centre, by: [x, y] }
+    }
+}
+
+/// Returns the map of a lens at a centre in the camera's frame, the rows of the lens's Jacobian there, and its projection.
+#[cube]
+pub(super) fn lens_map(
+    mean_cam: Vec3,
+    camera: &ProjectCamera,
+    distortion: &Distortion,
+) -> (KernelFrame, (Vec3, Vec3), LensProjection) {
+    let rows = Mat3 { x: Vec3::new(1.0, 0.0, 0.0), y: Vec3::new(0.0, 1.0, 0.0), z: Vec3::new(0.0, 0.0, 1.0) };
+    let (x, y, bent) = bent_rows(mean_cam, rows, Vec3::new(1.0, 1.0, 1.0), &camera.x, &camera.y, distortion);
+    let z = mean_cam.z;
+    let map = KernelFrame {
+        centre: Vec2::new(mean_cam.x / z, mean_cam.y / z),
+        x: Vec2::new(z * x.j.x, z * x.j.y),
+        y: Vec2::new(z * y.j.x, z * y.j.y),
+    };
+    (map, (x.j, y.j), bent)
+}
+
+/// Returns the terms of a Gaussian, from its projection.
+pub(super) fn terms_of<'a>(
+    scope: &'a Scope,
+    f: &ProjectionTermsExpand,
+    g: &GaussianExpand,
+    blur_sigma: NativeExpand<f32>,
+) -> RaySpaceTerms<KernelNumber<'a>> {
+    RaySpaceTerms::new(Factored {
+        n: KernelNumber::vector(scope, f.n),
+        along: KernelNumber::vector(scope, f.along),
+        p: KernelNumber::vector(scope, f.p),
+        sigma_u: KernelNumber::of(scope, f.sigma_u),
+        shear: KernelNumber::of(scope, f.shear),
+        sigma_v: KernelNumber::of(scope, f.sigma_v),
+        last: KernelNumber::vector(scope, f.last),
+        depth: KernelNumber::of(scope, f.depth),
+        scale: KernelNumber::vector(scope, g.scale),
+        blur_sigma: KernelNumber::of(scope, blur_sigma),
+    })
 }
 
 #[cube]
-pub(super) fn lean(projection: &ProjectionTerms, gaussian: &Gaussian, camera: &ProjectCamera) -> RaySpaceTerms {
-    let j = projection.last.times(1.0 / projection.depth);
-    let mz = j.by_axis(gaussian.scale);
-    let inverse_v = 1.0 / projection.sigma_v;
-    let b_u = camera.blur_sigma / projection.sigma_u;
-    let b = camera.blur_sigma * inverse_v;
-    let p = projection.p.times(inverse_v);
-    let a = projection.along.times(b);
-    let c = projection.n.cross(mz);
-    let length = mz.length();
-    let rest = Vec3::new(a.cross(mz).length(), b * b_u * length, 0.0).length();
-    let thickness = Vec3::new(mz.dot(p), b * c.length(), rest).length();
-    let depth_slope_u = mz.dot(projection.n);
-    let depth_slope_v = p.dot(c) + b_u * a.dot(mz);
-    let held = min(thickness, comptime!(THICKNESS_MAX as f32));
-    let known = finite(depth_slope_u) && finite(depth_slope_v) && finite(thickness);
-    RaySpaceTerms {
-        sound: projection.visible && length <= 1e30 && known,
-        j,
-        mz,
-        c,
-        p,
-        a,
-        b,
-        b_u,
-        depth_slope_u,
-        depth_slope_v,
-        thickness: held,
-        free: held == thickness,
-    }
+fn row_of(f: &ProjectionTerms, g: &Gaussian, blur_sigma: f32, away: Vec2) -> Sequence<f32> {
+    intrinsic!(|scope| {
+        let away = [KernelNumber::of(scope, away.x), KernelNumber::of(scope, away.y)];
+        let seen = KernelMask::of(scope, f.visible);
+        KernelNumber::sequence(terms_of(scope, f, g, blur_sigma).row(seen, away))
+    })
 }
 
 /// Returns the offset of the centre from the origin, px; zero with a lens.
 #[cube]
-fn away(projection: &ProjectionTerms, camera: &ProjectCamera) -> (f32, f32) {
+fn away(projection: &ProjectionTerms, camera: &ProjectCamera) -> Vec2 {
     let mut x = 0.0f32.runtime();
     let mut y = 0.0f32.runtime();
     if comptime!(camera.distortion.is_none()) {
         x = camera.x.focal * (projection.x.ratio - projection.x.slope);
         y = camera.y.focal * (projection.y.ratio - projection.y.slope);
     }
-    (x, y)
+    Vec2::new(x, y)
 }
 
 /// Writes the rows, `[N, 9]`, with a lens `[N, 15]`.
@@ -84,29 +100,19 @@ pub(super) fn ray_space_forward_kernel(
     if ABSOLUTE_POS < count as usize {
         let (gaussian, pose) = (inputs.gaussian(ABSOLUTE_POS), inputs.pose());
         let projection = project_one(&gaussian, &pose, &camera);
-        let found = lean(&projection, &gaussian, &camera);
-        let at = ABSOLUTE_POS * comptime!(RAY_SPACE + if camera.distortion.is_some() { LENS_FRAME } else { 0 });
-        let seen = projection.visible;
-        ray_rows[at] = select(found.sound, found.depth_slope_u, 0.0);
-        ray_rows[at + 1] = select(found.sound, found.depth_slope_v, 0.0);
-        ray_rows[at + 2] = select(found.sound, found.thickness, 0.0);
-        ray_rows[at + 3] = select(seen, 1.0f32, 0.0);
-        let (away_x, away_y) = away(&projection, &camera);
-        ray_rows[at + 4] = select(seen, away_x, 0.0);
-        ray_rows[at + 5] = select(seen, away_y, 0.0);
-        ray_rows[at + 6] = select(seen, projection.sigma_u, 0.0);
-        ray_rows[at + 7] = select(seen, projection.shear, 0.0);
-        ray_rows[at + 8] = select(seen, projection.sigma_v, 0.0);
+        let at = ABSOLUTE_POS * comptime!(if camera.distortion.is_some() { LENS_COLUMNS } else { RAY_SPACE });
+        let row = row_of(&projection, &gaussian, camera.blur_sigma, away(&projection, &camera));
+        store_row(&row, ray_rows, at);
         #[comptime]
         if let ComptimeOption::Some(distortion) = camera.distortion {
-            let mean = pose.apply(gaussian.mean);
-            let (x, y, _bent) = jacobian_at(mean, &camera, &distortion);
-            let frame = LensFrame {
-                centre: Vec2::new(mean.x / mean.z, mean.y / mean.z),
-                x: Vec2::new(mean.z * x.x, mean.z * x.y),
-                y: Vec2::new(mean.z * y.x, mean.z * y.y),
-            };
-            frame.store(ray_rows, ABSOLUTE_POS, seen);
+            let (map, _jacobian, _bent) = lens_map(pose.apply(gaussian.mean), &camera, &distortion);
+            let (at, seen) = (at + comptime!(RAY_SPACE), projection.visible);
+            ray_rows[at] = select(seen, map.centre.x, 0.0);
+            ray_rows[at + 1] = select(seen, map.centre.y, 0.0);
+            ray_rows[at + 2] = select(seen, map.x.x, 0.0);
+            ray_rows[at + 3] = select(seen, map.x.y, 0.0);
+            ray_rows[at + 4] = select(seen, map.y.x, 0.0);
+            ray_rows[at + 5] = select(seen, map.y.y, 0.0);
         }
     }
 }

@@ -1,10 +1,10 @@
 //! Launches of `ray_space`.
 
 use super::backward::ray_space_backward_kernel;
-use super::bounds_kernel::bounds_kernel;
+use super::bounds_kernel::{bounds_kernel, lens_limits};
 use super::columns;
 use super::forward::ray_space_forward_kernel;
-use super::lens_bounds_kernel::lens_limits;
+use crate::gpu::math::Vec2Launch;
 use crate::gpu::{Buffer, Gpu, elementwise, given};
 use crate::project::launch::{geometry_arg, geometry_grads, project_camera};
 use crate::project::{COLUMNS, Geometry, ProjectSpec};
@@ -55,8 +55,7 @@ pub(crate) fn launch_bounds(
             projected.arg(),
             ray_rows.arg(),
             bounds.arg(),
-            spec.intrinsics.width as f32,
-            spec.intrinsics.height as f32,
+            Vec2Launch::new(spec.intrinsics.width as f32, spec.intrinsics.height as f32),
             spec.options.alpha_min as f32,
             lens_limits(&spec.intrinsics).into(),
             count as u32,

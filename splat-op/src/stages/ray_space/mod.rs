@@ -119,6 +119,7 @@ mod bounds;
 #[cfg(feature = "cube")]
 mod bounds_kernel;
 pub(crate) mod cpu;
+mod formulas;
 #[cfg(feature = "cube")]
 mod forward;
 #[cfg(all(test, feature = "cube"))]
@@ -126,8 +127,6 @@ mod kernel_tests;
 #[cfg(feature = "cube")]
 pub(crate) mod launch;
 mod lens_bounds;
-#[cfg(feature = "cube")]
-mod lens_bounds_kernel;
 #[cfg(test)]
 mod lens_tests;
 pub(crate) mod operation;
@@ -135,10 +134,10 @@ mod simd;
 #[cfg(test)]
 mod tests;
 
-pub(crate) use bounds::{beyond, bounds_cpu};
-pub(crate) use lens_bounds::{LensFrameSimd, LensLimitsSimd};
+pub(crate) use cpu::{beyond, bounds_cpu};
 #[cfg(feature = "cube")]
-pub(crate) use lens_bounds_kernel::LensFrame;
+pub(crate) use forward::KernelFrame;
+pub(crate) use lens_bounds::{LensFrame, LensLimits};
 
 use crate::camera::{CameraModel, Intrinsics};
 
