@@ -144,7 +144,7 @@ fn the_seam_is_like_any_other_place() {
 }
 
 /// What is at a pole after a quarter turn about the x axis looks as it did at the equator. Pixels at the edges of the cube, across which a
-/// Gaussian's ellipse changes, are not interpolated.
+/// Gaussian's ellipse changes, are not compared. What is left is the error of two interpolations.
 #[test]
 fn the_poles_are_like_any_other_place() {
     let mut random = Random::new(8);
@@ -179,7 +179,7 @@ fn the_poles_are_like_any_other_place() {
         compared += 1;
     }
     println!("{worst} over {compared} pixels");
-    assert!(compared > 15_000 && worst < 5e-3, "{worst} over {compared} pixels");
+    assert!(compared > 15_000 && worst < 2e-2, "{worst} over {compared} pixels");
 }
 
 #[test]

@@ -99,7 +99,8 @@ fn all_around(centres: &[[f64; 3]]) -> HardScene {
         splat.colour(&[1.0 - shade, 0.4, shade])
     };
     let splats: Vec<Splat> = centres.iter().enumerate().map(splat).collect();
-    HardScene::new("all around", &splats).as_panorama(60, 30)
+    // At this width no pixel's centre lies on an edge of the cube, where rounding chooses the face.
+    HardScene::new("all around", &splats).as_panorama(64, 32)
 }
 
 /// Three layers whose positions and sizes scale with the picture.
