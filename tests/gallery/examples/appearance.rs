@@ -17,7 +17,7 @@ use splat_op::{Colour, SplatError, Splats};
 
 const FEATURES: usize = 16;
 const EMBEDDING: usize = 8;
-const STEPS: usize = 600;
+const STEPS: usize = 1500;
 
 /// A scene whose colours depend on the photograph.
 #[derive(Module, Debug)]
