@@ -119,8 +119,7 @@ impl RenderOptions {
     /// Returns options for previews: [`Self::standard`] with coarser thresholds.
     ///
     /// `alpha_min` is four times as large, so that a tile lists fewer Gaussians, and `transmittance_min` is 1e-3, so that a pixel is
-    /// finished after fewer. All other fields are equal. (At 1e-2 a layer with an alpha of `alpha_max`, 0.99, would itself be
-    /// skipped: surfaces had holes.)
+    /// finished after fewer. It stays below `1 − alpha_max`, so that one layer is never skipped.
     pub const fn fast() -> Self {
         Self { alpha_min: 4.0 / 255.0, transmittance_min: 1e-3, ..Self::standard() }
     }
