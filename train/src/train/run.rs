@@ -33,7 +33,7 @@ pub fn run(args: &TrainArgs) -> Result<Metrics> {
 /// Runs as [`run`] does, with the trainer changed before its first step. For tests, which make the run fail.
 #[doc(hidden)]
 pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Result<Metrics> {
-    Run::begin(args.clone(), None, Rc::new(Alone), change)?.to_the_end()
+    Run::begin(args.clone(), None, Rc::new(Alone), change)?.finish()
 }
 
 /// Runs as [`run`] does, on all ranks that were started together.
@@ -46,7 +46,7 @@ pub fn run_together(args: &TrainArgs) -> Result<()> {
     if ranks.rank() > 0 {
         return ranks::follow(&ranks);
     }
-    Run::begin(args.clone(), None, ranks, |trainer| trainer)?.to_the_end().map(drop)
+    Run::begin(args.clone(), None, ranks, |trainer| trainer)?.finish().map(drop)
 }
 
 /// Resumes a run from its newest checkpoint, with its original options, on all ranks that were started together. A run of which there is
@@ -75,7 +75,7 @@ pub fn resume_together(args: &ResumeArgs) -> Result<()> {
         }
     };
     let (out, voice, live) = (Some(args.out.clone()), args.voice, args.live.clone());
-    Run::begin(TrainArgs { out, voice, live, ..begun }, kept, ranks, |trainer| trainer)?.to_the_end().map(drop)
+    Run::begin(TrainArgs { out, voice, live, ..begun }, kept, ranks, |trainer| trainer)?.finish().map(drop)
 }
 
 /// A run before its next step.

@@ -55,7 +55,7 @@ impl Run {
     ///
     /// # Errors
     /// If a step fails or a result cannot be written; [`Interrupted`] if the run was asked to stop.
-    pub fn to_the_end(self) -> Result<Metrics> {
+    pub fn finish(self) -> Result<Metrics> {
         let Self { setup, mut trainer, test, mut checkpoints, so_far, server, ranks, load_s } = self;
         let Setup { job: Job { args, capture, device, .. }, out, lpips, .. } = &setup;
         let mut live = server.map(|server| Live::start(server, &trainer, &test, device, out.path())).transpose()?;
