@@ -6,6 +6,7 @@ use std::path::Path;
 
 use burn::tensor::{Device, Tensor, TensorData};
 use glam::DAffine3;
+use image::imageops::FilterType;
 use splat_demo::DemoOptions;
 use splat_model::capture::{Capture, Photo, PointCloud, load_all};
 use splat_model::loss::Truth;
@@ -141,7 +142,7 @@ pub fn picture() -> Result<String, &'static str> {
     std::env::args().nth(1).ok_or("pass the picture to write, such as picture.png")
 }
 
-/// Saves pictures `[H, W, 3]` of one size side by side.
+/// Saves pictures `[H, W, 3]` of one size side by side, three times as large.
 ///
 /// # Errors
 /// If the file cannot be written.
@@ -149,6 +150,8 @@ pub fn save(file: &str, pictures: Vec<Tensor<3>>) -> Result<(), Box<dyn Error>> 
     let whole = Tensor::cat(pictures.into_iter().map(untracked).collect(), 1).clamp(0.0, 1.0) * 255.0;
     let [height, width, _] = whole.dims();
     let bytes = whole.into_data().iter::<f32>().map(|value| value.round() as u8).collect();
-    image::RgbImage::from_raw(width as u32, height as u32, bytes).ok_or("a picture of three channels")?.save(file)?;
+    let (width, height) = (width as u32, height as u32);
+    let picture = image::RgbImage::from_raw(width, height, bytes).ok_or("a picture of three channels")?;
+    image::imageops::resize(&picture, 3 * width, 3 * height, FilterType::Nearest).save(file)?;
     Ok(())
 }
