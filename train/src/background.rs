@@ -153,7 +153,7 @@ impl ShownBackground {
 /// How a scene is shown: the device, the model choices and the background.
 #[derive(Clone, Debug, clap::Args)]
 pub struct ShowArgs {
-    /// Device to compute on: auto, cpu, flex, ndarray, gpu[:N] and what else `splat devices` lists
+    /// Device to compute on: auto, cpu, flex, ndarray, gpu, gpu:N and what else `splat devices` lists
     #[arg(long, value_name = "NAME", default_value_t)]
     pub device: DeviceName,
     #[command(flatten)]

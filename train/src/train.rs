@@ -88,7 +88,7 @@ pub struct TrainArgs {
     #[command(flatten, next_help_heading = "Capture")]
     #[serde(default)]
     pub cameras: CameraArgs,
-    /// Device to compute on: auto, cpu, flex, ndarray, gpu[:N] and what else `splat devices` lists
+    /// Device to compute on: auto, cpu, flex, ndarray, gpu, gpu:N and what else `splat devices` lists
     #[arg(long, value_name = "NAME", default_value_t, help_heading = USUAL)]
     #[serde(with = "crate::as_text")]
     pub device: DeviceName,

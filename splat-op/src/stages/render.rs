@@ -23,8 +23,8 @@ use crate::options::RenderOptions;
 
 /// Renders Gaussians as seen by one or several cameras with pictures of one size.
 ///
-/// Returns `B` pictures, `[B, H, W, C]`, for `B` cameras. For each camera it runs [`project`](fn@project), [`visible_colours`],
-/// [`intersect`](fn@intersect) and [`rasterize`](fn@rasterize). Differentiable in all tensors of `splats`, in the poses and in the
+/// Returns `B` pictures, `[B, H, W, C]`, for `B` cameras. For each camera it runs [`project`](fn@crate::project), [`visible_colours`](crate::visible_colours),
+/// [`intersect`](fn@crate::intersect) and [`rasterize`](fn@crate::rasterize). Differentiable in all tensors of `splats`, in the poses and in the
 /// background; gradients of shared inputs are summed over the cameras.
 ///
 /// # Errors

@@ -30,7 +30,7 @@ pub struct MergeArgs {
     /// Held-out photographs of each block on which the merged scene is compared with the block; 0 for none
     #[arg(long, value_name = "N", default_value_t = 4)]
     pub views: usize,
-    /// Device to compute on: auto, cpu, flex, ndarray, gpu[:N] and what else `splat devices` lists
+    /// Device to compute on: auto, cpu, flex, ndarray, gpu, gpu:N and what else `splat devices` lists
     #[arg(long, value_name = "NAME", default_value_t)]
     pub device: DeviceName,
 }

@@ -20,7 +20,7 @@ pub const BUILT: &[(&str, DeviceType)] = &[
     ("rocm", DeviceType::Rocm),
 ];
 
-/// Lists the adapters of the wanted runtimes, in the order of [`BUILT`] and then by index. Empty without a driver.
+/// Lists the adapters of the wanted runtimes, in the order in which they are built in, and then by index. Empty without a driver.
 pub fn list(is_wanted: &dyn Fn(&str) -> bool) -> Vec<Adapter> {
     #[cfg(feature = "cuda")]
     {
