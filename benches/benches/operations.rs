@@ -13,18 +13,12 @@ use splat_benches::limit::PassKind;
 use splat_benches::measure::{Prepare, time};
 use splat_benches::passes::{backward, forward, leaf, passes, whole_step};
 use splat_op::test_hooks::{of_packed, packed};
-use splat_op::{
-    Extras, Projected, SplatError, argsort, bilateral, colour_map, depth_miss, environment, in_tensor_code, optics,
-    pose,
-};
+use splat_op::{Extras, Projected, SplatError, argsort, bilateral, environment, in_tensor_code, optics};
 
 splat_train::allocator!();
 
 /// Time budget for all operations of a size.
 const BUDGET: Duration = Duration::from_secs(120);
-
-/// Number of known depths.
-const KNOWN: usize = 1500;
 
 /// Operations of every step, and their passes.
 const OF_A_STEP: [(&str, &[PassKind]); 4] = [
@@ -40,24 +34,15 @@ type Op = fn(&Tensor<3>, &Constants) -> Result<Tensor<3>, SplatError>;
 /// What the effects take besides the picture. The parameters among them have gradients.
 #[derive(Clone)]
 struct Constants {
-    map: Tensor<2>,
     grid: Tensor<4>,
     coefficients: Tensor<2>,
     directions: Tensor<3>,
     alpha: Tensor<3>,
-    known: Tensor<1>,
-    pixels: Tensor<1, Int>,
 }
 
-/// Effects on a picture. The first and the last are tensor code in both columns, as poses are.
-const ON_PICTURES: [(&str, Op); 4] = [
-    ("exposure", |picture, of| colour_map::apply(picture, &of.map)),
+const ON_PICTURES: [(&str, Op); 2] = [
     ("bilateral grid", |picture, of| bilateral::slice(picture, &of.grid)),
     ("environment", |picture, of| environment::over(picture, &of.alpha, &of.directions, &of.coefficients)),
-    ("known depths", |picture, of| {
-        let depth = picture.clone().narrow(2, 0, 1);
-        Ok(depth_miss::depth_miss(&depth, &of.alpha, &of.known, &of.pixels)?.reshape([1, 1, 1]))
-    }),
 ];
 
 type Optics = fn(&Projected, &Tensor<1>, f64) -> Result<Projected, SplatError>;
@@ -87,14 +72,6 @@ fn measure(job: &Job) -> Result<(), Box<dyn Error>> {
     let mut all = of_a_step(job, &device)?;
     all.extend(on_pictures(job, &device)?);
     all.extend(on_ellipses(job, &device)?);
-    let (correction, pose) = (Tensor::<2>::ones([2, 3], &device) * 0.01, job.camera(&device).cam_from_world);
-    all.push(compared("pose", false, || {
-        let [of_forward, of_backward] = [0; 2].map(|_| {
-            let (correction, pose) = (correction.clone(), pose.clone());
-            move || pose::corrected(&leaf(&correction), &pose, 1.0)
-        });
-        Ok(vec![forward(of_forward), backward(pose.clone(), move || of_backward().expect("as forwards"))])
-    })?);
     let keys = Tensor::<1>::random([job.rows.len()], Distribution::Uniform(0.0, 1.0), &device);
     all.push(compared("sort of rows (not in every step)", false, || {
         let keys = keys.clone();
@@ -146,13 +123,10 @@ fn on_pictures(job: &Job, device: &Device) -> Result<Vec<Compared>, Box<dyn Erro
         Tensor::<1>::random([shape.iter().product::<usize>()], Distribution::Uniform(0.5, 1.0), device)
     };
     let constants = Constants {
-        map: leaf(&random(&[3, 4]).reshape([3, 4])),
         grid: leaf(&random(&[12, 8, 16, 16]).reshape([12, 8, 16, 16])),
         coefficients: leaf(&random(&[16, 3]).reshape([16, 3])),
         directions: random(&[3, height, width]).reshape([3, height, width]),
         alpha: random(&[height, width, 1]).reshape([height, width, 1]),
-        known: random(&[KNOWN]),
-        pixels: Tensor::<1, Int>::arange(0..KNOWN as i64, device) * (height * width / KNOWN) as i64,
     };
     // Planes of slow waves, as renders lie in memory and as brightness changes in photographs.
     let waves = Tensor::<1, Int>::arange(0..(3 * height * width) as i64, device).float() * 0.02;

@@ -63,7 +63,8 @@
     let state = null;
     try {
       state = await (await fetch("status.json")).json();
-      if (state !== null) await showWorst(state);
+      // The numbers are shown even where the picture fails to arrive.
+      if (state !== null) await showWorst(state).catch(() => {});
       failures = 0;
     } catch {
       failures += 1;

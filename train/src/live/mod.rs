@@ -36,8 +36,8 @@ const BETWEEN: Duration = Duration::from_secs(1);
 /// The largest share of the training time that the numbers take, and that the scene and the scores take.
 const SHARE: f64 = 0.005;
 
-/// The longest time that a finished run waits for a browser to load its results.
-const FAREWELL: Duration = Duration::from_secs(10);
+/// The longest time that a finished run waits for a browser that still looks to load its results.
+const FAREWELL: Duration = Duration::from_secs(30);
 
 /// Options of a run that is shown while it trains.
 #[derive(Clone, Debug, Default, clap::Args)]
@@ -170,7 +170,7 @@ impl<'a> Live<'a> {
             metrics: Some(metrics),
         });
         let begin = Instant::now();
-        while self.shared.is_watched() && !self.shared.is_taken(step) && begin.elapsed() < FAREWELL {
+        while self.shared.is_watched() && !self.shared.results_are_taken() && begin.elapsed() < FAREWELL {
             std::thread::sleep(Duration::from_millis(20));
         }
     }

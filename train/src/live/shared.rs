@@ -73,6 +73,9 @@ struct Shown {
     /// Step of the scene, and whether a browser has loaded it.
     scene_step: usize,
     is_loaded: bool,
+    /// Whether the status has the results, and whether a browser has loaded them.
+    has_results: bool,
+    results_are_loaded: bool,
     /// Rows of the scene until it is asked for, and its file from then on.
     rows: Option<GaussianRows>,
     ply: Vec<u8>,
@@ -88,6 +91,8 @@ impl Shared {
             status: b"null".to_vec(),
             scene_step,
             is_loaded: false,
+            has_results: false,
+            results_are_loaded: false,
             rows: None,
             ply,
             encoding: Duration::ZERO,
@@ -112,8 +117,9 @@ impl Shared {
 
     pub fn show(&self, status: &Status) {
         // No value of a status fails to be written.
-        if let Ok(status) = serde_json::to_vec(status) {
-            self.lock().status = status;
+        if let Ok(written) = serde_json::to_vec(status) {
+            let mut shown = self.lock();
+            (shown.status, shown.has_results) = (written, status.metrics.is_some());
         }
     }
 
@@ -134,10 +140,19 @@ impl Shared {
         self.lock().scene_step
     }
 
-    /// Whether a browser has loaded the scene of a step.
-    pub fn is_taken(&self, step: usize) -> bool {
+    /// Whether a browser has loaded the results, and after them the scene.
+    pub fn results_are_taken(&self) -> bool {
         let shown = self.lock();
-        shown.scene_step == step && shown.is_loaded
+        shown.results_are_loaded && shown.is_loaded
+    }
+
+    /// Returns the status for a browser. A page loads the scene after the results, and a scene that it asked for before is another.
+    fn status(&self) -> Vec<u8> {
+        let mut shown = self.lock();
+        if shown.has_results && !shown.results_are_loaded {
+            (shown.results_are_loaded, shown.is_loaded) = (true, false);
+        }
+        shown.status.clone()
     }
 
     /// Returns the time spent on encoding scenes since the last call.
@@ -182,7 +197,7 @@ impl Site for Shared {
             "/" => ("text/html; charset=utf-8", Cow::Borrowed(&self.page[..])),
             STATUS => {
                 *locked(&self.looked) = Some(Instant::now());
-                ("application/json", Cow::Owned(self.lock().status.clone()))
+                ("application/json", Cow::Owned(self.status()))
             }
             SCENE => ("application/octet-stream", Cow::Owned(self.scene())),
             WORST => ("image/jpeg", Cow::Owned(self.lock().worst.clone())),

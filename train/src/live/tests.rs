@@ -37,17 +37,49 @@ fn nobody_looks_until_the_numbers_are_asked_for() {
 #[test]
 fn a_scene_is_encoded_once_and_when_it_is_asked_for() {
     let shared = shared();
-    assert!(!shared.is_taken(3));
     assert_eq!(asked(&shared, "/scene.ply"), b"first");
-    assert!(shared.is_taken(3));
     shared.show_scene(7, rows(1.0));
-    assert_eq!((shared.scene_step(), shared.is_taken(7), shared.take_encoding()), (7, false, Duration::ZERO));
+    assert_eq!((shared.scene_step(), shared.take_encoding()), (7, Duration::ZERO));
     let ply = asked(&shared, "/scene.ply");
-    assert!(ply.starts_with(b"ply") && shared.is_taken(7) && shared.take_encoding() > Duration::ZERO);
+    assert!(ply.starts_with(b"ply") && shared.take_encoding() > Duration::ZERO);
     assert_eq!((asked(&shared, "/scene.ply"), shared.take_encoding()), (ply.clone(), Duration::ZERO));
     // Nothing of this scene can be drawn.
     shared.show_scene(8, rows(f32::NAN));
     assert_eq!(asked(&shared, "/scene.ply"), ply);
+}
+
+#[test]
+fn results_are_taken_with_the_scene_that_is_loaded_after_them() {
+    let shared = shared();
+    let history = History::default();
+    let show = |metrics: Option<&Metrics>| {
+        let numbers = Status {
+            step: 3,
+            steps: 3,
+            splats: 1,
+            seconds: 0.0,
+            left_s: 0.0,
+            history: &history,
+            scene: 3,
+            worst: None,
+            metrics,
+        };
+        shared.show(&numbers);
+    };
+    show(None);
+    asked(&shared, "/status.json");
+    asked(&shared, "/scene.ply");
+    assert!(!shared.results_are_taken(), "no results yet");
+    show(Some(&Metrics::default()));
+    // This request was sent for an earlier status.
+    asked(&shared, "/scene.ply");
+    assert!(!shared.results_are_taken(), "no browser has the results");
+    asked(&shared, "/status.json");
+    assert!(!shared.results_are_taken(), "the scene was loaded before the results");
+    asked(&shared, "/status.json");
+    asked(&shared, "/scene.ply");
+    asked(&shared, "/status.json");
+    assert!(shared.results_are_taken());
 }
 
 #[test]

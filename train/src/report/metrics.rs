@@ -10,7 +10,7 @@ use splat_model::evaluate::Scores;
 use crate::effects::ChosenEffects;
 
 /// Results of a run and its options. Keys are added over time, and never renamed.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Default, Serialize)]
 pub struct Metrics {
     /// Scores on the held-out photographs; null if there are none.
     pub test: Option<Scores>,
