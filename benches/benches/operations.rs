@@ -1,8 +1,9 @@
 //! Times each operation outside the rasterizer, forwards and backwards, beside the same in tensor code, in turns, and prints which share
-//! of a step it saves.
+//! of a step it saves, and the kernels that a GPU launches. `benches/operations.tsv` has the results of two CPU cores and of a driver in
+//! software (2026-11-27).
 //!
-//! `cargo bench --workspace --bench operations -- medium` takes any of `small`, `fox_small`, `fox_colmap`, `medium` and `large`, by
-//! default `fox_colmap`.
+//! `cargo bench --workspace --bench operations -- cpu medium` takes a device, by default the CPU, and any of `tiny`, `small`, `fox_small`,
+//! `fox_colmap`, `medium` and `large`, by default `fox_colmap`.
 
 use std::error::Error;
 use std::time::Duration;
@@ -12,8 +13,9 @@ use splat_benches::job::{Job, JobSize, OPTIONS};
 use splat_benches::limit::PassKind;
 use splat_benches::measure::{Prepare, time};
 use splat_benches::passes::{backward, forward, leaf, passes, whole_step};
-use splat_op::test_hooks::{of_packed, packed};
+use splat_op::test_hooks::{self, of_packed, packed};
 use splat_op::{Extras, Projected, SplatError, argsort, bilateral, environment, in_tensor_code, optics};
+use splat_train::device::DeviceName;
 
 splat_train::allocator!();
 
@@ -59,38 +61,71 @@ struct Compared {
 }
 
 fn main() -> Result<(), Box<dyn Error>> {
-    println!("{} threads", rayon::current_num_threads());
-    println!("scene\toperation\tms\tms in tensor code\tsaves, share of a step without it");
-    for size in JobSize::from_arguments(&[JobSize::FoxColmap])? {
-        measure(&Job::new(size)?)?;
+    let (mut name, mut sizes): (DeviceName, _) = ("flex".parse()?, Vec::<JobSize>::new());
+    // Cargo passes `--bench`.
+    for word in std::env::args().skip(1).filter(|word| word != "--bench") {
+        match word.parse() {
+            Ok(size) => sizes.push(size),
+            Err(()) => name = word.parse()?,
+        }
     }
-    Ok(())
+    if sizes.is_empty() {
+        sizes = vec![JobSize::FoxColmap];
+    }
+    let (device, name) = name.resolve()?;
+    println!("{name}, {} threads", rayon::current_num_threads());
+    println!(
+        "scene\toperation\tms\tms in tensor code\tsaves, share of a step without it\tlaunches\tlaunches in tensor code"
+    );
+    sizes.into_iter().try_for_each(|size| measure(&Job::new(size)?, &device))
 }
 
-fn measure(job: &Job) -> Result<(), Box<dyn Error>> {
-    let device = Device::flex();
-    let mut all = of_a_step(job, &device)?;
-    all.extend(on_pictures(job, &device)?);
-    all.extend(on_ellipses(job, &device)?);
-    let keys = Tensor::<1>::random([job.rows.len()], Distribution::Uniform(0.0, 1.0), &device);
-    all.push(compared("sort of rows (not in every step)", false, || {
-        let keys = keys.clone();
-        Ok(vec![forward(move || Ok(argsort::argsort_floats(keys.clone())))])
-    })?);
-    all.push(compared("whole step", true, || Ok(vec![whole_step(job, &device).prepare]))?);
+fn measure(job: &Job, device: &Device) -> Result<(), Box<dyn Error>> {
+    let mut all = operations(job, device)?;
     let lengths: Vec<usize> = all.iter().map(|of| of.operation.len()).collect();
     let passes = all.iter_mut().flat_map(|of| of.operation.iter_mut().chain(&mut of.tensors));
-    let times = time(passes, &device, BUDGET)?;
+    let times = time(passes, device, BUDGET)?;
     let mut left = times.iter().map(|of| 1e3 * of.median_s);
     let mut sum = |length| left.by_ref().take(length).sum::<f64>();
     let found: Vec<[f64; 2]> = lengths.iter().map(|&length| [sum(length), sum(length)]).collect();
     let step = found.last().expect("the step is the last")[0];
-    for (Compared { name, in_step, .. }, [operation, tensors]) in all.iter().zip(found) {
+    for (Compared { name, in_step, operation: passes, tensors: plain }, [operation, tensors]) in
+        all.iter_mut().zip(found)
+    {
         let saved = tensors - operation;
         let share = saved / (step + if *in_step { saved } else { tensors });
-        println!("{}\t{name}\t{operation:.2}\t{tensors:.2}\t{share:.2}", job.size);
+        let [own, others] = [launches(passes, device)?, launches(plain, device)?];
+        println!("{}\t{name}\t{operation:.2}\t{tensors:.2}\t{share:.2}\t{own}\t{others}", job.size);
     }
     Ok(())
+}
+
+/// Returns the number of kernels that a GPU launches, Burn's included.
+fn launches(passes: &mut [Prepare], device: &Device) -> Result<usize, Box<dyn Error>> {
+    let mut count = 0;
+    for prepare in passes {
+        let timed = prepare()?;
+        device.sync()?;
+        let mut done = Ok(());
+        let found = test_hooks::launches(|| done = timed().and_then(|_| Ok(device.sync()?)));
+        done?;
+        count += found.into_values().sum::<usize>();
+    }
+    Ok(count)
+}
+
+/// The operations, then the whole step.
+fn operations(job: &Job, device: &Device) -> Result<Vec<Compared>, Box<dyn Error>> {
+    let mut all = of_a_step(job, device)?;
+    all.extend(on_pictures(job, device)?);
+    all.extend(on_ellipses(job, device)?);
+    let keys = Tensor::<1>::random([job.rows.len()], Distribution::Uniform(0.0, 1.0), device);
+    all.push(compared("sort of rows (not in every step)", false, || {
+        let keys = keys.clone();
+        Ok(vec![forward(move || Ok(argsort::argsort_floats(keys.clone())))])
+    })?);
+    all.push(compared("whole step", true, || Ok(vec![whole_step(job, device).prepare]))?);
+    Ok(all)
 }
 
 fn compared(

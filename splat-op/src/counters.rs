@@ -1,5 +1,6 @@
 //! Counts of launches, allocations, waits and CPU stages of this process, for tests.
 
+use std::cell::Cell;
 #[cfg(feature = "cube")]
 use std::sync::atomic::AtomicBool;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -45,6 +46,19 @@ counters! {
     TWIN_CALLS:
     /// Returns the number of stages that this process has computed on the CPU so far, forward and backward.
     twin_calls, count_twin_calls;
+}
+
+thread_local! {
+    static F32_IN_F64: Cell<bool> = const { Cell::new(false) };
+}
+
+/// Sets whether this thread computes operations in f32 as a processor without AVX2 does.
+pub fn force_f32_in_f64(on: bool) {
+    F32_IN_F64.set(on);
+}
+
+pub(crate) fn is_f32_in_f64_forced() -> bool {
+    F32_IN_F64.get()
 }
 
 static CAPACITY: AtomicU64 = AtomicU64::new(u64::MAX);

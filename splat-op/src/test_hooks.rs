@@ -9,7 +9,8 @@ pub use crate::abilities::buffer_limit;
 #[cfg(feature = "cube")]
 pub use crate::counters::{PairCounts, count_pairs};
 pub use crate::counters::{
-    allocated_bytes, bound_bytes, dispatches, expect_intersections, idle_waits, read_bytes, repeated_lists, twin_calls,
+    allocated_bytes, bound_bytes, dispatches, expect_intersections, force_f32_in_f64, idle_waits, read_bytes,
+    repeated_lists, twin_calls,
 };
 #[cfg(feature = "cube")]
 pub use crate::gpu::poison;

@@ -1,5 +1,6 @@
-//! Runs in tensor code (`TrainConfig::plain`) beside runs of operations. The first test is the only one of its process that is not
-//! ignored, because the counters are global.
+//! Runs in tensor code (`TrainConfig::plain`), and runs as on processors without AVX2, beside runs of operations.
+
+use std::sync::{Mutex, PoisonError};
 
 use burn::tensor::Device;
 use glam::{DAffine3, DVec3};
@@ -57,8 +58,12 @@ fn config(plain: bool) -> TrainConfig {
     }
 }
 
+/// Counters are global, so that runs go one after the other.
+static ALONE: Mutex<()> = Mutex::new(());
+
 /// The losses of a run, what a CPU computed by operations in a step, and the names of kernels in its steps.
 fn run(plain: bool, device: &Device) -> (Vec<f64>, u64, Vec<&'static str>) {
+    let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
     let mut run = Trainer::new(photos(), &points(), config(plain), device).expect("photographs and steps");
     let (mut losses, before) = (Vec::new(), test_hooks::twin_calls());
     let launches = test_hooks::launches(|| {
@@ -92,6 +97,20 @@ fn twenty_steps_in_tensor_code_are_those_of_operations() {
         };
         assert!(beside(&plain_kernels).is_empty(), "{name}: {:?}", beside(&plain_kernels));
         assert!(kernels.is_empty() || beside(&kernels).len() > 4, "{name}: {kernels:?}");
+    }
+}
+
+#[test]
+fn a_processor_without_avx2_trains_alike() {
+    let device = Device::flex();
+    let expected = run(false, &device).0;
+    test_hooks::force_f32_in_f64(true);
+    let found = run(false, &device).0;
+    test_hooks::force_f32_in_f64(false);
+    assert_ne!(found, expected, "both are computed in f32");
+    for (step, (found, expected)) in found.iter().zip(&expected).enumerate() {
+        let tolerance = if step < REFINED { 1e-4 } else { 1e-2 };
+        assert!((found - expected).abs() <= tolerance * expected, "step {step}: {found} instead of {expected}");
     }
 }
 

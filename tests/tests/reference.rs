@@ -2,6 +2,7 @@
 //! f64 where the device supports it, and in f32.
 
 use burn::tensor::{DType, Device};
+use splat_op::test_hooks::force_f32_in_f64;
 use splat_tests::band::boundary_band;
 use splat_tests::compare::{Finding, assert_all, keep_rows, relative_error, row_errors, row_sizes, worst};
 use splat_tests::data::announce;
@@ -37,9 +38,12 @@ fn reference_vectors_in_f64() {
 fn reference_vectors_in_f32() {
     for vector in read_vectors() {
         let reference = RoundedReference::new(&vector, &Device::flex());
-        for (device_name, device) in devices() {
+        let all = devices().into_iter().map(|(name, device)| (name, device, false));
+        for (device_name, device, lacks_avx2) in all.chain([("flex without AVX2", Device::flex(), true)]) {
             let ReferenceVector { scene, options, .. } = &vector;
+            force_f32_in_f64(lacks_avx2);
             let found = evaluate(scene, &reference.weights, options, &device, DType::F32);
+            force_f32_in_f64(false);
             let findings = reference.compare(&vector, &found);
             report(&vector.name, device_name, "f32", &findings);
             assert_all(&findings);

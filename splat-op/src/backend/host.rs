@@ -15,6 +15,7 @@ use super::args::Args;
 use crate::simd::real::Real;
 
 /// A tensor in host memory.
+#[derive(Clone)]
 pub enum HostTensor {
     /// Of Flex.
     Flex(FlexTensor),
@@ -97,6 +98,15 @@ impl HostTensor {
         }
     }
 
+    /// Returns the same floats as f64; integers stay.
+    fn widened(&self) -> Self {
+        if self.dtype() != DType::F32 {
+            return self.clone();
+        }
+        let values = self.floats::<f32>().iter().map(|&value| value.into()).collect::<Vec<f64>>();
+        Self::Flex(FlexTensor::from_data(TensorData::new(values, self.shape())))
+    }
+
     fn ints(&self) -> Host<i32> {
         match self {
             Self::Flex(tensor) if tensor.dtype() == DType::I64 => narrowed(flex::<i64>(tensor).iter()),
@@ -116,6 +126,15 @@ fn present(tensors: &[Option<HostTensor>], i: usize) -> &HostTensor {
 }
 
 impl HostArgs {
+    /// Returns the same tensors with floats as f64.
+    pub(super) fn widened(&self) -> Self {
+        let all = |tensors: &[Option<HostTensor>]| {
+            tensors.iter().map(|tensor| tensor.as_ref().map(HostTensor::widened)).collect()
+        };
+        let (inputs, outputs, grads) = (all(&self.inputs), all(&self.outputs), all(&self.grads));
+        Self { inputs, outputs, grads, needs: self.needs.clone() }
+    }
+
     pub(super) fn is_f64(&self) -> bool {
         self.all_present().any(|tensor| tensor.dtype() == DType::F64)
     }
@@ -177,6 +196,14 @@ impl HostOutput {
     pub fn floats<F: Real>(values: Vec<F>) -> Self {
         let len = values.len();
         Self::Data(TensorData::new(values, [len]))
+    }
+
+    /// Rounds floats to f32; all else stays.
+    pub(super) fn narrowed(self) -> Self {
+        match self {
+            Self::Data(data) if data.dtype == DType::F64 => Self::Data(data.convert::<f32>()),
+            other => other,
+        }
     }
 
     /// Takes integers, row-major.

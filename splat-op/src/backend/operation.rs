@@ -9,6 +9,7 @@ use super::args::Args;
 #[cfg(feature = "cube")]
 use super::cube::{GpuArgs, GpuOutput};
 use super::host::{HostArgs, HostOutput};
+use crate::simd::f32_in_f64;
 use crate::simd::real::Real;
 
 /// The largest number of inputs that an operation has gradients of.
@@ -113,6 +114,9 @@ impl<O: Operation> Erased for O {
     }
 
     fn run(&self, args: &HostArgs, backward: bool) -> Vec<HostOutput> {
+        if !args.is_f64() && f32_in_f64() {
+            return Erased::run(self, &args.widened(), backward).into_iter().map(HostOutput::narrowed).collect();
+        }
         match (args.is_f64(), backward) {
             (false, false) => Operation::run::<f32>(self, args),
             (false, true) => self.run_backward::<f32>(args),

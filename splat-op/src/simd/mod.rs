@@ -28,8 +28,8 @@ pub(crate) use each;
 /// token is `simd`. Every function called has to be `#[inline(always)]`, and so do closures. All of it is compiled once for each set of
 /// instructions, so that it belongs around a whole task and not into a loop.
 ///
-/// Of x86-64 these are SSE2, which every processor has, AVX2 and AVX-512; of others that of [`fearless_simd::dispatch`]. In f64, which serves as a
-/// reference, it is the first alone.
+/// Of x86-64 these are AVX2 and AVX-512 in f32, and SSE2, which every processor has, in f64. A processor without AVX2 computes operations in
+/// f32 as those in f64 ([`f32_in_f64`]). Of other processors they are those of [`fearless_simd::dispatch`].
 macro_rules! dispatch {
     ($float:ty, $simd:ident => $value:expr) => {{
         #[cfg(target_arch = "x86_64")]
@@ -45,16 +45,12 @@ macro_rules! dispatch {
                     )
                 }};
             }
-            if const { $crate::simd::is_f32::<$float>() }
-                && let Some(token) = level.as_avx512()
-            {
-                on!(token)
-            } else if const { $crate::simd::is_f32::<$float>() }
-                && let Some(token) = level.as_avx2()
-            {
+            if const { !$crate::simd::is_f32::<$float>() } {
+                on!(level.as_sse2().expect("x86-64 has SSE2"))
+            } else if let Some(token) = level.as_avx512() {
                 on!(token)
             } else {
-                on!(level.as_sse2().expect("x86-64 has SSE2"))
+                on!(level.as_avx2().expect("processors without AVX2 compute f32 in f64"))
             }
         }
         #[cfg(not(target_arch = "x86_64"))]
@@ -68,6 +64,16 @@ pub(crate) use dispatch;
 /// Whether a float type is f32. Versions in f64, which serves as a reference, would take as long to compile as those in f32.
 pub(crate) const fn is_f32<F: real::Real>() -> bool {
     matches!(F::DTYPE, burn::tensor::DType::F32)
+}
+
+/// Whether operations in f32 are computed in f64 and rounded: on processors of x86-64 without AVX2, those before 2013 and a few after. Code in
+/// f32 for them would take a fifth of the time that this crate takes to compile.
+pub(crate) fn f32_in_f64() -> bool {
+    #[cfg(target_arch = "x86_64")]
+    let lacks_avx2 = fearless_simd::Level::new().as_avx2().is_none();
+    #[cfg(not(target_arch = "x86_64"))]
+    let lacks_avx2 = false;
+    lacks_avx2 || crate::counters::is_f32_in_f64_forced()
 }
 
 /// Returns an array as long as another.

@@ -2,7 +2,7 @@
 
 use super::{Form, PackedFactors, Packing};
 use crate::adam::{Band, Rates};
-use crate::simd::dispatch;
+use crate::simd::{dispatch, f32_in_f64};
 use crate::tasks;
 
 /// Numbers whose codes are unpacked at a time: their codes fit into the first-level cache.
@@ -95,10 +95,14 @@ struct BlockNumbers<'a> {
 fn step_block<const EIGHT: bool>(scalars: Scalars, mut block: BlockNumbers, words: &mut [i32], width: usize) {
     let form = const { if EIGHT { Packing::Eight.form() } else { Packing::Sixteen.form() } };
     unpack(form, words, block.codes, width);
-    dispatch!(f32, simd => {
-        let _ = simd;
+    if f32_in_f64() {
         step_codes::<EIGHT>(scalars, &mut block);
-    });
+    } else {
+        dispatch!(f32, simd => {
+            let _ = simd;
+            step_codes::<EIGHT>(scalars, &mut block);
+        });
+    }
     pack(form, block.codes, words, width);
 }
 
