@@ -201,7 +201,7 @@ impl HostOutput {
     /// Rounds floats to f32; all else stays.
     pub(super) fn narrowed(self) -> Self {
         match self {
-            Self::Data(data) if data.dtype == DType::F64 => Self::Data(data.convert::<f32>()),
+            Self::Data(data) if data.dtype() == DType::F64 => Self::Data(data.convert::<f32>()),
             other => other,
         }
     }
