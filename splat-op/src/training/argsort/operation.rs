@@ -43,7 +43,7 @@ impl Operation for ArgsortFloats {
 
     fn run<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {
         // The bits of floats that are not negative are in the order of the floats.
-        vec![HostOutput::ints(argsort_cpu(args.floats::<f32>(0).iter().map(|key| key.to_bits())))]
+        vec![HostOutput::ints(argsort_cpu(args.floats::<F>(0).iter().map(|key| (key.f64() as f32).to_bits())))]
     }
 
     #[cfg(feature = "cube")]
