@@ -42,7 +42,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         let job = Job::new(size)?;
         let load = job.verify_load();
         println!("\n{size}, {} × {}: {load}", job.intrinsics.width, job.intrinsics.height);
-        table(&mut [whole_step(&job, &device)], (&device, &machine), &job.sizes(&load), BUDGET, &[])?;
+        table(&mut [whole_step(&job, &device)], &device, &machine, &job.sizes(&load), BUDGET, &[])?;
     }
     Ok(())
 }

@@ -133,7 +133,8 @@ fn processor_time() -> f64 {
 /// the times are compared with.
 pub fn table(
     passes: &mut [Pass],
-    (device, machine): (&Device, &Machine),
+    device: &Device,
+    machine: &Machine,
     sizes: &Sizes,
     budget: Duration,
     base: &[f64],

@@ -11,7 +11,7 @@ use splat_model::gaussians::Gaussians;
 use splat_model::loss::{DEFAULT_LAMBDA, Truth, photometric};
 use splat_model::optim::Adam;
 use splat_model::trainer::Guard;
-use splat_op::test_hooks::{self, PairCounts};
+use splat_op::test_hooks;
 use splat_op::{
     Camera, Colour, Extras, Intersections, Intrinsics, SplatError, Splats, intersect, project, rasterize, render_view,
     with_gradient,
@@ -191,12 +191,6 @@ pub(crate) fn picture_of(
 ) -> Result<Tensor<3>, SplatError> {
     let projected = test_hooks::of_packed(packed.clone(), intrinsics);
     Ok(rasterize(&projected, features, lists, &Extras::default(), &OPTIONS)?.colour)
-}
-
-/// Counts the pairs of a pixel and a Gaussian that a GPU evaluates; `None` for a CPU.
-pub fn pair_counts(job: &Job, device: &Device) -> Result<Option<PairCounts>, SplatError> {
-    let Stages { packed, colours, lists, .. } = Stages::new(job, device)?;
-    test_hooks::pair_counts(&test_hooks::of_packed(packed, job.intrinsics), &colours, &lists, &OPTIONS)
 }
 
 /// Inputs of the stages on a device, without autodiff.

@@ -4,7 +4,7 @@ use std::borrow::Borrow;
 
 use burn::tensor::{Bool, Device, Tensor, TensorData};
 use serde::{Deserialize, Serialize};
-use splat_op::{Camera, Extras, RenderOptions, SplatError, Splats, render_view};
+use splat_op::{RenderOptions, SplatError, Splats};
 
 use crate::capture::Photo;
 use crate::effects::background::Background;
@@ -98,13 +98,9 @@ pub fn evaluate_each<P: Borrow<Photo>, E: From<SplatError>>(
     for photo in photos {
         let photo = photo?;
         let photo: &Photo = photo.borrow();
-        let camera = Camera::new(photo.intrinsics, &photo.cam_from_world, &device);
-        let colour = background.colour();
-        let extras = Extras::default().with_background(Tensor::from_floats(colour, &device));
-        let picture = render_view(splats, &camera, &extras, options)?;
-        let image = background.behind(picture.colour, picture.alpha, &photo.intrinsics, &photo.cam_from_world);
-        let image = image.clamp(0.0, 1.0);
-        let comparison = Comparison { photo, truth: photo.rgb_over(colour, &device), image };
+        let image =
+            background.render(splats, &photo.intrinsics, &photo.cam_from_world, options)?.colour.clamp(0.0, 1.0);
+        let comparison = Comparison { photo, truth: photo.rgb_over(background.colour(), &device), image };
         let (psnr, ssim) = scored(&comparison, comparison.image.clone());
         let (psnr_corrected, ssim_corrected) = scored(&comparison, corrected(&comparison));
         let (lpips, lpips_missing) = match perceived(lpips, &comparison) {

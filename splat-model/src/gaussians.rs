@@ -17,6 +17,9 @@ pub(crate) use self::options::{SH, check_name};
 use self::rows::interleaved;
 pub use self::rows::{GaussianRows, GroupRows};
 
+/// The spherical harmonic of degree 0, `1 / (2 √π)`: a colour is `0.5 + DC sh_dc`.
+pub const DC: f64 = 0.282_094_791_773_878_14;
+
 /// A scene's parameters as tensors, unconstrained: any finite value is valid, so an optimiser may step freely.
 ///
 /// They are groups with a row for each Gaussian. The first five are those of [`BASE_GROUPS`]; [`Self::with_group`] adds others, which

@@ -2,7 +2,7 @@
 
 use std::collections::HashSet;
 
-use glam::{DAffine3, DVec2, DVec3};
+use glam::{DAffine3, DMat3, DVec2, DVec3};
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rand::{Rng, RngExt};
 use rayon::prelude::*;
@@ -12,11 +12,8 @@ use crate::capture::PointCloud;
 use crate::capture::spread::Spread;
 use crate::cleanup::Bulk;
 use crate::density::morton_order;
-use crate::gaussians::GaussianRows;
+use crate::gaussians::{DC, GaussianRows};
 use crate::optim::scene_extent;
-
-/// `Y₀`: the degree-0 spherical harmonic, `1 / (2 √π)`.
-const SH_0: f32 = 0.282_094_8;
 
 /// Minimum initial value of a colour channel: half a level of 255.
 const DARKEST: f32 = 0.5 / 255.0;
@@ -69,7 +66,7 @@ pub fn from_points(points: &PointCloud) -> GaussianRows {
     let count = points.positions.len();
     let logit = (START_OPACITY / (1.0 - START_OPACITY)).ln();
     // Colours start slightly above black, where they would be clamped and have no gradient.
-    let dc = |colour: &[u8; 3]| colour.map(|channel| ((f32::from(channel) / 255.0).max(DARKEST) - 0.5) / SH_0);
+    let dc = |colour: &[u8; 3]| colour.map(|channel| ((f32::from(channel) / 255.0).max(DARKEST) - 0.5) / DC as f32);
     GaussianRows {
         means: points.positions.clone(),
         rotations: vec![[1.0, 0.0, 0.0, 0.0]; count],
@@ -137,10 +134,13 @@ pub fn random_points(cameras: &[(Intrinsics, DAffine3)], count: usize, rng: &mut
     let Some(spread) = Spread::of(&centres) else { return points };
     let usual = cameras.iter().zip(&centres).filter(|(_, centre)| spread.holds(**centre));
     let cameras: Vec<_> = usual.map(|(camera, _)| *camera).collect();
-    let Some(focus) = common_focus(&cameras) else { return points };
+    let poses: Vec<DAffine3> = cameras.iter().map(|(_, pose)| pose.inverse()).collect();
+    // Of cameras that all look the same way, the point one unit ahead of their mean.
+    let ahead = || poses.iter().map(|pose| pose.translation + pose.matrix3.z_axis).sum::<DVec3>() / poses.len() as f64;
+    let focus = focus(&poses).unwrap_or_else(ahead);
     for _ in 0..count {
-        let (camera, cam_from_world) = &cameras[rng.random_range(0..cameras.len())];
-        let world_from_cam = cam_from_world.inverse();
+        let view = rng.random_range(0..cameras.len());
+        let ((camera, _), world_from_cam) = (&cameras[view], &poses[view]);
         let distance = (focus - world_from_cam.translation).length();
         // The focus is computed, so a zero distance may appear as a rounding error.
         let distance = if distance > 1e-6 * extent { distance } else { extent };
@@ -153,26 +153,17 @@ pub fn random_points(cameras: &[(Intrinsics, DAffine3)], count: usize, rng: &mut
     points
 }
 
-/// The point with the smallest sum of squared distances to the optical axes. For a single camera, or cameras that all look the
-/// same way, it is the point one unit ahead of their mean. `None` without cameras.
-fn common_focus(cameras: &[(Intrinsics, DAffine3)]) -> Option<DVec3> {
-    let axes = cameras.iter().map(|(_, pose)| {
-        let world_from_cam = pose.inverse();
-        (world_from_cam.translation, world_from_cam.matrix3.z_axis)
-    });
-    let (mut normal, mut right, mut ahead) = (glam::DMat3::ZERO, DVec3::ZERO, DVec3::ZERO);
-    for (centre, axis) in axes {
-        let across = glam::DMat3::IDENTITY - glam::DMat3::from_cols(axis * axis.x, axis * axis.y, axis * axis.z);
+/// Returns the point with the smallest sum of squared distances to the optical axes of cameras of these poses, `world_from_cam`;
+/// `None` where the axes are parallel.
+pub fn focus(poses: &[DAffine3]) -> Option<DVec3> {
+    let (mut normal, mut right) = (DMat3::ZERO, DVec3::ZERO);
+    for pose in poses {
+        let axis = pose.matrix3.z_axis;
+        let across = DMat3::IDENTITY - DMat3::from_cols(axis * axis.x, axis * axis.y, axis * axis.z);
         normal += across;
-        right += across * centre;
-        ahead += centre + axis;
+        right += across * pose.translation;
     }
-    let count = cameras.len() as f64;
-    match cameras.len() {
-        0 => None,
-        _ if normal.determinant() > 1e-6 * count.powi(3) => Some(normal.inverse() * right),
-        _ => Some(ahead / count),
-    }
+    (normal.determinant() > 1e-6 * (poses.len() as f64).powi(3)).then(|| normal.inverse() * right)
 }
 
 /// Returns the points in Morton order, so that neighbours are next to each other (see [`morton_order`]).

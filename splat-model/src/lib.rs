@@ -64,6 +64,9 @@
 #![cfg_attr(docsrs, feature(doc_cfg))]
 #![warn(missing_docs)]
 
+#[macro_use]
+mod options;
+
 pub mod accuracy;
 pub mod capture;
 pub mod cleanup;

@@ -30,7 +30,7 @@ use crate::density::{RefineReport, Strategy, StrategyContext};
 use crate::effects::{Effect, EffectContext, EffectStack};
 use crate::gaussians::{BASE_GROUPS, Gaussians, Group, GroupOptions};
 use crate::loss::photometric;
-use crate::optim::{Adam, Decay, scene_extent, sh_degree_at};
+use crate::optim::{Adam, scene_extent, sh_degree_at};
 
 pub use self::config::TrainConfig;
 use self::differentiate::Batch;
@@ -67,7 +67,6 @@ pub struct Trainer {
     density: Box<dyn Strategy>,
     /// See [`scene_extent`].
     extent: f64,
-    means_decay: Decay,
     loss: Box<dyn Loss>,
     guard: Guard,
     ranks: Rc<dyn Ranks>,
@@ -131,7 +130,6 @@ impl Trainer {
             effects,
             density,
             extent,
-            means_decay: config.step_rates().means_decay(extent, config.steps),
             loss: Box::new(move |seen: &LossInputs| photometric(seen.image.clone(), seen.truth, lambda)),
             guard: Guard::new(device),
             ranks: Rc::new(Alone),
@@ -229,7 +227,6 @@ impl Trainer {
         let config = &mut self.config;
         (config.steps, config.sh_every) = (to.steps, to.sh_every);
         (config.learning_rates, config.resolution) = (to.learning_rates, to.resolution);
-        self.means_decay = self.config.step_rates().means_decay(self.extent, to.steps);
         self.density.set_steps(to.steps);
         Ok(())
     }
@@ -302,9 +299,9 @@ impl Trainer {
 
         let Batch { loss, gradients, views, held } = self.differentiate_batch()?;
         let first = views[0].0;
-        let others = self.config.step_rates().after(step as f64 / steps as f64);
         let done = step as f64 / steps as f64;
-        let rates = StepRates { rates: others, means: self.means_decay.at(step), done, views: self.config.batch };
+        let rates = self.config.step_rates().after(done);
+        let rates = StepRates { rates, means: rates.means * self.extent, done, views: self.config.batch };
         let adam = Adam::default().for_batch(self.config.batch);
         self.scene.step(gradients, &adam, &rates, step, held.as_ref());
         for (view, mut of_effects) in views {

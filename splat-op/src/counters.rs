@@ -1,8 +1,6 @@
 //! Counts of launches, allocations, waits and CPU stages of this process, for tests.
 
 use std::cell::Cell;
-#[cfg(feature = "cube")]
-use std::sync::atomic::AtomicBool;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Declares counters: a function that reads each, and one that adds to it.
@@ -62,8 +60,6 @@ pub(crate) fn is_f32_in_f64_forced() -> bool {
 }
 
 static CAPACITY: AtomicU64 = AtomicU64::new(u64::MAX);
-#[cfg(feature = "cube")]
-static COUNT_PAIRS: AtomicBool = AtomicBool::new(false);
 
 /// Sets how many intersections every view is expected to have, zero for an unknown number. With `None`, recent views tell.
 pub fn expect_intersections(capacity: Option<u64>) {
@@ -73,28 +69,4 @@ pub fn expect_intersections(capacity: Option<u64>) {
 #[cfg(feature = "cube")]
 pub(crate) fn forced_capacity() -> Option<u64> {
     Some(CAPACITY.load(Ordering::Relaxed)).filter(|capacity| *capacity < u64::MAX)
-}
-
-/// Numbers of pairs of a pixel and a Gaussian in a view. A pair that a block evaluates counts once for each of its 32 pixels,
-/// finished or not, because they share its time on a card.
-#[cfg(feature = "cube")]
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct PairCounts {
-    /// Pairs evaluated by the forward pass.
-    pub evaluated_forwards: u64,
-    /// Pairs whose gradient the backward pass evaluates.
-    pub evaluated_backwards: u64,
-    /// Pairs that contribute to the picture.
-    pub contributing: u64,
-}
-
-/// Sets whether renders that keep a trace count pairs of a pixel and a Gaussian on GPUs.
-#[cfg(feature = "cube")]
-pub fn count_pairs(on: bool) {
-    COUNT_PAIRS.store(on, Ordering::Relaxed);
-}
-
-#[cfg(feature = "cube")]
-pub(crate) fn pairs_are_counted() -> bool {
-    COUNT_PAIRS.load(Ordering::Relaxed)
 }

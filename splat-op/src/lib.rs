@@ -78,7 +78,7 @@ pub use backend::custom_grad::with_gradient;
 pub use camera::{Camera, CameraModel, Intrinsics, Projector};
 pub use effects::{bilateral, colour_map, depth_miss, environment, optics, pose, smooth};
 pub use error::SplatError;
-pub use product::product;
+pub use product::{mixed, product};
 pub use read::read_back;
 pub use stages::colour::{colours, colours_up_to, evaluate_sh, visible_colours};
 pub use stages::contributors::{Contributors, MAX_CONTRIBUTORS, contributors};

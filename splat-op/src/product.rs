@@ -11,7 +11,7 @@ pub fn product(a: Tensor<2>, b: Tensor<2>) -> Tensor<2> {
 }
 
 /// Returns sums of `planes`, `[K, H, W]`, with `weights`, `[R, K]`: `[R, H, W]`. Differentiable.
-pub(crate) fn mixed(weights: Tensor<2>, planes: Tensor<3>) -> Tensor<3> {
+pub fn mixed(weights: Tensor<2>, planes: Tensor<3>) -> Tensor<3> {
     let ([rows, count], [_, height, width]) = (weights.dims(), planes.dims());
     if is_gpu(&planes.device()) {
         // One fused kernel. The gradient of the weights is summed along one side and then the other, which keeps a GPU busy.

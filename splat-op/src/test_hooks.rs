@@ -6,8 +6,6 @@ use burn::backend::{Backend, Dispatch};
 use burn::tensor::{Device, Tensor};
 
 pub use crate::abilities::buffer_limit;
-#[cfg(feature = "cube")]
-pub use crate::counters::{PairCounts, count_pairs};
 pub use crate::counters::{
     allocated_bytes, bound_bytes, dispatches, expect_intersections, force_f32_in_f64, idle_waits, read_bytes,
     repeated_lists, twin_calls,
@@ -15,32 +13,6 @@ pub use crate::counters::{
 #[cfg(feature = "cube")]
 pub use crate::gpu::poison;
 pub use crate::limits::lower_limit;
-#[cfg(feature = "cube")]
-use crate::stages::rendered::{Blend, blended, check};
-
-/// Rasterizes as [`rasterize`](fn@crate::rasterize) without extras, and returns the numbers of pairs that a GPU evaluates; `None` for a CPU.
-/// Waits for the device.
-///
-/// # Errors
-/// As `rasterize`.
-#[cfg(feature = "cube")]
-pub fn pair_counts(
-    projected: &crate::Projected,
-    features: &Tensor<2>,
-    intersections: &crate::Intersections,
-    options: &crate::RenderOptions,
-) -> Result<Option<PairCounts>, crate::SplatError> {
-    let trace = crate::intersect::Kept::default();
-    let (checked, blend) = check(projected, features, intersections, &crate::Extras::default(), options)?;
-    let blend = Blend { trace: Some(trace.clone()), ..blend };
-    count_pairs(true);
-    // Reading waits until the render has run, after which nothing is counted.
-    let _ = blended(&checked, projected, intersections, blend).colour.into_data();
-    count_pairs(false);
-    let gpu = crate::abilities::gpu(&features.device());
-    let counts = trace.kept::<crate::rasterize::trace::DeviceTrace>().zip(gpu);
-    Ok(counts.and_then(|(trace, gpu)| trace.pair_counts(&gpu)))
-}
 
 /// Returns packed ellipses, `[N, 7]`.
 pub fn packed(projected: &crate::Projected) -> &Tensor<2> {

@@ -3,8 +3,8 @@
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use splat_model::optim::{Adam, Moments, Rates};
 use splat_op::{
-    Accumulation, Camera, Colour, Extras, Intrinsics, RenderOptions, SplatError, Splats, intersect, project, render,
-    test_hooks,
+    Accumulation, Camera, Colour, Extras, Intrinsics, RenderOptions, SplatError, Splats, in_tensor_code, intersect,
+    project, render, test_hooks,
 };
 use splat_tests::data::announce;
 use splat_tests::gpu;
@@ -318,7 +318,7 @@ fn adam_in_one_operation_is_adam_in_tensors_and_leaves_what_others_hold() {
     let rates = Rates { first: 0.05, others: 0.01, width: 1 };
     for step in 1..=6 {
         let gradient = draw(-1e-3, 1e-3);
-        other = adam.step_in_tensors(other, gradient.clone(), rates, &mut theirs, step);
+        other = in_tensor_code(|| adam.step(other, gradient.clone(), rates, &mut theirs, step));
         let held = (step == 3).then(|| one.clone());
         let known = held.clone().map(host);
         one = adam.step(one, gradient, rates, &mut moments, step);

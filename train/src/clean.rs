@@ -126,9 +126,7 @@ impl<'a> CleanupJudge<'a> {
         let views = &self.capture.views;
         let counter = progress::counter("rendering the views", views.len());
         let cameras = views.iter().map(|view| (view.intrinsics_within(self.max_side), view.cam_from_world));
-        let found = Contribution::of(&self.some(kept), cameras, &self.options, &self.device, || counter.inc(1))?;
-        counter.finish_and_clear();
-        Ok(found)
+        Ok(Contribution::of(&self.some(kept), cameras, &self.options, &self.device, || counter.inc(1))?)
     }
 }
 

@@ -128,9 +128,7 @@ pub fn photographs(capture: &Capture, views: &[usize], max_side: Option<u32>, ma
 /// Decodes as [`photographs`] does, without a note on dropped photographs.
 fn decoded(capture: &Capture, views: &[usize], max_side: Option<u32>, masked: bool) -> Result<Vec<Photo>> {
     let counter = progress::counter("reading photographs", views.len());
-    let photos = load_all(views.iter().map(|&view| &capture.views[view]), max_side, |_| counter.inc(1));
-    counter.finish_and_clear();
-    let mut photos = photos?;
+    let mut photos = load_all(views.iter().map(|&view| &capture.views[view]), max_side, |_| counter.inc(1))?;
     if masked {
         masks::attach(capture, views, &mut photos)
             .context("a mask cannot be used (`splat train --effects=-masks` ignores masks)")?;

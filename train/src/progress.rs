@@ -87,7 +87,7 @@ pub fn line(value: &impl Serialize) {
     }
 }
 
-/// Returns a counter of things that take a moment each, such as pictures. Hidden without a terminal.
+/// Returns a counter of things that take a moment each, such as pictures, which goes with its value. Hidden without a terminal.
 pub fn counter(what: &'static str, total: usize) -> ProgressBar {
     let bar = bar(Some(total), "{msg} [{bar:32}] {pos}/{len}");
     bar.map_or_else(ProgressBar::hidden, |bar| bar.with_message(what))
@@ -162,9 +162,7 @@ impl CountedProgress {
 
     /// Removes the bar, and says how long it took.
     pub fn finish(self) {
-        if let Some(bar) = self.bar {
-            bar.finish_and_clear();
-        }
+        drop(self.bar);
         note(&format!("{}: {} done in {}", self.what, self.done.0, clock(self.started.elapsed().as_secs_f64())));
     }
 }

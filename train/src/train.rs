@@ -22,7 +22,7 @@ use splat_model::trainer::{Resolution, TrainConfig, Trainer};
 
 pub use self::checkpoints::{RunState, state_of};
 pub use self::run::{resume_together, run, run_together, run_with};
-use self::time_limit::{GUESS, TrainingTime};
+use self::time_limit::{GUESS, parse_time};
 use crate::accuracy::{AccuracyArgs, ModelArgs};
 use crate::background::TrainBackground;
 use crate::device::DeviceName;
@@ -82,9 +82,9 @@ pub struct TrainArgs {
     /// Train for this time instead of a number of steps: 60s, 10min, '1h 30m'. The first steps are measured, and the number of
     /// steps is chosen and corrected so that training ends in time; reading the capture and scoring come on top. Two such
     /// runs differ, because machines are never equally fast twice
-    #[arg(long = "for", value_name = "TIME", conflicts_with = "steps")]
+    #[arg(long = "for", value_name = "TIME", value_parser = parse_time, conflicts_with = "steps")]
     #[serde(with = "crate::as_text::optional", default, rename = "for")]
-    pub time: Option<TrainingTime>,
+    pub time: Option<humantime::Duration>,
     #[command(flatten, next_help_heading = "Capture")]
     #[serde(default)]
     pub cameras: CameraArgs,

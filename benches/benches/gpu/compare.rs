@@ -13,9 +13,8 @@ use splat_benches::job::{Job, JobSize};
 use splat_benches::limit::Machine;
 use splat_benches::limit::PassKind;
 use splat_benches::measure::{RunTimes, copy_bandwidth, table};
-use splat_benches::passes::{pair_counts, passes};
+use splat_benches::passes::passes;
 use splat_op::is_gpu;
-use splat_op::test_hooks::PairCounts;
 use splat_train::device::DeviceName;
 
 /// Time budget for all passes of one size on one device. Only a driver in software uses all of it.
@@ -42,8 +41,6 @@ pub struct TimedPass {
     /// Kernels that a run launches, and the bytes of the buffers that they are given; 0 on a CPU.
     pub launches: u64,
     pub bound_bytes: u64,
-    /// On a GPU: pairs of a pixel and a Gaussian that the pass evaluates for each pair that contributes to the picture.
-    pub pairs: Option<f64>,
 }
 
 /// Times the scenes and devices that `words` name. `--json FILE` writes the times too.
@@ -109,7 +106,7 @@ fn one_size(size: JobSize, devices: &[Opened]) -> Result<Vec<TimedPass>, Box<dyn
         // that waits for the device.
         let found = catch_unwind(AssertUnwindSafe(|| timed(&job, &load, opened, &base)));
         match found.unwrap_or_else(|panic| Err(message(panic.as_ref()).into())) {
-            Ok((times, counts)) => {
+            Ok(times) => {
                 if base.is_empty() {
                     base = times.iter().map(|(_, times)| times.median_s).collect();
                 }
@@ -122,7 +119,6 @@ fn one_size(size: JobSize, devices: &[Opened]) -> Result<Vec<TimedPass>, Box<dyn
                     limit_ms: 1e3 * job.sizes(&load).limit(kind, &opened.machine),
                     launches: times.launches,
                     bound_bytes: times.bound_bytes,
-                    pairs: counts.and_then(|counts| evaluated(kind, counts)),
                 }));
             }
             Err(error) => println!("  does not fit, skipped: {error}"),
@@ -131,40 +127,16 @@ fn one_size(size: JobSize, devices: &[Opened]) -> Result<Vec<TimedPass>, Box<dyn
     Ok(all)
 }
 
-/// Pairs that a pass evaluates for each that contributes.
-fn evaluated(kind: PassKind, counts: PairCounts) -> Option<f64> {
-    let pairs = match kind {
-        PassKind::Rasterize => counts.evaluated_forwards,
-        PassKind::RasterizeBackward => counts.evaluated_backwards,
-        _ => return None,
-    };
-    Some(pairs as f64 / counts.contributing as f64)
-}
-
-/// Times of the passes, and on a GPU the pairs that they evaluate.
-type Measured = (Vec<(PassKind, RunTimes)>, Option<PairCounts>);
-
 /// Times all passes, prints a line for each and returns the times.
-fn timed(job: &Job, load: &Load, opened: &Opened, base: &[f64]) -> Result<Measured, Box<dyn Error>> {
+fn timed(job: &Job, load: &Load, opened: &Opened, base: &[f64]) -> Result<Vec<(PassKind, RunTimes)>, Box<dyn Error>> {
     let Opened { device, machine, .. } = opened;
     if job.size == JobSize::FoxSmall {
         job.verify_picture(device)?;
     }
-    let counts = pair_counts(job, device)?;
-    if let Some(counts) = counts {
-        let each = |kind| evaluated(kind, counts).expect("these passes evaluate pairs");
-        println!(
-            "  pairs of a pixel and a Gaussian: {:.1} million contribute; evaluated for each: {:.2} forwards, {:.2} backwards",
-            counts.contributing as f64 / 1e6,
-            each(PassKind::Rasterize),
-            each(PassKind::RasterizeBackward)
-        );
-    }
-    // The counts need a render alone, which takes coefficients in several tensors.
     job.check_fits(device)?;
     let mut passes = passes(job, device)?;
-    let times = table(&mut passes, (device, machine), &job.sizes(load), BUDGET, base)?;
-    Ok((passes.iter().map(|pass| pass.kind).zip(times).collect(), counts))
+    let times = table(&mut passes, device, machine, &job.sizes(load), BUDGET, base)?;
+    Ok(passes.iter().map(|pass| pass.kind).zip(times).collect())
 }
 
 /// Returns the message of a panic.

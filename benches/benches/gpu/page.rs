@@ -126,9 +126,6 @@ fn passes(times: &[TimedPass]) -> String {
                         let bound = timed.bound_bytes as f64 / f64::from(1 << 20);
                         let _ = write!(cell, "; {} launches, {bound:.1} MiB", timed.launches);
                     }
-                    if let Some(pairs) = timed.pairs {
-                        let _ = write!(cell, ", {pairs:.2} pairs");
-                    }
                     cell
                 })
             };

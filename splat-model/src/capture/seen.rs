@@ -7,6 +7,8 @@ use rayon::prelude::*;
 use serde::Serialize;
 use splat_op::{Intrinsics, Projector};
 
+use super::{Capture, View};
+
 /// Largest number of points that are looked at, evenly spaced. More points do not change what is said of them.
 const MOST_POINTS: usize = 50_000;
 
@@ -25,6 +27,29 @@ pub(crate) fn project(
     let at_px = projector.px_from_cam(cam)?.to_array();
     let inside = (0.0..camera.width as f64).contains(&at_px[0]) && (0.0..camera.height as f64).contains(&at_px[1]);
     inside.then_some((at_px, cam.z))
+}
+
+impl Capture {
+    /// The points that each of some views shows, ascending: by the tracks, or by projection where there are none; then nothing hides
+    /// anything. Every `step`th point is looked at.
+    pub(crate) fn shown(&self, views: &[usize], step: usize) -> Vec<Vec<u32>> {
+        // COLMAP numbers points with 32 bits in practice; more do not fit into memory beside their tracks.
+        let points = (0..self.points.positions.len() as u32).step_by(step);
+        if self.tracks.observations() > 0 {
+            let mut shown = vec![Vec::new(); self.views.len()];
+            points
+                .for_each(|point| self.tracks.of(point as usize).iter().for_each(|seen| shown[seen.view].push(point)));
+            shown.iter_mut().for_each(Vec::dedup);
+            return views.iter().map(|&view| std::mem::take(&mut shown[view])).collect();
+        }
+        let of_view = |&view: &usize| {
+            let View { intrinsics, cam_from_world, .. } = &self.views[view];
+            let (projector, position) = (intrinsics.projector(), |point: u32| self.position(point as usize));
+            let is_shown = |point: &u32| project(intrinsics, &projector, cam_from_world, position(*point)).is_some();
+            points.clone().filter(is_shown).collect()
+        };
+        views.par_iter().map(of_view).collect()
+    }
 }
 
 /// How many points project into each photograph. Nothing hides anything.

@@ -6,7 +6,6 @@ mod relocate;
 
 use burn::tensor::{DType, Device, Int, Tensor, activation::sigmoid};
 use rand::{Rng, RngExt};
-use serde::{Deserialize, Serialize};
 use splat_op::{Splats, read_back};
 
 use self::relocate::share;
@@ -20,52 +19,35 @@ use crate::gaussians::{GaussianRows, Gaussians, RowsError, logit};
 use crate::loss::regularise;
 use crate::state::{State, StateError};
 
-/// Options of MCMC density control. Defaults are those of the paper and its code.
-///
-/// That code assumes scenes some units across and uses their unit directly. Here lengths are in units of the scene extent
-/// (see [`crate::optim::scene_extent`]), so that training does not depend on the unit of a scene.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct McmcConfig {
-    /// Steps between refinements: 100.
-    pub every: usize,
-    /// First step of refinement: 500.
-    pub from: usize,
-    /// Share of the run after which Gaussians are neither moved nor added: 5/6. The noise continues to the end.
-    pub until_share: f64,
-    /// Growth factor of the number of Gaussians at each refinement: 1.05.
-    pub growth: f64,
-    /// Largest number of Gaussians.
-    pub max_splats: usize,
-    /// Largest opacity of a dead Gaussian, which is moved: 0.005.
-    pub dead_opacity: f64,
-    /// Scale of the noise on positions, in multiples of the centres' learning rate: 5e5.
-    pub noise: f64,
-    /// Weight of the mean opacity in the loss: 0.01.
-    pub opacity_weight: f64,
-    /// Weight of the mean standard deviation, as a share of the extent, in the loss: 0.01.
-    pub scale_weight: f64,
-    /// Initial opacity of the Gaussians: 0.5.
-    pub start_opacity: f64,
-    /// Factor on the initial standard deviations, relative to those without a strategy: 0.1.
-    pub start_scale: f64,
-}
-
-impl Default for McmcConfig {
-    fn default() -> Self {
-        Self {
-            every: 100,
-            from: 500,
-            until_share: 5.0 / 6.0,
-            growth: 1.05,
-            max_splats: 1_000_000,
-            dead_opacity: 0.005,
-            noise: 5e5,
-            opacity_weight: 0.01,
-            scale_weight: 0.01,
-            start_opacity: 0.5,
-            start_scale: 0.1,
-        }
+options! {
+    /// Options of MCMC density control. Defaults are those of the paper and its code.
+    ///
+    /// That code assumes scenes some units across and uses their unit directly. Here lengths are in units of the scene extent
+    /// (see [`crate::optim::scene_extent`]), so that training does not depend on the unit of a scene.
+    #[derive(Copy)]
+    pub struct McmcConfig {
+        /// Steps between refinements: 100.
+        pub every: usize = 100,
+        /// First step of refinement: 500.
+        pub from: usize = 500,
+        /// Share of the run after which Gaussians are neither moved nor added: 5/6. The noise continues to the end.
+        pub until_share: f64 = 5.0 / 6.0,
+        /// Growth factor of the number of Gaussians at each refinement: 1.05.
+        pub growth: f64 = 1.05,
+        /// Largest number of Gaussians.
+        pub max_splats: usize = 1_000_000,
+        /// Largest opacity of a dead Gaussian, which is moved: 0.005.
+        pub dead_opacity: f64 = 0.005,
+        /// Scale of the noise on positions, in multiples of the centres' learning rate: 5e5.
+        pub noise: f64 = 5e5,
+        /// Weight of the mean opacity in the loss: 0.01.
+        pub opacity_weight: f64 = 0.01,
+        /// Weight of the mean standard deviation, as a share of the extent, in the loss: 0.01.
+        pub scale_weight: f64 = 0.01,
+        /// Initial opacity of the Gaussians: 0.5.
+        pub start_opacity: f64 = 0.5,
+        /// Factor on the initial standard deviations, relative to those without a strategy: 0.1.
+        pub start_scale: f64 = 0.1,
     }
 }
 

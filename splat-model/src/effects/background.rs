@@ -11,22 +11,23 @@
 //!
 //! Directions use the photographs' given poses, also while poses are refined.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use burn::tensor::{Device, Gradients, Tensor, TensorData};
-use glam::{DAffine3, DMat3, DVec2, DVec3};
+use glam::{DAffine3, DVec2};
 use rand::{Rng, RngExt};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use splat_op::sh::{harmonics, sh_degree};
-use splat_op::{Intrinsics, Rendered, environment, product};
-use thiserror::Error;
+use splat_op::sh::sh_degree;
+use splat_op::{
+    Camera, Extras, Intrinsics, RenderOptions, Rendered, SplatError, Splats, environment, mixed, render_view,
+};
 
 use super::learned::{EffectContext, Falling, Learned};
 use super::{Effect, EffectKind, Leaf, RenderInput};
 use crate::gaussians::{Gaussians, values_of};
-use crate::json;
 use crate::state::{State, StateError};
+use crate::{FileError, json};
 
 /// The kind of background of a run.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -63,16 +64,6 @@ pub enum Background {
     Environment(Vec<[f32; 3]>),
 }
 
-/// A background file that cannot be read, or is none.
-#[derive(Debug, Error)]
-#[error("{path}: {reason}", path = .path.display())]
-pub struct BackgroundError {
-    /// The file.
-    pub path: PathBuf,
-    /// What was found and what was expected.
-    pub reason: String,
-}
-
 /// Largest accepted file. A background is a few hundred bytes.
 const LARGEST_FILE: u64 = 1 << 20;
 
@@ -81,13 +72,13 @@ impl Background {
     ///
     /// # Errors
     /// If the file cannot be read or is not a background.
-    pub fn read(path: &Path) -> Result<Self, BackgroundError> {
+    pub fn read(path: &Path) -> Result<Self, FileError> {
         let content = |found: String| {
             let reason = format!(
                 "{found}, expected the `background.json` that a run writes beside its scene: {{\"colour\": [r, g, b]}} or \
                  {{\"environment\": [[r, g, b], ...]}} with 1, 4, 9, 16 or 25 coefficients, all finite"
             );
-            BackgroundError { path: path.to_owned(), reason }
+            FileError::new(path, reason)
         };
         let found: Self = json::read(path, LARGEST_FILE, content)?;
         match &found {
@@ -139,6 +130,24 @@ impl Background {
         let coefficients = TensorData::new(coefficients.as_flattened().to_vec(), [coefficients.len(), 3]);
         let directions = directions_of(camera, cam_from_world, &device);
         over(&image, &alpha, &directions, &Tensor::from_data(coefficients, &device))
+    }
+
+    /// Renders splats over the background.
+    ///
+    /// # Errors
+    /// If the renderer refuses the scene.
+    pub fn render(
+        &self,
+        splats: &Splats,
+        intrinsics: &Intrinsics,
+        cam_from_world: &DAffine3,
+        options: &RenderOptions,
+    ) -> Result<Rendered<3>, SplatError> {
+        let device = splats.means.device();
+        let extras = Extras::default().with_background(Tensor::from_floats(self.colour(), &device));
+        let mut picture = render_view(splats, &Camera::new(*intrinsics, cam_from_world, &device), &extras, options)?;
+        picture.colour = self.behind(picture.colour, picture.alpha.clone(), intrinsics, cam_from_world);
+        Ok(picture)
     }
 }
 
@@ -222,12 +231,11 @@ impl Effect for LearnedBackground {
 
 /// A learned environment in spherical harmonics.
 ///
-/// Photographs of one camera share the viewing directions in the camera's frame. The coefficients are rotated into the frame of each
-/// photograph instead.
+/// Photographs of one camera share the viewing directions in the camera's frame, which each rotates into the world's.
 pub struct Environment {
     /// `[(degree+1)², 3]`, world frame.
     coefficients: Learned<2>,
-    /// `[(degree+1)², (degree+1)²]` by photograph: coefficients in its camera's frame from those in the world frame.
+    /// `[3, 3]` by photograph: `world_from_cam`.
     rotations: Vec<Tensor<2>>,
     /// `[3, H, W]` by camera, in its frame.
     cache: Vec<(Intrinsics, Tensor<3>)>,
@@ -238,16 +246,16 @@ impl Environment {
     /// Grey light around photographs of the given poses, `cam_from_world`, in harmonics of `degree`, 0 to 4.
     pub fn new(degree: usize, poses: &[DAffine3], device: &Device) -> Self {
         let coefficients = Learned::new(Tensor::zeros([(degree + 1) * (degree + 1), 3], device));
-        let rotation = |pose: &DAffine3| rotation_of_harmonics(&pose.matrix3, degree, device);
+        // Columns of a pose are rows of its inverse.
+        let rotation = |pose: &DAffine3| Tensor::from_floats(pose.matrix3.as_mat3().to_cols_array_2d(), device);
         let rotations = poses.iter().map(rotation).collect();
         Self { coefficients, rotations, cache: Vec::new(), cached_bytes: 0 }
     }
 
     /// The render over black of a photograph's camera, composited over the environment.
     fn behind(&mut self, image: Tensor<3>, alpha: Tensor<3>, view: usize, camera: &Intrinsics) -> Tensor<3> {
-        let directions = Tensor::from_inner(self.directions_of(camera));
-        let rotation = Tensor::from_inner(self.rotations[view].clone());
-        over(&image, &alpha, &directions, &product(rotation, self.coefficients.tracked()))
+        let directions = mixed(self.rotations[view].clone(), self.directions_of(camera));
+        over(&image, &alpha, &Tensor::from_inner(directions), &self.coefficients.tracked())
     }
 
     fn directions_of(&mut self, camera: &Intrinsics) -> Tensor<3> {
@@ -263,45 +271,6 @@ impl Environment {
         }
         directions
     }
-}
-
-/// Gauss-Legendre nodes and weights of order 5 on −1 to 1 (Abramowitz and Stegun 1964, table 25.4).
-const NODES: [(f64, f64); 5] = [
-    (0.0, 0.568_888_888_888_888_9),
-    (0.538_469_310_105_683_1, 0.478_628_670_499_366_47),
-    (-0.538_469_310_105_683_1, 0.478_628_670_499_366_47),
-    (0.906_179_845_938_664, 0.236_926_885_056_189_08),
-    (-0.906_179_845_938_664, 0.236_926_885_056_189_08),
-];
-
-/// Number of directions around the axis for each node.
-const AROUND: usize = 10;
-
-/// `[(degree+1)², (degree+1)²]`: the coefficients in the camera's frame of a function that has given coefficients in the world
-/// frame.
-///
-/// Rotated harmonics are sums of the harmonics of their degree, `Yₐ(R d) = Σ M_ab Y_b(d)` with `R` the rotation
-/// world-from-camera, so the function has `Σₐ M_ab cₐ` in the camera's frame. As the harmonics are orthonormal, `M_ab` is the
-/// integral of `Yₐ(R d) Y_b(d)` over the sphere. The sum over 5 × 10 directions is exact for polynomials up to degree 9, and
-/// products of two harmonics of degree 4 have 8.
-fn rotation_of_harmonics(cam_from_world: &DMat3, degree: usize, device: &Device) -> Tensor<2> {
-    let (world_from_cam, count) = (cam_from_world.transpose(), (degree + 1) * (degree + 1));
-    let mut rotation = vec![0.0; count * count];
-    for (z, weight) in NODES {
-        for i in 0..AROUND {
-            let (sin, cos) = (std::f64::consts::TAU * i as f64 / AROUND as f64).sin_cos();
-            let around = (1.0 - z * z).sqrt();
-            let direction = DVec3::new(around * cos, around * sin, z);
-            let in_camera = harmonics(direction.to_array(), degree);
-            let in_world = harmonics((world_from_cam * direction).to_array(), degree);
-            let weight = weight * std::f64::consts::TAU / AROUND as f64;
-            for (b, row) in rotation.chunks_exact_mut(count).enumerate() {
-                row.iter_mut().zip(in_world).for_each(|(value, a)| *value += weight * in_camera[b] * a);
-            }
-        }
-    }
-    let rotation: Vec<f32> = rotation.into_iter().map(|value| value as f32).collect();
-    Tensor::from_data(TensorData::new(rotation, [count, count]), device)
 }
 
 impl Effect for Environment {

@@ -15,7 +15,7 @@ use std::path::Path;
 use burn::tensor::{DType, Device, Int, Tensor, TensorData};
 use glam::Vec2;
 use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
+use serde::Deserialize;
 use splat_op::Rendered;
 use splat_op::depth_miss::depth_miss;
 
@@ -28,21 +28,16 @@ use crate::gaussians::Gaussians;
 use crate::json;
 use crate::quantile::quantile;
 
-/// Options of depth supervision.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct DepthConfig {
-    /// Weight of the relative error in the loss, 0.5 throughout. A larger weight helps where little else is known and harms
-    /// where photographs are more accurate (`docs/EFFECTS.md`).
-    pub weight: Falling,
-    /// Steps whose number is a multiple of this, 3, are supervised, with as many times the weight. Other steps do not render depth.
-    /// Values up to 4 were measured, with nearly the same gain (`docs/EFFECTS.md`). 0 acts as 1.
-    pub every: usize,
-}
-
-impl Default for DepthConfig {
-    fn default() -> Self {
-        Self { weight: Falling { from: 0.5, to: 0.5 }, every: 3 }
+options! {
+    /// Options of depth supervision.
+    #[derive(Copy)]
+    pub struct DepthConfig {
+        /// Weight of the relative error in the loss, 0.5 throughout. A larger weight helps where little else is known and harms
+        /// where photographs are more accurate (`docs/EFFECTS.md`).
+        pub weight: Falling = Falling { from: 0.5, to: 0.5 },
+        /// Steps whose number is a multiple of this, 3, are supervised, with as many times the weight. Other steps do not render depth.
+        /// Values up to 4 were measured, with nearly the same gain (`docs/EFFECTS.md`). 0 acts as 1.
+        pub every: usize = 3,
     }
 }
 

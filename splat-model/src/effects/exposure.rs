@@ -9,27 +9,21 @@
 //! bounds maps with little evidence.
 
 use burn::tensor::{Device, Tensor};
-use serde::{Deserialize, Serialize};
 use splat_op::colour_map;
 
 use super::EffectKind;
 use super::learned::Falling;
 use super::maps::{ColourMaps, MapKind};
 
-/// Options of exposures.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct ExposureConfig {
-    /// Learning rate: from 0.01, as in the original code, to 0.001.
-    pub rate: Falling,
-    /// Weight of `Σ (A − I)² + Σ b²` in the loss: 0.01. For a difference of half a stop between photographs, the penalty is
-    /// a hundredth of the loss that the difference itself causes.
-    pub weight: f64,
-}
-
-impl Default for ExposureConfig {
-    fn default() -> Self {
-        Self { rate: Falling { from: 0.01, to: 0.001 }, weight: 0.01 }
+options! {
+    /// Options of exposures.
+    #[derive(Copy)]
+    pub struct ExposureConfig {
+        /// Learning rate: from 0.01, as in the original code, to 0.001.
+        pub rate: Falling = Falling { from: 0.01, to: 0.001 },
+        /// Weight of `Σ (A − I)² + Σ b²` in the loss: 0.01. For a difference of half a stop between photographs, the penalty is
+        /// a hundredth of the loss that the difference itself causes.
+        pub weight: f64 = 0.01,
     }
 }
 

@@ -11,7 +11,6 @@
 //! [`splat_op::bilateral`] applies a grid.
 
 use burn::tensor::{Device, Tensor};
-use serde::{Deserialize, Serialize};
 use splat_op::bilateral::{self, MAP};
 
 use super::EffectKind;
@@ -23,19 +22,14 @@ const SIDE: usize = 16;
 
 const LEVELS: usize = 8;
 
-/// Options of bilateral grids.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct GridConfig {
-    /// Learning rate: from 0.005 to 0.0005.
-    pub rate: Falling,
-    /// Weight of the mean squared difference between neighbours: 10.
-    pub smoothness: f64,
-}
-
-impl Default for GridConfig {
-    fn default() -> Self {
-        Self { rate: Falling { from: 0.005, to: 0.0005 }, smoothness: 10.0 }
+options! {
+    /// Options of bilateral grids.
+    #[derive(Copy)]
+    pub struct GridConfig {
+        /// Learning rate: from 0.005 to 0.0005.
+        pub rate: Falling = Falling { from: 0.005, to: 0.0005 },
+        /// Weight of the mean squared difference between neighbours: 10.
+        pub smoothness: f64 = 10.0,
     }
 }
 

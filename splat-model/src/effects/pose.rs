@@ -17,7 +17,6 @@ pub mod anchors;
 
 use burn::tensor::{Device, Gradients, Tensor};
 use glam::{DAffine3, DQuat, DVec3};
-use serde::{Deserialize, Serialize};
 use splat_op::{Rendered, pose};
 
 use self::anchors::{Anchors, DeviceAnchors, rotation};
@@ -26,24 +25,19 @@ use super::{Effect, EffectKind, Leaf, RenderInput};
 use crate::gaussians::{Gaussians, values_of};
 use crate::state::{State, StateError};
 
-/// Options of pose refinement.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct PoseConfig {
-    /// Largest rotation of a camera in the whole run, rad: 0.06, about 3.4°.
-    pub reach_rad: f64,
-    /// Largest movement of a camera in the whole run, scene extents: 0.06.
-    pub reach_extents: f64,
-    /// Ratio of the last step size to the first: 0.01.
-    pub fall: f64,
-    /// Weight of the mean angle between the tracks' directions and the pose's, per rad: 3. An error of one pixel then
-    /// counts about as much as it does in the photograph.
-    pub anchor_weight: f64,
-}
-
-impl Default for PoseConfig {
-    fn default() -> Self {
-        Self { reach_rad: 0.06, reach_extents: 0.06, fall: 0.01, anchor_weight: 3.0 }
+options! {
+    /// Options of pose refinement.
+    #[derive(Copy)]
+    pub struct PoseConfig {
+        /// Largest rotation of a camera in the whole run, rad: 0.06, about 3.4°.
+        pub reach_rad: f64 = 0.06,
+        /// Largest movement of a camera in the whole run, scene extents: 0.06.
+        pub reach_extents: f64 = 0.06,
+        /// Ratio of the last step size to the first: 0.01.
+        pub fall: f64 = 0.01,
+        /// Weight of the mean angle between the tracks' directions and the pose's, per rad: 3. An error of one pixel then
+        /// counts about as much as it does in the photograph.
+        pub anchor_weight: f64 = 3.0,
     }
 }
 

@@ -29,9 +29,9 @@ use std::path::Path;
 use serde_json::{Map, Value, json};
 
 use super::frame::HalfTurn;
-use super::{DC, SceneFile, extras, opacity};
+use super::{SceneFile, extras, opacity};
 use crate::FileError;
-use crate::gaussians::{GaussianRows, sigmoid};
+use crate::gaussians::{DC, GaussianRows, sigmoid};
 use crate::replace::{WRITE, replace};
 
 #[cfg(test)]

@@ -1,6 +1,8 @@
 //! Differences between the rows that were written and the rows that were read.
 
-use crate::gaussians::{GaussianRows, sigmoid};
+use glam::DVec4;
+
+use crate::gaussians::{DC, GaussianRows, sigmoid};
 
 /// Summary of the differences of one quantity.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -47,7 +49,7 @@ impl QuantisationError {
             scale: flat(&written.log_scales, &read.log_scales, &f64::exp_m1),
             rotation: Deviation::of(rotations.map(|(a, b)| angle_degrees(a, b))),
             opacity: Deviation::of(opacities.map(|(a, b)| (sigmoid(*a) - sigmoid(*b)).abs())),
-            colour: flat(&written.sh_dc, &read.sh_dc, &|difference| super::DC * difference),
+            colour: flat(&written.sh_dc, &read.sh_dc, &|difference| DC * difference),
             harmonics: Deviation::of(written.sh_rest.iter().zip(&read.sh_rest).map(difference)),
         }
     }
@@ -65,15 +67,9 @@ impl Deviation {
 
 /// Angle of the rotation from `a` to `b`, degrees.
 fn angle_degrees(a: &[f32; 4], b: &[f32; 4]) -> f64 {
-    let unit = |q: &[f32; 4]| {
-        let q = q.map(f64::from);
-        let length = q.iter().map(|value| value * value).sum::<f64>().sqrt();
-        q.map(|value| value / length)
-    };
-    let (a, b) = (unit(a), unit(b));
-    let sign = 1.0_f64.copysign(a.iter().zip(b).map(|(a, b)| a * b).sum());
+    let [a, b] = [a, b].map(|q| DVec4::from_array(q.map(f64::from)).normalize());
     // Computed from the chord, which keeps its digits for small angles; the cosine does not.
-    let chord = a.iter().zip(b).map(|(a, b)| (a - sign * b).powi(2)).sum::<f64>().sqrt();
+    let chord = a.distance(b * 1.0_f64.copysign(a.dot(b)));
     4.0 * (0.5 * chord).min(1.0).asin().to_degrees()
 }
 

@@ -65,9 +65,6 @@ use crate::density::morton_order;
 use crate::gaussians::GaussianRows;
 use crate::ply::{self, PlyReader, TrainedAs, WorldFrame};
 
-/// The spherical harmonic of degree 0, `1 / (2 √π)`.
-pub(crate) const DC: f64 = 0.282_094_791_773_878_14;
-
 /// A format of scene files.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Format {

@@ -35,26 +35,21 @@ pub enum NewRows {
     Filled(f32),
 }
 
-/// How a group is trained. Groups of [`BASE_GROUPS`] are trained by [`LearningRates`](crate::optim::LearningRates) and density control
-/// instead, and ignore these options.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct GroupOptions {
-    /// Learning rate at the first step: 0, which keeps the group as it is.
-    pub rate: f64,
-    /// Share of the rate that remains at the last step: 1. The rate falls exponentially.
-    pub final_share: f64,
-    /// How the numbers become values: unchanged.
-    pub activation: Activation,
-    /// The values of new rows: copies.
-    pub new_rows: NewRows,
-    /// The value that all rows get, with moments of zero, whenever density control resets opacities: none.
-    pub reset: Option<f32>,
-}
-
-impl Default for GroupOptions {
-    fn default() -> Self {
-        Self { rate: 0.0, final_share: 1.0, activation: Activation::Identity, new_rows: NewRows::Copied, reset: None }
+options! {
+    /// How a group is trained. Groups of [`BASE_GROUPS`] are trained by [`LearningRates`](crate::optim::LearningRates) and density control
+    /// instead, and ignore these options.
+    #[derive(Copy)]
+    pub struct GroupOptions {
+        /// Learning rate at the first step: 0, which keeps the group as it is.
+        pub rate: f64 = 0.0,
+        /// Share of the rate that remains at the last step: 1. The rate falls exponentially.
+        pub final_share: f64 = 1.0,
+        /// How the numbers become values: unchanged.
+        pub activation: Activation = Activation::Identity,
+        /// The values of new rows: copies.
+        pub new_rows: NewRows = NewRows::Copied,
+        /// The value that all rows get, with moments of zero, whenever density control resets opacities: none.
+        pub reset: Option<f32> = None,
     }
 }
 

@@ -113,22 +113,9 @@ impl GaussianRows {
     /// # Panics
     /// If they do not exist.
     pub fn part(&self, which: Range<usize>) -> Self {
-        let rest = self.rest_per_row();
-        Self {
-            means: self.means[which.clone()].to_vec(),
-            rotations: self.rotations[which.clone()].to_vec(),
-            log_scales: self.log_scales[which.clone()].to_vec(),
-            logit_opacities: self.logit_opacities[which.clone()].to_vec(),
-            sh_dc: self.sh_dc[which.clone()].to_vec(),
-            sh_rest: self.sh_rest[rest * which.start..rest * which.end].to_vec(),
-            sh_degree: self.sh_degree,
-            groups: (self.groups.iter())
-                .map(|group| GroupRows {
-                    values: group.values[group.width * which.start..group.width * which.end].to_vec(),
-                    ..GroupRows::like(group)
-                })
-                .collect(),
-        }
+        let mut part = Self::like(self);
+        which.for_each(|row| part.push(self, row));
+        part
     }
 
     /// Whether Gaussian `i` can be rendered: all its parameters are finite and within the range that f32 can compute with (see

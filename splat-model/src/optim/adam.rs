@@ -71,23 +71,6 @@ impl Adam {
         self.step_unless(param, grad, lr, moments, StepAt { step: t, verdict: None })
     }
 
-    /// Computes [`Self::step`] in tensor code on any device. Tests compare all other forms with it.
-    ///
-    /// Panics if the moments are packed.
-    pub fn step_in_tensors<const D: usize>(
-        &self,
-        param: Tensor<D>,
-        grad: Tensor<D>,
-        lr: impl Into<Rates>,
-        moments: &mut Moments<D>,
-        t: usize,
-    ) -> Tensor<D> {
-        let Stored::Full { m, v } = moments.take() else { panic!("packed moments have no form in tensors") };
-        let Stepped { param, m, v } = step_in_tensors(&self.factors(lr.into(), t), Stepped { param, m, v }, grad);
-        *moments = Moments::full(m, v);
-        param
-    }
-
     /// Computes [`Self::step`], but changes nothing if the verdict, `[2]`, holds a step (see [`splat_op::adam`]).
     pub(crate) fn step_unless<const D: usize>(
         &self,

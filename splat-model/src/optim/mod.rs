@@ -6,4 +6,4 @@ pub mod schedule;
 
 pub use adam::{Adam, Rates};
 pub use moments::{MomentBits, Moments};
-pub use schedule::{Decay, LearningRates, near_plane, scene_extent, sh_degree_at, sh_every_for};
+pub use schedule::{LearningRates, near_plane, scene_extent, sh_degree_at, sh_every_for};

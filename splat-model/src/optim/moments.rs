@@ -175,7 +175,7 @@ impl<const D: usize> Moments<D> {
                 to.put("m", m.clone());
                 to.put("v", v.clone());
             }
-            Stored::Packed { words, .. } => to.put_words(&format!("moments{}", self.bits()), words.clone()),
+            Stored::Packed { words, .. } => to.put(&format!("moments{}", self.bits()), words.clone()),
         }
     }
 
@@ -188,7 +188,7 @@ impl<const D: usize> Moments<D> {
             let [m, v] = ["m", "v"].map(|name| from.take_shaped(name, shape, device));
             return Ok(Self::full(m?, v?));
         };
-        let words = from.take_words(&format!("moments{bits}"), words_shape(shape, packing), device)?;
+        let words = from.take_shaped(&format!("moments{bits}"), words_shape(shape, packing), device)?;
         Ok(Self::packed(words, packing))
     }
 }

@@ -1,34 +1,9 @@
 //! Learning rates, their decay, and when higher spherical harmonics switch on.
 
 use glam::DVec3;
-use serde::{Deserialize, Serialize};
 use splat_op::RenderOptions;
 
 use crate::capture::spread::Spread;
-
-/// Exponential decay: the logarithm of the rate falls in a straight line.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Decay {
-    /// Rate at step 0, positive.
-    pub initial: f64,
-    /// Rate from step `steps` on, positive.
-    pub last: f64,
-    /// Number of steps of the decay. With zero, `last` holds from the start.
-    pub steps: usize,
-}
-
-impl Decay {
-    /// The rate at `step`: `initial^(1 − s) · last^s`, `s = min(step / steps, 1)`.
-    ///
-    /// The schedule of Plenoxels (Fridovich-Keil et al. 2022), which 3D Gaussian splatting adopted without its delay.
-    pub fn at(&self, step: usize) -> f64 {
-        if step >= self.steps {
-            return self.last;
-        }
-        let share = step as f64 / self.steps as f64;
-        self.initial.powf(1.0 - share) * self.last.powf(share)
-    }
-}
 
 /// Steps of a run of the original implementation (Kerbl et al. 2023), for which its learning rates and schedules are made.
 pub const PUBLISHED_STEPS: usize = 30_000;
@@ -37,41 +12,27 @@ pub const PUBLISHED_STEPS: usize = 30_000;
 /// more, and single scores fall by 1 dB.
 const LARGEST_FACTOR: f64 = 3.0;
 
-/// Learning rates per group of parameters. The defaults are those of the original implementation (Kerbl et al. 2023),
-/// with its later rate for opacities. [`Self::for_steps`] gives those for a run of another length.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct LearningRates {
-    /// Centres at step 0, as a share of the scene extent: 1.6e-4.
-    pub means: f64,
-    /// Share of `means` that remains at the last step: 0.01.
-    pub means_final_share: f64,
-    /// Logarithms of the standard deviations: 5e-3.
-    pub scales: f64,
-    /// Quaternions: 1e-3.
-    pub rotations: f64,
-    /// Degree-0 coefficients: 2.5e-3.
-    pub sh_dc: f64,
-    /// Higher coefficients: 1.25e-4, a twentieth of `sh_dc`, so that view-dependence comes after colour.
-    pub sh_rest: f64,
-    /// Logits of the opacities: 0.025.
-    pub opacities: f64,
-    /// Share of all rates but `means` that remains at the last step: 1.
-    pub others_final_share: f64,
-}
-
-impl Default for LearningRates {
-    fn default() -> Self {
-        Self {
-            means: 1.6e-4,
-            means_final_share: 0.01,
-            scales: 5e-3,
-            rotations: 1e-3,
-            sh_dc: 2.5e-3,
-            sh_rest: 1.25e-4,
-            opacities: 0.025,
-            others_final_share: 1.0,
-        }
+options! {
+    /// Learning rates per group of parameters. The defaults are those of the original implementation (Kerbl et al. 2023),
+    /// with its later rate for opacities. [`Self::for_steps`] gives those for a run of another length.
+    #[derive(Copy)]
+    pub struct LearningRates {
+        /// Centres at step 0, as a share of the scene extent: 1.6e-4.
+        pub means: f64 = 1.6e-4,
+        /// Share of `means` that remains at the last step: 0.01.
+        pub means_final_share: f64 = 0.01,
+        /// Logarithms of the standard deviations: 5e-3.
+        pub scales: f64 = 5e-3,
+        /// Quaternions: 1e-3.
+        pub rotations: f64 = 1e-3,
+        /// Degree-0 coefficients: 2.5e-3.
+        pub sh_dc: f64 = 2.5e-3,
+        /// Higher coefficients: 1.25e-4, a twentieth of `sh_dc`, so that view-dependence comes after colour.
+        pub sh_rest: f64 = 1.25e-4,
+        /// Logits of the opacities: 0.025.
+        pub opacities: f64 = 0.025,
+        /// Share of all rates but `means` that remains at the last step: 1.
+        pub others_final_share: f64 = 1.0,
     }
 }
 
@@ -85,9 +46,10 @@ impl LearningRates {
         Self { others_final_share: factor.powi(-2), ..Self::default().times(factor) }
     }
 
-    /// The rates of all parameters but the centres after the share `done` of a run: `initial · final_share^done`.
+    /// The rates after the share `done` of a run: `initial · final_share^done`, the schedule of Plenoxels (Fridovich-Keil et al. 2022), which
+    /// 3D Gaussian splatting adopted for the centres without its delay.
     pub fn after(self, done: f64) -> Self {
-        let means = self.means;
+        let means = self.means * self.means_final_share.powf(done);
         Self { means, ..self.times(self.others_final_share.powf(done)) }
     }
 
@@ -106,12 +68,6 @@ impl LearningRates {
             opacities: self.opacities * factor,
             ..self
         }
-    }
-
-    /// The decay of the centres' learning rate over `steps`, scene units, for a scene of `extent` (see [`scene_extent`]).
-    pub fn means_decay(&self, extent: f64, steps: usize) -> Decay {
-        let initial = self.means * extent;
-        Decay { initial, last: initial * self.means_final_share, steps }
     }
 }
 

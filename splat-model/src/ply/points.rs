@@ -8,7 +8,7 @@ use ply_rs_bw::ply::{PropertyType, ScalarType};
 use super::VERTEX;
 use super::read::{PlyReader, require, value_error, vertex};
 use crate::FileError;
-use crate::formats::DC;
+use crate::gaussians::DC;
 
 /// Largest valid coordinate; its square still fits an f32. Larger values indicate damage.
 const MAX_COORDINATE: f64 = 1e15;

@@ -1,16 +1,17 @@
-//! State files: safetensors, which other programs can open, with the facts and a checksum in the metadata.
+//! State files: safetensors, which other programs can open, with a checksum in the metadata. A fact is an array of bytes.
 //!
-//! The checksum is the SHA-256 of all names, shapes, values and facts. A file is written under a temporary name and renamed
-//! when it is complete and on the disk.
+//! The checksum is the SHA-256 of all entries. A file is written under a temporary name and renamed when it is complete and on the
+//! disk.
 
 use std::collections::HashMap;
+use std::fmt::Display;
 use std::fs::{self, File};
-use std::io::{self, Read};
+use std::io::{self, BufReader};
 use std::path::Path;
 
 use burn::tensor::{DType, TensorData};
-use safetensors::tensor::TensorView;
-use safetensors::{Dtype, SafeTensorError, SafeTensors};
+use safetensors::tensor::{Dtype, Metadata, SafeTensors, TensorView};
+use serde::Deserialize;
 use sha2::{Digest, Sha256};
 
 use super::State;
@@ -20,13 +21,13 @@ use crate::{FileError, replace};
 const FORMAT_KEY: &str = "splat_state";
 
 /// Version of the file format. The meaning of the entries is not part of it.
-const FORMAT: &str = "1";
+const FORMAT: &str = "2";
 
 /// Metadata key of the checksum.
 const CHECKSUM_KEY: &str = "sha256";
 
-/// Prefix of the metadata keys of facts.
-const FACT: &str = "fact:";
+/// The types of entries, here and in a file.
+const TYPES: [(DType, Dtype); 3] = [(DType::F32, Dtype::F32), (DType::I32, Dtype::I32), (DType::U8, Dtype::U8)];
 
 impl State {
     /// Writes the state to a file. An existing file is replaced once the new one is complete and on the disk.
@@ -36,11 +37,9 @@ impl State {
     pub fn write(&self, path: &Path) -> Result<(), FileError> {
         let write = || -> io::Result<()> {
             let temporary = replace::begin(path)?;
-            let facts = self.facts.iter().map(|(name, text)| (format!("{FACT}{name}"), text.clone()));
-            let ours = [(FORMAT_KEY.to_owned(), FORMAT.to_owned()), (CHECKSUM_KEY.to_owned(), self.checksum())];
-            let metadata: HashMap<String, String> = facts.chain(ours).collect();
-            let views = self.views().collect::<Result<Vec<_>, _>>().map_err(io::Error::other)?;
-            safetensors::serialize_to_file(views, Some(metadata), temporary.path()).map_err(io::Error::other)?;
+            let metadata = [(FORMAT_KEY, FORMAT), (CHECKSUM_KEY, &self.checksum())];
+            let metadata = HashMap::from(metadata.map(|(key, value)| (key.to_owned(), value.to_owned())));
+            safetensors::serialize_to_file(self.views(), Some(metadata), temporary.path()).map_err(io::Error::other)?;
             replace::finish(temporary, path)?;
             // Writes the folder's entry to the disk, so that the new name survives a power loss. Some systems do not support it.
             if let Some(Ok(folder)) = path.parent().map(File::open) {
@@ -53,28 +52,24 @@ impl State {
         write().map_err(|reason| FileError::new(path, failed(reason)))
     }
 
-    fn views(&self) -> impl Iterator<Item = Result<(&str, TensorView<'_>), SafeTensorError>> {
-        self.arrays.iter().map(|(name, data)| {
-            let of = if data.dtype() == DType::I32 { Dtype::I32 } else { Dtype::F32 };
-            Ok((name.as_str(), TensorView::new(of, data.shape().to_vec(), data.as_bytes())?))
+    fn views(&self) -> impl Iterator<Item = (&str, TensorView<'_>)> {
+        self.entries.iter().map(|(name, data)| {
+            let of =
+                TYPES.iter().find(|(own, _)| *own == data.dtype()).expect("entries are only made of these types").1;
+            let view = TensorView::new(of, data.shape().to_vec(), data.as_bytes());
+            (name.as_str(), view.expect("data is as long as its shape says"))
         })
     }
 
     /// Whether [`Self::write`] of any version wrote a file, by its header. The rest may be damaged.
     pub fn is_in(path: &Path) -> bool {
-        // The largest header of safetensors.
-        const MOST: u64 = 100_000_000;
-        let read = || {
-            let mut file = File::open(path).ok()?;
-            let mut length = [0; 8];
-            file.read_exact(&mut length).ok()?;
-            let length = u64::from_le_bytes(length);
-            let mut header = Vec::new();
-            file.take(length.min(MOST)).read_to_end(&mut header).ok()?;
-            let header: serde_json::Value = serde_json::from_slice(&header).ok()?;
-            Some(header["__metadata__"].get(FORMAT_KEY).is_some())
+        let header = || {
+            let mut file = BufReader::new(File::open(path).ok()?);
+            // The header's length.
+            file.seek_relative(8).ok()?;
+            Metadata::deserialize(&mut serde_json::Deserializer::from_reader(file)).ok()?.metadata().clone()
         };
-        read().unwrap_or(false)
+        header().is_some_and(|metadata| metadata.contains_key(FORMAT_KEY))
     }
 
     /// Reads a file that [`Self::write`] wrote.
@@ -82,55 +77,39 @@ impl State {
     /// # Errors
     /// If the file cannot be read, has another format, or is damaged.
     pub fn read(path: &Path) -> Result<Self, FileError> {
-        let error = |detail: String| FileError::new(path, detail);
-        let damaged = |detail: String| error(format!("the file is damaged: {detail}"));
-        let other = |found: &str| {
-            error(format!("{found}, expected a state of the format {FORMAT}: read it with the version that wrote it"))
-        };
-        let bytes = fs::read(path).map_err(|reason| error(format!("could not read it: {reason}")))?;
-        let (_, header) = SafeTensors::read_metadata(&bytes).map_err(|error| damaged(error.to_string()))?;
-        let mut metadata = header.metadata().clone().unwrap_or_default();
-        match metadata.remove(FORMAT_KEY).as_deref() {
-            Some(FORMAT) => {}
-            Some(found) => return Err(other(&format!("a state of the format {found:?}"))),
-            None => return Err(other("a file of tensors alone")),
+        let damaged = |detail: &dyn Display| FileError::new(path, format!("the file is damaged: {detail}"));
+        let bytes = fs::read(path).map_err(|reason| FileError::new(path, format!("could not read it: {reason}")))?;
+        let (_, header) = SafeTensors::read_metadata(&bytes).map_err(|error| damaged(&error))?;
+        let metadata = header.metadata().clone().unwrap_or_default();
+        let format = metadata.get(FORMAT_KEY);
+        if format.is_none_or(|format| format != FORMAT) {
+            let found =
+                format.map_or("a file of tensors alone".into(), |format| format!("a state of the format {format:?}"));
+            let expected = format!("expected a state of the format {FORMAT}: read it with the version that wrote it");
+            return Err(FileError::new(path, format!("{found}, {expected}")));
         }
-        let checksum = metadata.remove(CHECKSUM_KEY).ok_or_else(|| damaged("it has no checksum".into()))?;
-        let tensors = SafeTensors::deserialize(&bytes).map_err(|error| damaged(error.to_string()))?;
+        let tensors = SafeTensors::deserialize(&bytes).map_err(|error| damaged(&error))?;
         let mut state = Self::default();
         for (name, view) in tensors.iter() {
-            let (bytes, shape) = (view.data(), view.shape().to_vec());
-            let data = match view.dtype() {
-                Dtype::F32 => TensorData::new(bytemuck::pod_collect_to_vec::<u8, f32>(bytes), shape),
-                Dtype::I32 => TensorData::new(bytemuck::pod_collect_to_vec::<u8, i32>(bytes), shape),
-                other => return Err(damaged(format!("`{name}` is of the type {other}, expected F32 or I32"))),
+            let Some((of, _)) = TYPES.iter().find(|(_, found)| *found == view.dtype()) else {
+                return Err(damaged(&format!("`{name}` is of the type {}, expected F32, I32 or U8", view.dtype())));
             };
-            state.arrays.insert(name.to_owned(), data);
+            let data = TensorData::from_bytes_vec(view.data().to_vec(), view.shape().to_vec(), *of);
+            state.entries.insert(name.to_owned(), data);
         }
-        let fact = |(name, text): (String, String)| name.strip_prefix(FACT).map(|name| (name.to_owned(), text));
-        state.facts = metadata.into_iter().filter_map(fact).collect();
-        match state.checksum() == checksum {
-            true => Ok(state),
-            false => Err(damaged("its checksum does not match its contents".into())),
+        match metadata.get(CHECKSUM_KEY) {
+            Some(checksum) if *checksum == state.checksum() => Ok(state),
+            _ => Err(damaged(&"its checksum does not match its contents")),
         }
     }
 
     /// The checksum in hexadecimal digits.
     fn checksum(&self) -> String {
         let mut hash = Sha256::new();
-        // Each entry begins with its length, so that different states never give the same bytes.
-        let mut add = |bytes: &[u8]| {
-            hash.update((bytes.len() as u64).to_le_bytes());
-            hash.update(bytes);
-        };
-        for (name, data) in &self.arrays {
-            add(name.as_bytes());
-            add(&data.shape().iter().flat_map(|side| (*side as u64).to_le_bytes()).collect::<Vec<_>>());
-            add(data.as_bytes());
-        }
-        for (name, text) in &self.facts {
-            add(name.as_bytes());
-            add(text.as_bytes());
+        for (name, data) in &self.entries {
+            // It says how many bytes follow, so that different states never give the same bytes.
+            hash.update(format!("{name:?} {:?} {:?}", data.dtype(), data.shape().to_vec()));
+            hash.update(data.as_bytes());
         }
         format!("{:x}", hash.finalize())
     }

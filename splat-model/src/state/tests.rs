@@ -1,3 +1,5 @@
+use burn::tensor::{Float, Int};
+
 use super::*;
 use crate::gaussians::values_of;
 
@@ -7,10 +9,10 @@ fn a_tensor_of_several_parts_is_put_whole() {
     let words = Tensor::<1, Int>::arange(0..count as i64, &Device::flex()).cast(DType::I32).reshape([count, 1]);
     let mut state = State::default();
     state.put("values", words.clone().float());
-    state.put_words("words", words);
+    state.put("words", words);
     // All of them are below 2²⁴, and so exact.
-    assert!(state.arrays["values"].as_slice::<f32>().unwrap().iter().copied().eq((0..count).map(|i| i as f32)));
-    assert!(state.arrays["words"].as_slice::<i32>().unwrap().iter().copied().eq(0..count as i32));
+    assert!(state.entries["values"].as_slice::<f32>().unwrap().iter().copied().eq((0..count).map(|i| i as f32)));
+    assert!(state.entries["words"].as_slice::<i32>().unwrap().iter().copied().eq(0..count as i32));
 }
 
 /// Whether a result is the error that says this.
@@ -27,7 +29,7 @@ fn what_is_put_is_taken_once() {
     let means: Tensor<2> = state.take_shaped("means", [2, 2], &device).unwrap();
     assert_eq!(values_of(means)[..3], [1.0, -2.5, f32::MIN_POSITIVE]);
     assert_eq!(state.told::<f64>("rate").unwrap(), 0.1_f64.next_up());
-    assert!(is_refused(state.take::<2>("means", &device), "there is no `means`"));
+    assert!(is_refused(state.take::<2, Float>("means", &device), "there is no `means`"));
     state.finish().unwrap();
 }
 
@@ -37,11 +39,14 @@ fn words_are_taken_bit_for_bit_and_as_nothing_else() {
     // As a float, the first would be NaN.
     let words = [0x7fa0_0001, i32::MIN, -1, 0];
     let mut state = State::default();
-    state.put_words("words", Tensor::from_data(TensorData::new(words.to_vec(), [2, 2]), (&device, DType::I32)));
-    let found = state.clone().take_words("words", [2, 2], &device).unwrap();
+    state.put("words", Tensor::<2, Int>::from_data(TensorData::new(words.to_vec(), [2, 2]), (&device, DType::I32)));
+    let found = state.clone().take_shaped::<2, Int>("words", [2, 2], &device).unwrap();
     assert_eq!(found.into_data().try_into_vec::<i32>().unwrap(), words);
-    assert!(is_refused(state.clone().take_words("words", [4, 1], &device), "has the shape [2, 2], expected [4, 1]"));
-    assert!(is_refused(state.take::<2>("words", &device), "there is no `words`"));
+    assert!(is_refused(
+        state.clone().take_shaped::<2, Int>("words", [4, 1], &device),
+        "has the shape [2, 2], expected [4, 1]"
+    ));
+    assert!(is_refused(state.take::<2, Float>("words", &device), "there is no `words`"));
 }
 
 #[test]
@@ -57,14 +62,14 @@ fn parts_have_names_of_their_own() {
     }
     assert!(state.has("a") && state.has("a/y") && !state.has("b"));
     let mut part = state.take_part("a");
-    assert_eq!(values_of(part.take::<1>("x", &device).unwrap()), [1.0]);
-    assert_eq!(part.in_part("y", |part| part.told::<f32>("z")).unwrap(), 1.0);
+    assert_eq!(values_of::<1>(part.take("x", &device).unwrap()), [1.0]);
+    assert_eq!(part.take_part("y").told::<f32>("z").unwrap(), 1.0);
     part.finish().unwrap();
     assert!(!state.has("a"));
-    let lacking = state.in_part("ab", |part| part.told::<f32>("none")).unwrap_err();
+    let lacking = state.clone().take_part("ab").told::<f32>("none").unwrap_err();
     assert!(lacking.to_string().contains("`ab/none`"), "{lacking}");
-    assert!(is_refused(state.load_part("ab", |part| part.told::<f32>("y/z")), "`ab/x` is unknown"));
     assert!(is_refused(state.finish(), "`ab/x` is unknown"));
+    assert!(is_refused(state.load_part("ab", |part| part.told::<f32>("y/z")), "`ab/x` is unknown"));
 }
 
 #[test]
@@ -73,8 +78,11 @@ fn other_shapes_and_kinds_are_refused() {
     let mut state = State::default();
     state.put("means", Tensor::<2>::zeros([2, 3], &device));
     state.tell("step", &"ten").unwrap();
-    assert!(is_refused(state.take_shaped::<2>("means", [3, 2], &device), "has the shape [2, 3], expected [3, 2]"));
+    assert!(is_refused(
+        state.take_shaped::<2, Float>("means", [3, 2], &device),
+        "has the shape [2, 3], expected [3, 2]"
+    ));
     state.put("means", Tensor::<2>::zeros([2, 3], &device));
-    assert!(is_refused(state.take::<1>("means", &device), "has the shape [2, 3], expected 1 dimensions"));
+    assert!(is_refused(state.take::<1, Float>("means", &device), "has the shape [2, 3], expected 1 dimensions"));
     assert!(is_refused(state.told::<usize>("step"), "`step` does not have the form"));
 }

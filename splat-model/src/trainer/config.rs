@@ -1,6 +1,6 @@
 //! The options of a run, and whether they fit together.
 
-use serde::{Deserialize, Deserializer, Serialize};
+use serde::{Deserialize, Deserializer};
 use splat_op::sh::SH_DEGREE_MAX;
 use splat_op::{Projection, RenderOptions};
 
@@ -17,64 +17,64 @@ use crate::loss::DEFAULT_LAMBDA;
 use crate::optim::schedule::STEPS_PER_SH_DEGREE;
 use crate::optim::{LearningRates, MomentBits, near_plane, sh_every_for};
 
-/// All options of a run. Defaults are those of the original implementation; [`Self::for_steps`] gives those of `splat train`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct TrainConfig {
-    /// Number of steps: 30,000.
-    pub steps: usize,
-    /// Photographs per step: 1. Learning rates and Adam's constants follow the square-root scaling rule (see
-    /// [`crate::optim::Adam::for_batch`]). The number of steps and all schedules in steps stay unchanged.
-    pub batch: usize,
-    /// Seed of all random numbers.
-    pub seed: u64,
-    /// Weight of D-SSIM in the loss: 0.2.
-    pub lambda: f64,
-    /// Highest degree of the spherical harmonics: 3.
-    pub sh_degree: usize,
-    /// Steps between increases of the degree by one: 1,000.
-    pub sh_every: usize,
-    /// Learning rates.
-    pub learning_rates: LearningRates,
-    /// Bits of each of Adam's moments of the scene: 32. They are half of a scene's memory in training.
-    pub moment_bits: MomentBits,
-    /// Strategy of density control and its options.
-    pub density: DensityConfig,
-    /// Whether steps take nothing but the rasterizer as custom operations (see [`splat_op::in_tensor_code`]): false. Results are the same
-    /// up to rounding, and several times slower.
-    pub plain: bool,
-    /// Schedule of the photographs' size.
-    pub resolution: Resolution,
-    /// The background behind the Gaussians and behind photographs with alpha: RGB, 0 to 1. The initial value of a learned
-    /// background.
-    #[serde(deserialize_with = "finite_colour")]
-    pub background: [f32; 3],
-    /// Whether opacities are compensated for the screen-space blur (see [`RenderOptions::antialias`]).
-    pub antialias: bool,
-    /// Dials of the renders that differ from the standard: none.
-    pub dials: Setting,
-    /// Whether Gaussians are limited to the photographs' sampling rate (see [`smoothing`](crate::effects::smoothing)).
-    pub smoothing: bool,
-    /// The kind of background: [`Self::background`].
-    pub backdrop: Backdrop,
-    /// Options of learned exposures: off.
-    pub exposure: Option<ExposureConfig>,
-    /// Options of bilateral grids: off.
-    pub grid: Option<GridConfig>,
-    /// Options of pose refinement: off.
-    pub poses: Option<PoseConfig>,
-    /// The simulated effects of motion and optics: none.
-    pub optics: OpticsConfig,
-    /// Options of depth supervision (see [`Trainer::with_depths`](super::Trainer::with_depths)): off.
-    pub depth: Option<DepthConfig>,
-    /// Weight of the mean opacity in the loss: 0 for none, 0.01 in MCMC (Kheradmand et al. 2024), which adds its own. Gaussians that no
-    /// photograph needs, mainly floaters in front of the background, then fade and are pruned. The weight ends with
-    /// [`DensityConfig::until_share`]: what fades later would stay, and all others would be fainter than photographs show.
-    pub opacity_weight: f64,
-    /// Memory for prepared photographs, MiB: 512. On a CPU, photographs beyond it are prepared again at each use. On a GPU
-    /// where not all prepared photographs fit, they are stored in four bytes per pixel, and those beyond the limit are
-    /// uploaded again.
-    pub cache_mib: usize,
+options! {
+    /// All options of a run. Defaults are those of the original implementation; [`Self::for_steps`] gives those of `splat train`.
+    pub struct TrainConfig {
+        /// Number of steps: 30,000.
+        pub steps: usize = 30_000,
+        /// Photographs per step: 1. Learning rates and Adam's constants follow the square-root scaling rule (see
+        /// [`crate::optim::Adam::for_batch`]). The number of steps and all schedules in steps stay unchanged.
+        pub batch: usize = 1,
+        /// Seed of all random numbers.
+        pub seed: u64 = 0,
+        /// Weight of D-SSIM in the loss: 0.2.
+        pub lambda: f64 = DEFAULT_LAMBDA,
+        /// Highest degree of the spherical harmonics: 3.
+        pub sh_degree: usize = 3,
+        /// Steps between increases of the degree by one: 1,000.
+        pub sh_every: usize = STEPS_PER_SH_DEGREE,
+        /// Learning rates.
+        pub learning_rates: LearningRates = LearningRates::default(),
+        /// Bits of each of Adam's moments of the scene: 32. They are half of a scene's memory in training.
+        pub moment_bits: MomentBits = MomentBits::default(),
+        /// Strategy of density control and its options.
+        pub density: DensityConfig = DensityConfig::default(),
+        /// Whether steps take nothing but the rasterizer as custom operations (see [`splat_op::in_tensor_code`]): false. Results are the same
+        /// up to rounding, and several times slower.
+        pub plain: bool = false,
+        /// Schedule of the photographs' size.
+        pub resolution: Resolution = Resolution::FULL,
+        /// The background behind the Gaussians and behind photographs with alpha: RGB, 0 to 1. The initial value of a learned
+        /// background.
+        #[serde(deserialize_with = "finite_colour")]
+        pub background: [f32; 3] = [0.0; 3],
+        /// Whether opacities are compensated for the screen-space blur (see [`RenderOptions::antialias`]).
+        pub antialias: bool = false,
+        /// Dials of the renders that differ from the standard: none.
+        pub dials: Setting = Setting::default(),
+        /// Whether Gaussians are limited to the photographs' sampling rate (see [`smoothing`](crate::effects::smoothing)).
+        pub smoothing: bool = false,
+        /// The kind of background: [`Self::background`].
+        pub backdrop: Backdrop = Backdrop::Fixed,
+        /// Options of learned exposures: off.
+        pub exposure: Option<ExposureConfig> = None,
+        /// Options of bilateral grids: off.
+        pub grid: Option<GridConfig> = None,
+        /// Options of pose refinement: off.
+        pub poses: Option<PoseConfig> = None,
+        /// The simulated effects of motion and optics: none.
+        pub optics: OpticsConfig = OpticsConfig::default(),
+        /// Options of depth supervision (see [`Trainer::with_depths`](super::Trainer::with_depths)): off.
+        pub depth: Option<DepthConfig> = None,
+        /// Weight of the mean opacity in the loss: 0 for none, 0.01 in MCMC (Kheradmand et al. 2024), which adds its own. Gaussians that no
+        /// photograph needs, mainly floaters in front of the background, then fade and are pruned. The weight ends with
+        /// [`DensityConfig::until_share`]: what fades later would stay, and all others would be fainter than photographs show.
+        pub opacity_weight: f64 = 0.0,
+        /// Memory for prepared photographs, MiB: 512. On a CPU, photographs beyond it are prepared again at each use. On a GPU
+        /// where not all prepared photographs fit, they are stored in four bytes per pixel, and those beyond the limit are
+        /// uploaded again.
+        pub cache_mib: usize = 512,
+    }
 }
 
 /// Numbers beyond the range of f32 become infinite, which is unusable in training and in JSON.
@@ -83,36 +83,6 @@ fn finite_colour<'de, D: Deserializer<'de>>(deserializer: D) -> Result<[f32; 3],
     match colour.iter().all(|value| value.is_finite()) {
         true => Ok(colour),
         false => Err(serde::de::Error::custom(format!("a colour of {colour:?}, expected three finite f32 numbers"))),
-    }
-}
-
-impl Default for TrainConfig {
-    fn default() -> Self {
-        Self {
-            steps: 30_000,
-            batch: 1,
-            seed: 0,
-            lambda: DEFAULT_LAMBDA,
-            sh_degree: 3,
-            sh_every: STEPS_PER_SH_DEGREE,
-            learning_rates: LearningRates::default(),
-            moment_bits: MomentBits::default(),
-            density: DensityConfig::default(),
-            plain: false,
-            resolution: Resolution::FULL,
-            background: [0.0; 3],
-            antialias: false,
-            dials: Setting::default(),
-            smoothing: false,
-            backdrop: Backdrop::Fixed,
-            exposure: None,
-            grid: None,
-            poses: None,
-            optics: OpticsConfig::default(),
-            depth: None,
-            opacity_weight: 0.0,
-            cache_mib: 512,
-        }
     }
 }
 

@@ -272,11 +272,8 @@ impl Trainer {
 
 /// The entries of a state as facts.
 fn checksums(state: &State) -> Vec<Fact> {
-    let facts = state.facts.iter().map(|(name, text)| (format!("`{name}`"), checksum([text.as_bytes()])));
-    let arrays = state.arrays.iter().map(|(name, data)| {
-        (format!("`{name}`"), format!("{:?} {}", data.shape().to_vec(), checksum([data.as_bytes()])))
-    });
-    facts.chain(arrays).collect()
+    let of = |data: &TensorData| format!("{:?} {}", data.shape().to_vec(), checksum([data.as_bytes()]));
+    state.entries.iter().map(|(name, data)| (format!("`{name}`"), of(data))).collect()
 }
 
 /// The first 16 hexadecimal digits of the SHA-256.

@@ -1,8 +1,6 @@
 //! Saving and resuming of runs.
 
-use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use super::{TrainConfig, TrainError, Trainer};
@@ -11,28 +9,6 @@ use crate::density::rows::Trained;
 use crate::effects::Effect;
 use crate::gaussians::{BASE_GROUPS, Group};
 use crate::state::{State, StateError};
-
-#[derive(Serialize, Deserialize)]
-struct RandomState {
-    seed: [u8; 32],
-    stream: u64,
-    /// High and low half of the position, in words of 32 bits.
-    word: [u64; 2],
-}
-
-impl RandomState {
-    fn of(rng: &ChaCha8Rng) -> Self {
-        let word = rng.get_word_pos();
-        Self { seed: rng.get_seed(), stream: rng.get_stream(), word: [(word >> 64) as u64, word as u64] }
-    }
-
-    fn resumed(&self) -> ChaCha8Rng {
-        let mut rng = ChaCha8Rng::from_seed(self.seed);
-        rng.set_stream(self.stream);
-        rng.set_word_pos(u128::from(self.word[0]) << 64 | u128::from(self.word[1]));
-        rng
-    }
-}
 
 impl Trainer {
     /// Saves the state that the run needs to resume: parameters and their moments, learned parameters of effects,
@@ -47,7 +23,7 @@ impl Trainer {
         state.tell("config", &self.config)?;
         state.tell("photographs", &self.photographs())?;
         state.tell("queue", &self.queue)?;
-        state.tell("random", &RandomState::of(&self.rng))?;
+        state.tell("random", &self.rng)?;
         state.put_part("scene", self.scene.save()?);
         state.in_part("density", |part| self.density.save(part))?;
         state.in_part("effects", |part| self.effects.save(part))?;
@@ -78,7 +54,7 @@ impl Trainer {
             let (found, expected) = (view.to_string(), format!("below {}", own.len()));
             return Err(TrainError::OtherRun { what: "a photograph in the queue".into(), found, expected });
         }
-        let random: RandomState = state.told("random")?;
+        let rng: ChaCha8Rng = state.told("random")?;
         let scene = state
             .load_part("scene", |part| Trained::load(part, config.moment_bits, &self.device.clone().autodiff()))?;
         // A group that only the state has came with a scene that the run started from, and is not trained.
@@ -92,7 +68,7 @@ impl Trainer {
         state.load_part("density", |part| self.density.load(part, &self.device))?;
         state.load_part("effects", |part| self.effects.load(part, &self.device))?;
         state.finish()?;
-        (self.queue, self.rng, self.step) = (queue, random.resumed(), step);
+        (self.queue, self.rng, self.step) = (queue, rng, step);
         self.turn(&dials);
         Ok(())
     }

@@ -101,7 +101,7 @@ pub fn render_each(
             features = with_three(features, facing(splats, camera));
             background = with_three(background, Tensor::zeros([3], checked.reference().options()));
         }
-        let blend = Blend { features, background, mean2d_abs_probe: mean2d_abs_probe.clone(), trace: None };
+        let blend = Blend { features, background, mean2d_abs_probe: mean2d_abs_probe.clone() };
         let mut picture = blended(&checked, &projected, &listed(&checked, &projected, mask), blend);
         if options.normals {
             picture.normals = Some(picture.colour.clone().narrow(2, channels, 3));

@@ -9,7 +9,6 @@ use super::projected::Projected;
 use super::splats::Extras;
 use crate::backend::apply;
 use crate::error::SplatError;
-use crate::intersect::Kept;
 use crate::options::RenderOptions;
 use crate::rasterize::RasterizeSpec;
 use crate::rasterize::operation::Rasterize;
@@ -100,18 +99,6 @@ pub fn rasterize(
     extras: &Extras,
     options: &RenderOptions,
 ) -> Result<Rendered<3>, SplatError> {
-    let (checked, blend) = check(projected, features, intersections, extras, options)?;
-    Ok(blended(&checked, projected, intersections, blend))
-}
-
-/// Checks the inputs of [`rasterize`](fn@rasterize).
-pub(crate) fn check<'a>(
-    projected: &Projected,
-    features: &Tensor<2>,
-    intersections: &Intersections,
-    extras: &Extras,
-    options: &'a RenderOptions,
-) -> Result<(Checked<'a>, Blend), SplatError> {
     let checked = projected.checked(options)?;
     checked.features(features)?;
     let channels = features.dims()[1];
@@ -119,7 +106,8 @@ pub(crate) fn check<'a>(
     let background = checked.background(extras.background.clone(), channels)?;
     let mean2d_abs_probe = checked.probe("mean2d_abs_probe", extras.mean2d_abs_probe.as_ref())?;
     intersections.check(&checked, projected.intrinsics())?;
-    Ok((checked, Blend { features: features.clone(), background, mean2d_abs_probe, trace: None }))
+    let blend = Blend { features: features.clone(), background, mean2d_abs_probe };
+    Ok(blended(&checked, projected, intersections, blend))
 }
 
 /// What is blended besides ellipses, checked.
@@ -127,15 +115,13 @@ pub(crate) struct Blend {
     pub features: Tensor<2>,
     pub background: Tensor<1>,
     pub mean2d_abs_probe: Tensor<2>,
-    /// See [`Rasterize`].
-    pub trace: Option<Kept>,
 }
 
 /// [`rasterize`](fn@rasterize) of inputs that have been checked.
 pub(crate) fn blended(checked: &Checked, projected: &Projected, lists: &Intersections, blend: Blend) -> Rendered<3> {
     let options = checked.options;
     let spec = RasterizeSpec { intrinsics: projected.intrinsics, options: options.of_rasterize() };
-    let Blend { features, background, mean2d_abs_probe, trace } = blend;
+    let Blend { features, background, mean2d_abs_probe } = blend;
     let inputs = [
         (&projected.packed).into(),
         features.into(),
@@ -144,7 +130,7 @@ pub(crate) fn blended(checked: &Checked, projected: &Projected, lists: &Intersec
         projected.ray_space.as_ref().into(),
         (&lists.counts).into(),
     ];
-    let mut planes = apply(Rasterize { spec, lists: lists.lists.clone(), trace }, inputs);
+    let mut planes = apply(Rasterize { spec, lists: lists.lists.clone(), trace: None }, inputs);
     let mut picture = |i: usize| planes.float::<3>(i).permute([1, 2, 0]);
     let (colour, alpha) = (picture(0), picture(1));
     let depth = spec.options.depth.then(|| picture(2));

@@ -3,14 +3,15 @@
 use std::collections::HashMap;
 
 use anyhow::Result;
-use burn::tensor::{Device, Tensor};
+use burn::tensor::Device;
 use glam::Vec3;
 use splat_model::capture::blocks::BlockFile;
 use splat_model::capture::{Capture, Photo};
-use splat_model::gaussians::{GaussianRows, Gaussians, values_of};
+use splat_model::effects::background::Background;
+use splat_model::gaussians::{DC, GaussianRows, Gaussians, values_of};
 use splat_model::ply::TrainedAs;
 use splat_model::trainer::TrainConfig;
-use splat_op::{Camera, Extras, RenderOptions, Splats, render_view};
+use splat_op::{RenderOptions, Splats};
 
 use super::job;
 use super::planned::PlanFolder;
@@ -22,9 +23,6 @@ const FILLED: f32 = 0.9;
 
 /// A loss of more than this at a block's pixels is worth a warning, dB.
 const WORTH_A_WARNING: f64 = 0.5;
-
-/// `Y₀`, the harmonic of degree 0.
-const SH_0: f32 = 0.282_094_8;
 
 /// A merged scene, ready to be compared with its blocks.
 pub struct Seams<'a> {
@@ -123,17 +121,16 @@ impl<'a> Seams<'a> {
 
     /// `[H, W, 3]` row-major, 0 to 1.
     fn render(&self, splats: &Splats, photo: &Photo, background: [f32; 3]) -> Result<Vec<f32>> {
-        let camera = Camera::new(photo.intrinsics, &photo.cam_from_world, self.device);
-        let background = Some(Tensor::from_floats(background, self.device));
-        let extras = Extras::default().with_background(background);
-        Ok(values_of(render_view(splats, &camera, &extras, &self.options)?.colour.clamp(0.0, 1.0)))
+        let background = Background::Colour(background);
+        let picture = background.render(splats, &photo.intrinsics, &photo.cam_from_world, &self.options)?;
+        Ok(values_of(picture.colour.clamp(0.0, 1.0)))
     }
 }
 
 /// The rows of a block, white in its cell and black elsewhere.
 fn painted(rows: &GaussianRows, file: &BlockFile) -> GaussianRows {
     let is_in_cell = |mean: &[f32; 3]| file.cell.contains(Vec3::from(*mean).as_dvec3());
-    let colour = |mean: &[f32; 3]| [if is_in_cell(mean) { 0.5 / SH_0 } else { -0.5 / SH_0 }; 3];
+    let colour = |mean: &[f32; 3]| [if is_in_cell(mean) { 0.5 } else { -0.5 } / DC as f32; 3];
     let sh_dc = rows.means.iter().map(colour).collect();
     GaussianRows { sh_dc, sh_rest: Vec::new(), sh_degree: 0, ..rows.clone() }
 }

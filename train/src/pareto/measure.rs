@@ -108,7 +108,6 @@ impl<'a> Bench<'a> {
             None => {
                 let counter = progress::counter("rendering exactly", self.photos.len());
                 let truth = ReferenceRender::new(&self.exact, self.photos, &exact, || counter.inc(1))?;
-                counter.finish_and_clear();
                 truths.push((exact, truth));
                 truths.len() - 1
             }

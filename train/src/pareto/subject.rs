@@ -4,7 +4,7 @@ use anyhow::Result;
 use burn::module::{Module, ModuleMapper, Param};
 use burn::tensor::{DType, Device, Gradients, Tensor, TensorData};
 use splat_model::capture::Photo;
-use splat_model::gaussians::{GaussianRows, Gaussians};
+use splat_model::gaussians::{DC, GaussianRows, Gaussians};
 use splat_model::loss::{DEFAULT_LAMBDA, Truth, photometric};
 use splat_op::{Camera, Extras, Intrinsics, RenderOptions, Rendered, Splats, render_view, with_gradient};
 
@@ -112,12 +112,10 @@ const AT_THE_CLAMP: f32 = 1e-6;
 /// which no picture shows. The gradient jumps at the clamp, and rounding decides on the side: f32 and f64 would differ
 /// by the whole jump, which would hide the effect of dials. Points that are black in a channel begin there.
 pub fn off_the_clamp(rows: &GaussianRows) -> GaussianRows {
-    /// The spherical harmonic of degree 0, `1 / (2 √π)`.
-    const HARMONIC: f32 = 0.25 * std::f32::consts::FRAC_2_SQRT_PI;
-    let mut rows = rows.clone();
+    let (mut rows, dc) = (rows.clone(), DC as f32);
     for channel in rows.sh_dc.as_flattened_mut() {
-        if (HARMONIC * *channel + 0.5).abs() < AT_THE_CLAMP {
-            *channel -= 10.0 * AT_THE_CLAMP / HARMONIC;
+        if (dc * *channel + 0.5).abs() < AT_THE_CLAMP {
+            *channel -= 10.0 * AT_THE_CLAMP / dc;
         }
     }
     rows

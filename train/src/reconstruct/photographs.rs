@@ -73,9 +73,7 @@ pub struct Extraction {
 pub fn look(folder: &PhotographFolder) -> Result<Vec<Unposed>> {
     failure::check_number(folder)?;
     let counter = progress::counter("looking at photographs", folder.names.len());
-    let photographs = folder.look(|done| counter.inc(done));
-    counter.finish_and_clear();
-    let photographs = photographs?;
+    let photographs = folder.look(|done| counter.inc(done))?;
     failure::check_different(&photographs, &folder.root)?;
     Ok(photographs)
 }

@@ -7,7 +7,7 @@ use std::io::BufWriter;
 use std::path::PathBuf;
 
 use anyhow::{Context, Result, anyhow};
-use burn::tensor::{Device, Tensor};
+use burn::tensor::Tensor;
 use clap::builder::RangedU64ValueParser;
 use clap::{ValueEnum, value_parser};
 use glam::DAffine3;
@@ -16,7 +16,7 @@ use npyz::WriterBuilder;
 use splat_model::capture::{Capture, View};
 use splat_model::effects::background::Background;
 use splat_model::gaussians::{Gaussians, values_of};
-use splat_op::{Camera, Extras, RenderOptions, Splats};
+use splat_op::{RenderOptions, Splats};
 
 use self::path::{CameraPath, Video};
 use crate::accuracy::AccuracyArgs;
@@ -106,7 +106,7 @@ pub fn run(args: &RenderArgs) -> Result<Vec<PathBuf>> {
     let splats = Gaussians::from_own_rows(rows, &device)?.splats();
     let counter = progress::counter("rendering", views.len());
     for (view, name) in views.iter().zip(&names) {
-        let picture = Rgba::render(&splats, view, &background, &options, &device)
+        let picture = Rgba::render(&splats, view, &background, &options)
             .with_context(|| format!("cannot render the view {:?}", view.name))?;
         if let Some(video) = &mut video {
             video.add(&picture.levels())?;
@@ -159,20 +159,9 @@ struct Rgba {
 }
 
 impl Rgba {
-    fn render(
-        splats: &Splats,
-        view: &View,
-        background: &Background,
-        options: &RenderOptions,
-        device: &Device,
-    ) -> Result<Self> {
-        let camera = Camera::new(view.intrinsics, &view.cam_from_world, device);
-        let colour = Tensor::from_floats(background.colour(), device);
-        let extras = Extras::default().with_background(colour);
-        let picture = splat_op::render_view(splats, &camera, &extras, options)?;
-        let alpha = picture.alpha;
-        let colour = background.behind(picture.colour, alpha.clone(), &view.intrinsics, &view.cam_from_world);
-        let values = values_of(Tensor::cat(vec![colour, alpha], 2));
+    fn render(splats: &Splats, view: &View, background: &Background, options: &RenderOptions) -> Result<Self> {
+        let picture = background.render(splats, &view.intrinsics, &view.cam_from_world, options)?;
+        let values = values_of(Tensor::cat(vec![picture.colour, picture.alpha], 2));
         Ok(Self { width: view.intrinsics.width, height: view.intrinsics.height, values })
     }
 

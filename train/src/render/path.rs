@@ -8,6 +8,7 @@ use std::process::{Command, Stdio};
 
 use anyhow::{Context, Result, anyhow, ensure};
 use glam::{DAffine3, DMat3, DVec3};
+use splat_model::init::focus;
 use splat_op::Intrinsics;
 use tempfile::TempDir;
 
@@ -31,7 +32,11 @@ pub fn pinhole(like: &Intrinsics) -> Intrinsics {
 pub fn orbit(poses: &[DAffine3], count: usize) -> Result<Vec<DAffine3>> {
     let mean = |of: &dyn Fn(&DAffine3) -> DVec3| poses.iter().map(of).sum::<DVec3>() / poses.len() as f64;
     let up = -mean(&|pose| pose.matrix3.y_axis).try_normalize().unwrap_or(DVec3::Y);
-    let centre = focus(poses).unwrap_or_else(|| mean(&|pose| pose.translation + pose.matrix3.z_axis));
+    let ahead = |place: &DVec3| {
+        let is_ahead = |pose: &&DAffine3| (place - pose.translation).dot(pose.matrix3.z_axis) > 0.0;
+        2 * poses.iter().filter(is_ahead).count() > poses.len()
+    };
+    let centre = focus(poses).filter(ahead).unwrap_or_else(|| mean(&|pose| pose.translation + pose.matrix3.z_axis));
     let across = |pose: &DAffine3| (pose.translation - centre).reject_from(up);
     let radius = poses.iter().map(|pose| across(pose).length()).sum::<f64>() / poses.len() as f64;
     let height = mean(&|pose| pose.translation - centre).dot(up);
@@ -45,21 +50,6 @@ pub fn orbit(poses: &[DAffine3], count: usize) -> Result<Vec<DAffine3>> {
         DAffine3::from_mat3_translation(DMat3::from_cols(right, forward.cross(right), forward), position).inverse()
     };
     Ok((0..count).map(camera).collect())
-}
-
-/// The place nearest to all optical axes, in the sense of least squares; `None` where they are parallel or look away from it.
-fn focus(poses: &[DAffine3]) -> Option<DVec3> {
-    let (mut normal, mut right) = (DMat3::ZERO, DVec3::ZERO);
-    for pose in poses {
-        let axis = pose.matrix3.z_axis;
-        let across = DMat3::IDENTITY - DMat3::from_cols(axis * axis.x, axis * axis.y, axis * axis.z);
-        normal += across;
-        right += across * pose.translation;
-    }
-    let is_solvable = normal.determinant() > 1e-9 * (poses.len() as f64).powi(3);
-    let place = is_solvable.then(|| normal.inverse() * right)?;
-    let ahead = poses.iter().filter(|pose| (place - pose.translation).dot(pose.matrix3.z_axis) > 0.0).count();
-    (2 * ahead > poses.len()).then_some(place)
 }
 
 /// A video that is being encoded by the installed ffmpeg. The file appears when it is complete.

@@ -60,7 +60,6 @@ pub fn measure(
         }
         counter.inc(1);
     });
-    counter.finish_and_clear();
     written?;
     scores
 }

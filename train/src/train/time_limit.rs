@@ -4,10 +4,6 @@
 //! and again such that the predicted time of the remaining steps is the time that is left. Learning rates, growth and all other
 //! schedules follow the number, so that the run ends as one that had it from the start.
 
-use std::fmt;
-use std::str::FromStr;
-use std::time::Duration;
-
 use splat_model::trainer::{TrainConfig, TrainError, Trainer};
 
 use crate::report::log::RunLog;
@@ -34,31 +30,11 @@ const SETTLED: f64 = 0.005;
 /// Range of one change.
 const CHANGE: (f64, f64) = (0.1, 10.0);
 
-/// A time for training: `60s`, `10min`, `1h 30m`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct TrainingTime(Duration);
-
-impl FromStr for TrainingTime {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let expected = "expected a time above zero, such as 60s, 10min or '1h 30m'";
-        let time = humantime::parse_duration(text).map_err(|error| format!("{error}: {expected}"))?;
-        if time.is_zero() { Err(expected.into()) } else { Ok(Self(time)) }
-    }
-}
-
-impl fmt::Display for TrainingTime {
-    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
-        humantime::format_duration(self.0).fmt(f)
-    }
-}
-
-impl TrainingTime {
-    /// Returns the time, s.
-    pub fn seconds(self) -> f64 {
-        self.0.as_secs_f64()
-    }
+/// Parses a time for training: `60s`, `10min`, `1h 30m`.
+pub fn parse_time(text: &str) -> Result<humantime::Duration, String> {
+    let expected = "expected a time above zero, such as 60s, 10min or '1h 30m'";
+    let time: humantime::Duration = text.parse().map_err(|error| format!("{error}: {expected}"))?;
+    if time.is_zero() { Err(expected.into()) } else { Ok(time) }
 }
 
 /// Returns the configuration with the schedules of a run of so many steps.
@@ -73,8 +49,8 @@ pub struct TimeLimit {
 }
 
 impl TimeLimit {
-    pub fn new(time: TrainingTime) -> Self {
-        Self { seconds: time.seconds(), next: FIRST }
+    pub fn new(time: humantime::Duration) -> Self {
+        Self { seconds: time.as_secs_f64(), next: FIRST }
     }
 
     /// Chooses the number of steps after a step, if it is time to. One more step at least remains, which waits for the device

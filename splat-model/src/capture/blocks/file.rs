@@ -7,9 +7,10 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use super::{Block, Bounds};
-use crate::capture::read::{Place, PlaceInFile, quoted, read, regular_size, unreadable};
+use crate::capture::read::{Place, PlaceInFile, quoted};
 use crate::capture::strays::picked;
 use crate::capture::{Capture, CaptureError, PointCloud, Split};
+use crate::json;
 use crate::replace::replace;
 
 /// The file's name.
@@ -72,13 +73,9 @@ impl BlockFile {
     /// If it is missing, too large, or not such a file.
     pub fn read(folder: &Path) -> Result<Self, CaptureError> {
         let file = folder.join(BLOCK);
-        let bytes = regular_size(&file).map_err(|reason| unreadable(&file, reason))?;
         let place = Place::new(&file, PlaceInFile::Whole);
-        if bytes > MAX_BYTES {
-            return Err(place.refuse_with("text", format!("{bytes} bytes long"), "at most 1 GiB", FIX));
-        }
-        let refuse = |error: serde_json::Error| place.refuse_with("text", quoted(&error.to_string()), "a block", FIX);
-        serde_json::from_slice(&read(&file)?).map_err(refuse)
+        let refuse = |found: String| place.refuse_with("text", quoted(&found), "a block of at most 1 GiB", FIX);
+        json::read(&file, MAX_BYTES, refuse)
     }
 
     /// The folder of the capture, for a file that lies in `folder`.

@@ -6,7 +6,6 @@ use rayon::prelude::*;
 
 use super::Block;
 use super::cut::Cell;
-use crate::capture::seen::project;
 use crate::capture::{Capture, Split};
 
 /// Largest number of points whose projections say what a capture without tracks shows.
@@ -27,25 +26,10 @@ pub(super) struct PointsByView {
 }
 
 impl PointsByView {
-    /// By the tracks, or by projection where there are none; then nothing hides anything.
     pub fn of(capture: &Capture) -> Self {
-        let count = capture.points.positions.len();
-        if capture.tracks.observations() > 0 {
-            let mut by_view = vec![Vec::new(); capture.views.len()];
-            for point in 0..count {
-                // COLMAP numbers points with 32 bits in practice; more do not fit into memory beside their tracks.
-                capture.tracks.of(point).iter().for_each(|seen| by_view[seen.view].push(point as u32));
-            }
-            by_view.iter_mut().for_each(Vec::dedup);
-            return Self { by_view, step: 1 };
-        }
+        let count = if capture.tracks.observations() > 0 { 0 } else { capture.points.positions.len() };
         let step = count.div_ceil(PROJECTED).max(1);
-        let shown = |view: &crate::capture::View| {
-            let (camera, pose, projector) = (&view.intrinsics, &view.cam_from_world, view.intrinsics.projector());
-            let is_shown = |point: &usize| project(camera, &projector, pose, capture.position(*point)).is_some();
-            (0..count).step_by(step).filter(is_shown).map(|point| point as u32).collect()
-        };
-        Self { by_view: capture.views.par_iter().map(shown).collect(), step }
+        Self { by_view: capture.shown(&(0..capture.views.len()).collect::<Vec<_>>(), step), step }
     }
 }
 

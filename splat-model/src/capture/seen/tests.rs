@@ -1,4 +1,7 @@
+use std::path::Path;
+
 use super::*;
+use crate::capture::Observation;
 
 fn camera(angle_rad: f64) -> (Intrinsics, DAffine3) {
     (
@@ -31,4 +34,17 @@ fn of_many_points_some_are_looked_at() {
     assert_eq!(seen, PointsSeen { points: 120_000, unseen: 24_000, by_view: vec![96_000] });
     assert_eq!(PointsSeen::of(&[], &points).unseen, 120_000);
     assert_eq!(PointsSeen::of(&[camera(0.0)], &[]), PointsSeen { points: 0, unseen: 0, by_view: vec![0] });
+}
+
+#[test]
+fn a_view_shows_a_point_once_by_its_tracks_or_else_by_projection() {
+    let (intrinsics, towards) = camera(0.0);
+    let view = |cam_from_world| View { name: "a".into(), image_path: "a".into(), intrinsics, cam_from_world };
+    let views = vec![view(towards), view(DAffine3::from_translation(-5.0 * DVec3::Z))];
+    let mut capture = Capture::near_zero(Path::new(""), views, &[DVec3::ZERO; 3], vec![[0; 3]; 3]);
+    assert_eq!(capture.shown(&[0, 1], 2), [vec![0, 2], vec![]]);
+    for views in [vec![1, 1], vec![], vec![0, 1]] {
+        capture.tracks.push(views.into_iter().map(|view| Observation { view, at_px: [1.0, 2.0] }), 0.5);
+    }
+    assert_eq!(capture.shown(&[1, 0], 1), [vec![0, 2], vec![2]]);
 }

@@ -1,71 +1,48 @@
 //! Options of adaptive density control, and those of each strategy that is made of it.
 
-use serde::{Deserialize, Serialize};
-
 use super::Division;
 use crate::density::Focus;
 
-/// Options of adaptive density control. Defaults are those of the original implementation unless stated otherwise.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct AdaptiveConfig {
-    /// Steps between refinements.
-    pub every: usize,
-    /// First step of refinement.
-    pub from: usize,
-    /// Share of the run after which the number of Gaussians is fixed: 0.5.
-    pub until_share: f64,
-    /// Gaussians whose mean gradient at the projected centre, per unit of normalised device coordinates, exceeds this
-    /// threshold are copied or split: 2e-4, and 8e-4 for absolute gradients.
-    pub grad_threshold: f64,
-    /// Whether the gradient is AbsGS's (Ye et al. 2024): the sum of absolute values over the pixels, so that the gradients
-    /// of the two edges of a Gaussian that blurs smaller detail do not cancel.
-    pub absolute: bool,
-    /// Largest size of a Gaussian that is copied instead of split, as a share of the scene extent: 0.01.
-    pub split_scale: f64,
-    /// Opacity below which Gaussians are removed: 0.005.
-    pub prune_opacity: f64,
-    /// Size above which Gaussians are removed after the first opacity reset, as a share of the scene extent: 0.1.
-    pub prune_scale: f64,
-    /// Steps between opacity resets, which remove floaters in front of the cameras: 3,000; 0 for never.
-    pub reset_every: usize,
-    /// Largest number of Gaussians. At the cap only those with the largest gradients are copied or split.
-    pub max_splats: usize,
-    /// How one Gaussian becomes two: as in the original.
-    pub division: Division,
-    /// Largest share of the Gaussians that one refinement copies or splits: none. Those with the largest gradients are chosen.
-    /// With a share, the rows that are left up to `max_splats` are divided evenly among the refinements to come. Without one,
-    /// a refinement may reach the cap at once.
-    pub growth: Option<f64>,
-    /// Share of the Gaussians that may exceed the threshold and still wait for a later refinement, with [`Self::growth`]: all. Where more
-    /// of them do, as in a capture with few points, a refinement takes up to twice its share.
-    pub waiting: f64,
-    /// Largest ratio of a Gaussian's largest standard deviation to its middle one: 30. Needles far longer than wide show as
-    /// streaks in views outside the training set. (Not in the original.)
-    pub max_elongation: f64,
-    /// The part of the scene that Gaussians are added to: all of it.
-    pub focus: Option<Focus>,
-}
-
-impl Default for AdaptiveConfig {
-    fn default() -> Self {
-        Self {
-            every: 100,
-            from: 500,
-            until_share: 0.5,
-            grad_threshold: 2e-4,
-            absolute: false,
-            split_scale: 0.01,
-            prune_opacity: 0.005,
-            prune_scale: 0.1,
-            reset_every: 3_000,
-            max_splats: 1_000_000,
-            division: Division::CloneOrSplit,
-            growth: None,
-            waiting: 1.0,
-            max_elongation: 30.0,
-            focus: None,
-        }
+options! {
+    /// Options of adaptive density control. Defaults are those of the original implementation unless stated otherwise.
+    #[derive(Copy)]
+    pub struct AdaptiveConfig {
+        /// Steps between refinements.
+        pub every: usize = 100,
+        /// First step of refinement.
+        pub from: usize = 500,
+        /// Share of the run after which the number of Gaussians is fixed: 0.5.
+        pub until_share: f64 = 0.5,
+        /// Gaussians whose mean gradient at the projected centre, per unit of normalised device coordinates, exceeds this
+        /// threshold are copied or split: 2e-4, and 8e-4 for absolute gradients.
+        pub grad_threshold: f64 = 2e-4,
+        /// Whether the gradient is AbsGS's (Ye et al. 2024): the sum of absolute values over the pixels, so that the gradients
+        /// of the two edges of a Gaussian that blurs smaller detail do not cancel.
+        pub absolute: bool = false,
+        /// Largest size of a Gaussian that is copied instead of split, as a share of the scene extent: 0.01.
+        pub split_scale: f64 = 0.01,
+        /// Opacity below which Gaussians are removed: 0.005.
+        pub prune_opacity: f64 = 0.005,
+        /// Size above which Gaussians are removed after the first opacity reset, as a share of the scene extent: 0.1.
+        pub prune_scale: f64 = 0.1,
+        /// Steps between opacity resets, which remove floaters in front of the cameras: 3,000; 0 for never.
+        pub reset_every: usize = 3_000,
+        /// Largest number of Gaussians. At the cap only those with the largest gradients are copied or split.
+        pub max_splats: usize = 1_000_000,
+        /// How one Gaussian becomes two: as in the original.
+        pub division: Division = Division::CloneOrSplit,
+        /// Largest share of the Gaussians that one refinement copies or splits: none. Those with the largest gradients are chosen.
+        /// With a share, the rows that are left up to `max_splats` are divided evenly among the refinements to come. Without one,
+        /// a refinement may reach the cap at once.
+        pub growth: Option<f64> = None,
+        /// Share of the Gaussians that may exceed the threshold and still wait for a later refinement, with [`Self::growth`]: all. Where more
+        /// of them do, as in a capture with few points, a refinement takes up to twice its share.
+        pub waiting: f64 = 1.0,
+        /// Largest ratio of a Gaussian's largest standard deviation to its middle one: 30. Needles far longer than wide show as
+        /// streaks in views outside the training set. (Not in the original.)
+        pub max_elongation: f64 = 30.0,
+        /// The part of the scene that Gaussians are added to: all of it.
+        pub focus: Option<Focus> = None,
     }
 }
 

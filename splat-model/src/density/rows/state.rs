@@ -77,10 +77,10 @@ fn load_group(
     // One array may be too large for the device.
     let at_first = if name == BASE_GROUPS[SH] { Device::flex() } else { plain.clone() };
     let (values, moments) = from.load_part(name, |part| {
-        let values = part.take::<2>("values", &at_first)?;
+        let values: Tensor<2> = part.take("values", &at_first)?;
         let shape @ [rows, width] = values.dims();
         if count.is_some_and(|count| count != rows) || !fits(name, width) {
-            return Err(part.shape_error("values", shape.to_vec(), "one that fits the other arrays"));
+            return Err(part.shape_error("values", &shape, "one that fits the other arrays"));
         }
         Ok((values, Moments::load(part, shape, bits, &at_first)?))
     })?;

@@ -1,13 +1,14 @@
 use std::fs;
 
+use glam::{DMat3, DVec3};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
 use super::*;
 
 fn camera() -> (Intrinsics, DAffine3) {
-    let turned = glam::DMat3::from_rotation_x(0.3) * glam::DMat3::from_rotation_y(1.0);
-    (Intrinsics::centred(9, 7, 6.0), DAffine3::from_mat3_translation(turned, glam::DVec3::new(1.0, 2.0, 3.0)))
+    let turned = DMat3::from_rotation_x(0.3) * DMat3::from_rotation_y(1.0);
+    (Intrinsics::centred(9, 7, 6.0), DAffine3::from_mat3_translation(turned, DVec3::new(1.0, 2.0, 3.0)))
 }
 
 /// An environment that is brighter towards +z of the world and red towards +x.
@@ -159,9 +160,9 @@ fn what_does_not_fit_is_not_kept() {
     assert_eq!((environment.cached_bytes, environment.cache.len()), (CACHE_BYTES, 1));
 }
 
-/// The sky from rotated coefficients is that from rotated directions, for every degree and any pose.
+/// The sky of a photograph is that from directions in the world frame, for every degree and any pose.
 #[test]
-fn coefficients_are_rotated_as_directions_are() {
+fn directions_are_rotated_into_the_world() {
     let (intrinsics, _) = camera();
     let device = Device::flex();
     let poses: Vec<DAffine3> = (0..5)

@@ -3,7 +3,6 @@
 //! Evenly spaced photographs of a large capture hardly show the same points, and colours are compared at points that several
 //! photographs show. So photographs are taken in groups: evenly spaced ones, each with those that share most points with it.
 
-use super::observations::project;
 use crate::capture::Capture;
 
 /// Number of photographs in a group, above the nine that the evidence on view-dependent colour requires.
@@ -22,7 +21,8 @@ pub(super) fn select(capture: &Capture, views: &[usize], most_pixels: usize) -> 
     }
     let count = (views.len() as f64 * (most_pixels as f64 / pixels as f64)) as usize;
     let groups = (count / GROUP).max(1);
-    let shown = shown(capture, views);
+    let most = if capture.tracks.observations() > 0 { TRACKED } else { PROJECTED };
+    let shown = capture.shown(views, capture.points.positions.len().div_ceil(most).max(1));
     let mut chosen = vec![false; views.len()];
     for group in 0..groups {
         // The middle of the group's part of the capture.
@@ -37,35 +37,10 @@ pub(super) fn select(capture: &Capture, views: &[usize], most_pixels: usize) -> 
     views.iter().zip(chosen).filter_map(|(&view, chosen)| chosen.then_some(view)).collect()
 }
 
-/// The points that each of the views shows, ascending.
-fn shown(capture: &Capture, views: &[usize]) -> Vec<Vec<usize>> {
-    let count = capture.points.positions.len();
-    let tracked = capture.tracks.observations() > 0;
-    let every = count.div_ceil(if tracked { TRACKED } else { PROJECTED }).max(1);
-    let points = (0..count).step_by(every);
-    if tracked {
-        let mut shown = vec![Vec::new(); views.len()];
-        for point in points {
-            for observation in capture.tracks.of(point) {
-                if let Ok(view) = views.binary_search(&observation.view) {
-                    shown[view].push(point);
-                }
-            }
-        }
-        return shown;
-    }
-    let of_view = |&view: &usize| {
-        let view = &capture.views[view];
-        let projector = view.intrinsics.projector();
-        points.clone().filter(|&point| project(view, &projector, capture.position(point)).is_some()).collect()
-    };
-    views.iter().map(of_view).collect()
-}
-
 /// Number of points that are in both lists, which are ascending.
-fn shared(a: &[usize], b: &[usize]) -> usize {
+fn shared(a: &[u32], b: &[u32]) -> usize {
     let mut rest = b;
-    let in_both = |point: &&usize| {
+    let in_both = |point: &&u32| {
         rest = &rest[rest.partition_point(|other| other < point)..];
         rest.first() == Some(point)
     };

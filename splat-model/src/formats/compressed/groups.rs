@@ -7,8 +7,7 @@
 use super::CHUNK;
 use crate::cleanup::Bulk;
 use crate::density::morton_order;
-use crate::formats::DC;
-use crate::gaussians::GaussianRows;
+use crate::gaussians::{DC, GaussianRows};
 
 /// Largest number of groups. Each but the last costs up to 255 Gaussians that fill its last chunk.
 const GROUPS: usize = 4;

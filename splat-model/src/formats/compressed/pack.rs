@@ -3,8 +3,8 @@
 use std::f64::consts::{FRAC_1_SQRT_2, SQRT_2};
 
 use super::Ranges;
-use crate::formats::{DC, limits, opacity, quaternion};
-use crate::gaussians::GaussianRows;
+use crate::formats::{limits, opacity, quaternion};
+use crate::gaussians::{DC, GaussianRows};
 
 /// First bit and number of bits of each axis in the word of a position or a scale.
 const AXES: [(u32, u32); 3] = [(21, 11), (11, 10), (0, 11)];

@@ -5,14 +5,11 @@ fn assert_close(found: f64, expected: f64) {
 }
 
 #[test]
-fn decay_is_geometric_between_its_ends() {
-    let decay = Decay { initial: 1.6e-4, last: 1.6e-6, steps: 30_000 };
-    assert_close(decay.at(0), 1.6e-4);
-    assert_close(decay.at(15_000), 1.6e-5);
-    assert_close(decay.at(7_500), 1.6e-4 * 0.01f64.powf(0.25));
-    assert_close(decay.at(30_000), 1.6e-6);
-    assert_close(decay.at(99_999), 1.6e-6);
-    assert_close(Decay { steps: 0, ..decay }.at(0), 1.6e-6);
+fn the_rate_of_the_centres_falls_geometrically() {
+    let rates = LearningRates::default();
+    for (done, expected) in [(0.0, 1.6e-4), (0.5, 1.6e-5), (0.25, 1.6e-4 * 0.01f64.powf(0.25)), (1.0, 1.6e-6)] {
+        assert_close(rates.after(done).means, expected);
+    }
 }
 
 #[test]
@@ -33,11 +30,11 @@ fn short_runs_have_higher_rates_that_fall_and_long_ones_the_published_rates() {
     let published = LearningRates::default();
     assert_eq!(LearningRates::for_steps(PUBLISHED_STEPS), published);
     assert_eq!(LearningRates::for_steps(90_000), published);
-    assert_eq!(published.after(0.7), published);
+    assert_eq!(LearningRates { means: published.means, ..published.after(0.7) }, published);
     let quarter = LearningRates::for_steps(PUBLISHED_STEPS / 4);
     for (share, factor) in [(0.0, 2.0), (0.5, 1.0), (1.0, 0.5)] {
         let rates = quarter.after(share);
-        assert_close(rates.means, 2.0 * published.means);
+        assert_close(rates.means, 2.0 * published.means * 0.01_f64.powf(share));
         let of = |rates: LearningRates| [rates.scales, rates.rotations, rates.sh_dc, rates.sh_rest, rates.opacities];
         of(rates).into_iter().zip(of(published)).for_each(|(now, was)| assert_close(now, factor * was));
     }
@@ -49,13 +46,6 @@ fn short_runs_have_higher_rates_that_fall_and_long_ones_the_published_rates() {
 #[test]
 fn degrees_of_a_short_run_rise_by_eighths() {
     assert_eq!([0, 7, 2_000, 8_000, 30_000].map(sh_every_for), [1, 1, 250, 1_000, 1_000]);
-}
-
-#[test]
-fn means_decay_scales_with_the_scene() {
-    let decay = LearningRates::default().means_decay(2.5, 100);
-    assert_close(decay.at(0), 4e-4);
-    assert_close(decay.at(100), 4e-6);
 }
 
 #[test]

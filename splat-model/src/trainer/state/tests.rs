@@ -150,11 +150,12 @@ fn other_runs_are_refused() {
 
 #[test]
 fn random_numbers_go_on() {
-    use rand::RngExt;
-    let mut rng = ChaCha8Rng::seed_from_u64(3);
+    use rand::{RngExt, SeedableRng};
+    let (mut rng, mut state) = (ChaCha8Rng::seed_from_u64(3), State::default());
     for _ in 0..37 {
         rng.random::<u32>();
-        let mut resumed = RandomState::of(&rng).resumed();
+        state.tell("random", &rng).unwrap();
+        let mut resumed: ChaCha8Rng = state.told("random").unwrap();
         assert_eq!(resumed.random::<u64>(), rng.clone().random::<u64>());
     }
 }

@@ -150,7 +150,7 @@ pub(crate) fn slice_cpu<F: Real>(inputs: Sliced<&[F]>, size: SliceSize) -> Vec<F
             let share = down - F::of(upper as f64);
             dispatch!(F, simd => {
                 mix(&maps[upper * len..][..len], &maps[(upper + 1) * len..][..len], share, row);
-                row_forward(simd, row, size.levels, (image, &columns), out);
+                row_forward(simd, row, size.levels, image, &columns, out);
             });
         },
     );
@@ -163,7 +163,8 @@ fn row_forward<S: Simd, F: Real>(
     simd: S,
     maps: &[F],
     levels: usize,
-    (image, columns): ([&[F]; 3], &GridColumns<F>),
+    image: [&[F]; 3],
+    columns: &GridColumns<F>,
     out: [&mut [F]; 3],
 ) {
     let (zero, width) = (splat::<S, F>(simd, F::ZERO), image[0].len());
@@ -256,7 +257,7 @@ impl<F: Real> PixelBand<'_, F> {
                 let pixels = Pixels::new(simd, planes(self.inputs.image, self.size, *y), from, levels);
                 let grad = load_rgb(simd, planes(self.grad, self.size, *y), from);
                 (low, high) = (low.min(pixels.low), high.max(pixels.high));
-                let of_colour = pixels.backward((&maps, levels, *down), grad, sum.then_some(&mut wide[..]));
+                let of_colour = pixels.backward(&maps, levels, *down, grad, sum.then_some(&mut wide[..]));
                 if let Some(out) = out {
                     for (channel, of_channel) in of_colour.into_iter().enumerate() {
                         store::<S, F>(of_channel, &mut out[channel][from..to]);
@@ -307,7 +308,9 @@ impl<S: Simd, F: Real> Pixels<S, F> {
     #[inline(always)]
     fn backward(
         &self,
-        (maps, levels, down): (&[F], usize, F),
+        maps: &[F],
+        levels: usize,
+        down: F,
         grad: [F::Block<S>; 3],
         mut sums: Option<&mut [F]>,
     ) -> [F::Block<S>; 3] {

@@ -8,8 +8,8 @@
 //! Gradients, with `g = ∂out`: `∂colour = g`, `∂α = −⟨g, sky⟩`, `∂cₖ = Σ Yₖ(d) (1 − α) g` over the pixels, in a fixed order, so that
 //! every run has the same bits.
 //!
-//! The directions belong to a camera, so the caller keeps them from step to step. In the camera's frame, with coefficients rotated into
-//! it, they serve every photograph of that camera. The harmonics are evaluated in both passes: reading sixteen numbers for each pixel
+//! The directions in the camera's frame serve every photograph of that camera, so the caller keeps them from step to step, and rotates
+//! them. The harmonics are evaluated in both passes: reading sixteen numbers for each pixel
 //! takes longer than computing them from three.
 
 pub(crate) mod cpu;

@@ -177,7 +177,7 @@ impl<S: Simd, F: Real> ExtentsSimd<S, F> {
         let [margin_x, margin_y] = each!([(x, half_width), (y, half)], |(mean, half)| (mean.abs() + half)
             * lanes(F::of(8.0) * F::EPSILON)
             + lanes(F::of(1e-3)));
-        let (top, end) = tiles((y - half, y + half), margin_y, extent.size[1]);
+        let (top, end) = tiles(y - half, y + half, margin_y, extent.size[1]);
         Self {
             mean: [x, y],
             sigma_u,
@@ -222,7 +222,7 @@ impl<S: Simd, F: Real> ExtentsSimd<S, F> {
         });
         let low = self.mean[0] + self.sigma_u * (low.0 - low.1);
         let high = self.mean[0] + self.sigma_u * (high.0 + high.1);
-        tiles((low, high), self.margin, extent.size[0])
+        tiles(low, high, self.margin, extent.size[0])
     }
 }
 
@@ -230,7 +230,8 @@ impl<S: Simd, F: Real> ExtentsSimd<S, F> {
 /// a margin. `pixels` is the picture's size along the axis.
 #[inline(always)]
 fn tiles<S: Simd, L: SimdFloat<S, Element = F>, F: Real<Lanes<S> = L>>(
-    (low, high): (L, L),
+    low: L,
+    high: L,
     margin: L,
     pixels: F,
 ) -> (L, L) {

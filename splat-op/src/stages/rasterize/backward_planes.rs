@@ -272,7 +272,7 @@ pub(super) fn rasterize_backward_planes_kernel<A: FloatCell>(
                             }
                         }
                         let stores = own_layer < here;
-                        store_sums::<A>(&values, &mut partial, sums, (row, stores), lane, columns, plane_units, direct);
+                        store_sums::<A>(&values, &mut partial, sums, row, stores, lane, columns, plane_units, direct);
                         sync_plane();
                     }
                     if comptime!(!direct) {
@@ -321,13 +321,13 @@ fn store_sums<A: FloatCell>(
     values: &Array<f32>,
     to: &mut Shared<[f32]>,
     sums: &[A],
-    target: (usize, bool),
+    row: usize,
+    stores: bool,
     lane: u32,
     #[comptime] columns: usize,
     #[comptime] plane_units: u32,
     #[comptime] direct: bool,
 ) {
-    let (row, stores) = target;
     let steps = comptime!((plane_units / RUN_PIXELS as u32).trailing_zeros());
     let mut own = Array::<f32>::new(columns);
     #[unroll]

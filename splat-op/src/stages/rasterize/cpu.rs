@@ -9,7 +9,7 @@ use super::prepared::Prepared;
 pub(crate) use super::prepared::{SplatTrace, Trace};
 use super::splat_cpu::Footprint;
 use super::tile::{TileTrace, rasterize_tile};
-use super::tile_backward::{TileGrad, TileScratch, rasterize_tile_backward};
+use super::tile_backward::{BackwardPass, TileGrad, TileScratch};
 use super::{Layers, MOMENTS, PlaneParts, RasterizeSpec};
 use crate::intersect::{IntersectionLists, TILE_PIXELS, TILE_SIZE, tile_grid};
 use crate::ray_space;
@@ -198,8 +198,8 @@ fn backward<F: Real, P: Footprint<F>>(
         let mut transmittance = [F::ZERO; TILE_PIXELS];
         specialised!(prepared.channels, long, simd, C, IS_LONG => {
             let thresholds = Thresholds::<_, F>::new(simd, prepared.thresholds);
-            let out = (&mut *sums, &mut transmittance);
-            rasterize_tile_backward::<_, F, P, C, IS_LONG>(simd, &view, &tile_grad, &thresholds, out, scratch);
+            let pass = BackwardPass::new(&view, &tile_grad, &thresholds);
+            pass.run::<P, C, IS_LONG>(&view, sums, &mut transmittance, scratch);
         });
         of_planes.background_gradient(&transmittance, wanted)
     };

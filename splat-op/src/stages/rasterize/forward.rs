@@ -12,7 +12,7 @@ use super::layer::{
     layer, lost_after_bucket, tile_origin, transmittance_after_bucket,
 };
 use super::splat::{Splat, colour, colours_of};
-use super::trace::{PAIR_COUNTS, TileRun, WORDS};
+use super::trace::{TileRun, WORDS};
 use crate::intersect::{TILE_PIXELS, TILE_SIZE};
 
 /// Writes the planes `[C, H, W]`, and from `alpha_start` and `depth_start` on those of alpha and depth. If a trace is kept, it also writes
@@ -33,14 +33,12 @@ pub(super) fn rasterize_forward_kernel<S: Splat>(
     tile_of_slot: &mut [u32],
     final_transmittance: &mut [f32],
     segment_count: &mut [u32],
-    mut pairs: ComptimeOption<Box<[u32]>>,
     frame: RasterFrame,
     run: TileRun,
     alpha_start: u32,
     depth_start: u32,
     #[comptime] shape: KernelShape,
     #[comptime] keep: bool,
-    #[comptime] count_pairs: bool,
 ) {
     let channels = comptime!(shape.channels());
     let few = comptime!(shape.few());
@@ -48,11 +46,9 @@ pub(super) fn rasterize_forward_kernel<S: Splat>(
     let mut splats = Shared::<[Four]>::new_slice(comptime!(SEGMENT * S::VECTORS));
     let mut colours = Shared::<[Four]>::new_slice(comptime!(if few { SEGMENT } else { 1 }));
     let mut gaussians = Shared::<[u32]>::new_slice(comptime!(if few { 1 } else { SEGMENT }));
-    // Places that the block may see, places that some pixel of the block needs, and evaluations of a block's
-    // slowest pixel.
+    // Places that the block may see, and places that some pixel of the block needs.
     let met = Shared::<[Atomic<u32>]>::new_slice(comptime!(WORDS));
     let needed = Shared::<[Atomic<u32>]>::new_slice(comptime!(WORDS));
-    let slowest = Shared::<[Atomic<u32>]>::new_slice(comptime!(if count_pairs { WORDS } else { 1 }));
     let anybody = Shared::<[Atomic<u32>]>::new_slice(1usize);
     // What rounding took from each pixel's sums. A pixel needs it once per segment: it takes no register in between.
     let mut lost_sums = Shared::<[f32]>::new_slice(comptime!(if few { channels * TILE_PIXELS } else { 1 }));
@@ -86,15 +82,9 @@ pub(super) fn rasterize_forward_kernel<S: Splat>(
                 lost_sums[channel * comptime!(TILE_PIXELS) + unit as usize] = 0.0f32;
             }
         }
-        let mut evaluated = 0u32;
-        let mut kept_pairs = 0u32;
-        let mut contributing = 0u32;
         if unit < comptime!(WORDS as u32) {
             met[unit as usize].store(0u32);
             needed[unit as usize].store(0u32);
-            if comptime!(count_pairs) {
-                slowest[unit as usize].store(0u32);
-            }
         }
         sync_cube();
 
@@ -150,11 +140,9 @@ pub(super) fn rasterize_forward_kernel<S: Splat>(
                 let mut through = 1.0f32;
                 let mut stopped = 0.0f32;
                 let mut shown = 0u32;
-                let mut passed = 0u32;
                 while word != 0 {
                     let i = word.trailing_zeros();
                     word &= word - 1;
-                    passed += 1;
                     let place = (bucket * comptime!(BUCKET as u32) + i) as usize;
                     let (value, depth) = S::seen(&S::load(&splats, place, &inputs), &pixel, &frame);
                     let (alpha, next, stops) = layer(value, through, stopped, before, frame.transmittance_min);
@@ -182,18 +170,12 @@ pub(super) fn rasterize_forward_kernel<S: Splat>(
                             }
                         }
                     }
-                    if comptime!(count_pairs) {
-                        contributing += select(alpha > 0.0, 1u32, 0u32);
-                    }
                 }
                 // A pixel that finishes in this bucket becomes negative here; one that finished earlier stays negative.
                 transmittance = transmittance_after_bucket(before, through, stopped);
                 lost = lost_after_bucket(lost, before, transmittance, through, stopped);
                 if comptime!(keep) && shown != 0 {
                     needed[at_word].fetch_or(shown);
-                }
-                if comptime!(count_pairs) {
-                    slowest[at_word].fetch_max(passed);
                 }
             }
             #[unroll(few)]
@@ -222,13 +204,6 @@ pub(super) fn rasterize_forward_kernel<S: Splat>(
                 if comptime!(keep) {
                     let places = needed[unit as usize].load();
                     kept_words[((slot + segment) * comptime!(WORDS as u32) + unit) as usize] = places;
-                    if comptime!(count_pairs) {
-                        kept_pairs += comptime!(BLOCK_PIXELS as u32) * places.count_ones();
-                    }
-                }
-                if comptime!(count_pairs) {
-                    evaluated += comptime!(BLOCK_PIXELS as u32) * slowest[unit as usize].load();
-                    slowest[unit as usize].store(0u32);
                 }
                 met[unit as usize].store(0u32);
                 needed[unit as usize].store(0u32);
@@ -244,13 +219,6 @@ pub(super) fn rasterize_forward_kernel<S: Splat>(
             if unit == 0 {
                 segment_count[tile as usize] = segment;
             }
-        }
-        #[comptime]
-        if let ComptimeOption::Some(pairs) = &mut pairs {
-            let at = (tile as usize * comptime!(TILE_PIXELS) + unit as usize) * comptime!(PAIR_COUNTS);
-            pairs[at] = evaluated;
-            pairs[at + 1] = kept_pairs;
-            pairs[at + 2] = contributing;
         }
         if pixel.inside {
             let plane = (frame.width * frame.height) as usize;

@@ -13,10 +13,9 @@ use super::rows::Rows;
 use super::segment::{KeptTraceLaunch, SegmentRangeLaunch};
 use super::splat::Splat;
 use super::suffix::rasterize_suffix_kernel;
-use super::trace::{DeviceTrace, PAIR_COUNTS, TraceRun, runs_of};
+use super::trace::{DeviceTrace, TraceRun, runs_of};
 use super::{Layers, RasterizeSpec};
 use crate::camera::PictureRays;
-use crate::counters::pairs_are_counted;
 use crate::gpu::reduce::launch_column_sums;
 use crate::gpu::{Buffer, Gpu, PART_BYTES, cubes, elementwise, given};
 use crate::intersect::launch::DeviceIntersections;
@@ -133,12 +132,10 @@ fn launch_forward<S: Splat>(
     let splats = DeviceSplats::new(gpu, inputs, lists, spec);
     let planes = DevicePlanes::new(gpu, spec, shape.features);
     let kept_tiles = if keep { tiles } else { 0 };
-    let count_pairs = keep && pairs_are_counted();
     let mut trace = DeviceTrace {
         runs: Vec::new(),
         final_transmittance: Buffer::new(gpu, kept_tiles * TILE_PIXELS),
         segment_count: Buffer::new(gpu, kept_tiles),
-        pairs: Buffer::if_needed(gpu, count_pairs, tiles * TILE_PIXELS * PAIR_COUNTS),
     };
     for slots in runs_of(gpu, lists, shape, keep) {
         let run = TraceRun::new(gpu, slots, shape, keep);
@@ -157,14 +154,12 @@ fn launch_forward<S: Splat>(
                 run.tile_of_slot.arg(),
                 trace.final_transmittance.arg(),
                 trace.segment_count.arg(),
-                trace.pairs.as_ref().map(Buffer::arg).into(),
                 frame(spec),
                 run.slots.arg(),
                 start(&planes.lens[..1]) as u32,
                 start(&planes.lens[..2]) as u32,
                 shape,
                 keep,
-                count_pairs,
             );
         }
         trace.runs.push(run);

@@ -90,4 +90,17 @@ impl<S: Simd, F: Real> PairSums<S, F> {
     pub fn new(zero: F::Block<S>) -> Self {
         Self { moments: [zero; MOMENTS], slopes: [zero; SLOPES], absolute: [zero; 2] }
     }
+
+    /// Writes the totals to a row: moments, then behind the columns of `channels` the first `slopes`, and sums of absolute values where
+    /// there is room.
+    #[inline(always)]
+    pub fn store(&self, row: &mut [F], channels: usize, slopes: usize) {
+        let total = |sums: &[F::Block<S>], to: &mut [F]| {
+            to.iter_mut().zip(sums).for_each(|(to, sum)| *to = sum.reduce_sum());
+        };
+        total(&self.moments, row);
+        let behind = &mut row[MOMENTS + channels..];
+        total(&self.slopes[..slopes], behind);
+        total(&self.absolute, &mut behind[slopes..]);
+    }
 }

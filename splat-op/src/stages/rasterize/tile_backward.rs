@@ -55,174 +55,186 @@ impl<F: Real> Default for TileScratch<F> {
     }
 }
 
-/// Fills `intersections`, `[layers, MOMENTS + channels (+ 4) (+ 2)]`, with each intersection's sums over the tile. Sets
-/// `final_transmittance` to the transmittances behind all layers (negated where finished).
-#[inline(always)]
-pub(super) fn rasterize_tile_backward<S: Simd, F: Real, P: Footprint<F>, const C: usize, const LONG: bool>(
-    simd: S,
-    view: &TileView<F, P>,
-    grad: &TileGrad<F>,
-    thresholds: &Thresholds<S, F>,
-    (intersections, final_transmittance): (&mut [F], &mut [F; TILE_PIXELS]),
-    scratch: &mut TileScratch<F>,
-) {
-    let channels = if C == 0 { view.channels } else { C };
-    let columns = MOMENTS + channels + P::EXTRA_COLUMNS + if grad.absolute { 2 } else { 0 };
-    // `ρ` has two parts, like the transmittances.
-    let mut rho = Transmittances::new([F::ZERO; TILE_PIXELS]);
-    rho.kept.copy_from_slice(grad.background_rho);
-    let TileTrace { reached, checkpoints } = grad.trace;
-    let chunks = reached.len().div_ceil(CHECKPOINT_EVERY);
-    let (pixels, top) = (TilePixels::new(view), view.corner()[1]);
-    *final_transmittance = pixels.open;
-    for chunk in (0..chunks).rev() {
-        let first = chunk * CHECKPOINT_EVERY;
-        let reached = &reached[first..reached.len().min(first + CHECKPOINT_EVERY)];
-        let gaussians = &view.gaussians[first..first + reached.len()];
-        let mut transmittance = match chunk {
-            0 => Transmittances::new(pixels.open),
-            _ => Transmittances::resume::<LONG>(checkpoints, chunk - 1),
-        };
-        let mut near = Near::<F, P, C>::default();
-        near.gather(view, gaussians);
-        forwards::<S, F, P, LONG>(thresholds, (&pixels, top), (&near.footprints, reached), &mut transmittance, scratch);
-        if chunk + 1 == chunks {
-            *final_transmittance = transmittance.kept;
-        }
-        for (i, &gaussian) in gaussians.iter().enumerate().rev() {
-            let layers = scratch.starts[i]..scratch.starts[i + 1];
-            if layers.is_empty() {
-                continue;
-            }
-            let row = &mut intersections[(first + i) * columns..(first + i + 1) * columns];
-            let pair = 2 * len::<S, F>();
-            let layers = (&mut scratch.layers[layers.start * pair..layers.end * pair], &scratch.places[layers]);
-            let splat = near.footprints[i].lanes(simd, top);
-            let colour = if C == 0 { view.colour(gaussian) } else { &near.colours[i] };
-            backwards::<S, F, P, C, LONG>(grad, (&splat, colour, thresholds), &pixels, layers, (&mut rho, row));
-        }
-    }
+/// What the Gaussians of a tile share.
+pub(super) struct BackwardPass<'a, S: Simd, F: Real> {
+    grad: &'a TileGrad<'a, F>,
+    thresholds: &'a Thresholds<S, F>,
+    pixels: TilePixels<F>,
+    /// Upper border of the tile, px.
+    top: F,
 }
 
-/// Runs the forward pass over one chunk, in the blocks that each Gaussian is known to reach, and stores the layers.
-#[inline(always)]
-fn forwards<S: Simd, F: Real, P: Footprint<F>, const LONG: bool>(
-    thresholds: &Thresholds<S, F>,
-    (pixels, top): (&TilePixels<F>, F),
-    (near, reached): (&[P], &[u16]),
-    transmittance: &mut Transmittances<F>,
-    scratch: &mut TileScratch<F>,
-) {
-    let simd = thresholds.alpha_max.token();
-    let mut met = 0;
-    for (i, (footprint, &reached)) in near.iter().zip(reached).enumerate() {
-        scratch.starts[i] = met;
-        let splat = footprint.lanes(simd, top);
-        for first in (0..SIMD_BLOCK_ROW).step_by(SIMD_BLOCK) {
-            let in_column = reached & FIRST_COLUMN << (first / SIMD_BLOCK);
-            if in_column == 0 {
-                continue;
+impl<'a, S: Simd, F: Real> BackwardPass<'a, S, F> {
+    #[inline(always)]
+    pub fn new<P>(view: &TileView<F, P>, grad: &'a TileGrad<F>, thresholds: &'a Thresholds<S, F>) -> Self {
+        Self { grad, thresholds, pixels: TilePixels::new(view), top: view.corner()[1] }
+    }
+
+    /// Fills `intersections`, `[layers, MOMENTS + channels (+ 4) (+ 2)]`, with each intersection's sums over the tile. Sets
+    /// `final_transmittance` to the transmittances behind all layers (negated where finished).
+    #[inline(always)]
+    pub fn run<P: Footprint<F>, const C: usize, const LONG: bool>(
+        &self,
+        view: &TileView<F, P>,
+        intersections: &mut [F],
+        final_transmittance: &mut [F; TILE_PIXELS],
+        scratch: &mut TileScratch<F>,
+    ) {
+        let Self { grad, pixels, .. } = self;
+        let simd = self.thresholds.alpha_max.token();
+        let channels = if C == 0 { view.channels } else { C };
+        let columns = MOMENTS + channels + P::EXTRA_COLUMNS + if grad.absolute { 2 } else { 0 };
+        // `ρ` has two parts, like the transmittances.
+        let mut rho = Transmittances::new([F::ZERO; TILE_PIXELS]);
+        rho.kept.copy_from_slice(grad.background_rho);
+        let TileTrace { reached, checkpoints } = grad.trace;
+        let chunks = reached.len().div_ceil(CHECKPOINT_EVERY);
+        *final_transmittance = pixels.open;
+        for chunk in (0..chunks).rev() {
+            let first = chunk * CHECKPOINT_EVERY;
+            let reached = &reached[first..reached.len().min(first + CHECKPOINT_EVERY)];
+            let gaussians = &view.gaussians[first..first + reached.len()];
+            let mut transmittance = match chunk {
+                0 => Transmittances::new(pixels.open),
+                _ => Transmittances::resume::<LONG>(checkpoints, chunk - 1),
+            };
+            let mut near = Near::<F, P, C>::default();
+            near.gather(view, gaussians);
+            self.forwards::<P, LONG>(&near.footprints, reached, &mut transmittance, scratch);
+            if chunk + 1 == chunks {
+                *final_transmittance = transmittance.kept;
             }
-            for part in (0..SIMD_BLOCK).step_by(len::<S, F>()) {
-                let column = splat.column(pixels.x(simd, first + part));
-                let mut blocks = in_column;
-                while blocks != 0 {
-                    let place = blocks.trailing_zeros() as usize * SIMD_BLOCK + part;
-                    blocks &= blocks - 1;
-                    let before = transmittance.load::<S, LONG>(simd, place);
-                    let layer = thresholds.layer::<_, LONG>(&splat, &column, pixels, place, before);
-                    transmittance.store::<S, LONG>(layer.transmittance, place);
-                    store(before[0], &mut scratch.layers, met * 2 * len::<S, F>());
-                    store(layer.alpha, &mut scratch.layers, (met * 2 + 1) * len::<S, F>());
-                    scratch.places[met] = place as u16;
-                    met += 1;
+            for (i, &gaussian) in gaussians.iter().enumerate().rev() {
+                let layers = scratch.starts[i]..scratch.starts[i + 1];
+                if layers.is_empty() {
+                    continue;
+                }
+                let row = &mut intersections[(first + i) * columns..(first + i + 1) * columns];
+                let pair = 2 * len::<S, F>();
+                let (values, places) =
+                    (&mut scratch.layers[layers.start * pair..layers.end * pair], &scratch.places[layers]);
+                let splat = near.footprints[i].lanes(simd, self.top);
+                let colour = if C == 0 { view.colour(gaussian) } else { &near.colours[i] };
+                self.backwards::<P, C, LONG>(&splat, colour, values, places, &mut rho, row);
+            }
+        }
+    }
+
+    /// Runs the forward pass over one chunk, in the blocks that each Gaussian is known to reach, and stores the layers.
+    #[inline(always)]
+    fn forwards<P: Footprint<F>, const LONG: bool>(
+        &self,
+        near: &[P],
+        reached: &[u16],
+        transmittance: &mut Transmittances<F>,
+        scratch: &mut TileScratch<F>,
+    ) {
+        let Self { thresholds, pixels, .. } = self;
+        let simd = thresholds.alpha_max.token();
+        let mut met = 0;
+        for (i, (footprint, &reached)) in near.iter().zip(reached).enumerate() {
+            scratch.starts[i] = met;
+            let splat = footprint.lanes(simd, self.top);
+            for first in (0..SIMD_BLOCK_ROW).step_by(SIMD_BLOCK) {
+                let in_column = reached & FIRST_COLUMN << (first / SIMD_BLOCK);
+                if in_column == 0 {
+                    continue;
+                }
+                for part in (0..SIMD_BLOCK).step_by(len::<S, F>()) {
+                    let column = splat.column(pixels.x(simd, first + part));
+                    let mut blocks = in_column;
+                    while blocks != 0 {
+                        let place = blocks.trailing_zeros() as usize * SIMD_BLOCK + part;
+                        blocks &= blocks - 1;
+                        let before = transmittance.load::<S, LONG>(simd, place);
+                        let layer = thresholds.layer::<_, LONG>(&splat, &column, pixels, place, before);
+                        transmittance.store::<S, LONG>(layer.transmittance, place);
+                        store(before[0], &mut scratch.layers, met * 2 * len::<S, F>());
+                        store(layer.alpha, &mut scratch.layers, (met * 2 + 1) * len::<S, F>());
+                        scratch.places[met] = place as u16;
+                        met += 1;
+                    }
                 }
             }
         }
+        scratch.starts[reached.len()] = met;
     }
-    scratch.starts[reached.len()] = met;
-}
 
-/// Passes one Gaussian back to front: writes its sums over the pixels that it shows in to `row`, and updates `rho` to
-/// its value in front of the Gaussian.
-#[inline(always)]
-fn backwards<S: Simd, F: Real, P: Footprint<F>, const C: usize, const LONG: bool>(
-    grad: &TileGrad<F>,
-    (splat, colour, thresholds): (&P::Broadcast<S>, &[F], &Thresholds<S, F>),
-    pixels: &TilePixels<F>,
-    (layers, places): (&mut [F], &[u16]),
-    (rho, row): (&mut Transmittances<F>, &mut [F]),
-) {
-    let alpha_max = thresholds.alpha_max;
-    let simd = alpha_max.token();
-    let channels = if C == 0 { colour.len() } else { C };
-    let zero = F::Block::<S>::splat(simd, F::ZERO);
-    let planes = &grad.planes[..=channels];
-    let plane = |channel: usize, place: usize| lanes::<S, F>(simd, &planes[channel], place);
-    let mut sums = PairSums::new(zero);
-    let mut features = [zero; C];
-    let colour_lanes = colour_lanes::<S, F, C>(simd, colour);
-    // Along rays depth has a factor at each pixel.
-    let bends = |channel: usize| P::ALONG_RAYS && grad.depth && channel + 1 == channels;
-    let layer_len = 2 * len::<S, F>();
-    for (i, &place) in places.iter().enumerate() {
-        let (layer, place) = (&mut layers[i * layer_len..][..layer_len], place as usize);
-        let [behind, lost] = rho.load::<S, LONG>(simd, place);
-        let before = lanes::<S, F>(simd, layer, 0);
-        let alpha = lanes::<S, F>(simd, layer, len::<S, F>());
-        let column = splat.column(pixels.x(simd, place % SIMD_BLOCK_ROW));
-        let at = splat.at(&column, pixels, place);
-        let mut along = plane(channels, place);
+    /// Passes one Gaussian back to front: writes its sums over the pixels that it shows in to `row`, and updates `rho` to
+    /// its value in front of the Gaussian. `layers` and `places` are those of [`TileScratch`].
+    #[inline(always)]
+    fn backwards<P: Footprint<F>, const C: usize, const LONG: bool>(
+        &self,
+        splat: &P::Broadcast<S>,
+        colour: &[F],
+        layers: &mut [F],
+        places: &[u16],
+        rho: &mut Transmittances<F>,
+        row: &mut [F],
+    ) {
+        let Self { grad, pixels, .. } = self;
+        let alpha_max = self.thresholds.alpha_max;
+        let simd = alpha_max.token();
+        let channels = if C == 0 { colour.len() } else { C };
+        let zero = F::Block::<S>::splat(simd, F::ZERO);
+        let planes = &grad.planes[..=channels];
+        let plane = |channel: usize, place: usize| lanes::<S, F>(simd, &planes[channel], place);
+        let mut sums = PairSums::new(zero);
+        let mut features = [zero; C];
+        let colour_lanes = colour_lanes::<S, F, C>(simd, colour);
+        // Along rays depth has a factor at each pixel.
+        let bends = |channel: usize| P::ALONG_RAYS && grad.depth && channel + 1 == channels;
+        let layer_len = 2 * len::<S, F>();
+        for (i, &place) in places.iter().enumerate() {
+            let (layer, place) = (&mut layers[i * layer_len..][..layer_len], place as usize);
+            let [behind, lost] = rho.load::<S, LONG>(simd, place);
+            let before = lanes::<S, F>(simd, layer, 0);
+            let alpha = lanes::<S, F>(simd, layer, len::<S, F>());
+            let column = splat.column(pixels.x(simd, place % SIMD_BLOCK_ROW));
+            let at = splat.at(&column, pixels, place);
+            let mut along = plane(channels, place);
+            for channel in 0..channels {
+                let mut colour =
+                    if C == 0 { F::Block::<S>::splat(simd, colour[channel]) } else { colour_lanes[channel] };
+                if bends(channel) {
+                    colour *= at.depth_factor;
+                }
+                along = plane(channel, place).mul_add(colour, along);
+            }
+            let weight = alpha * before;
+            let mut ahead = along - behind;
+            // What is not finite may lie behind any Gaussian.
+            if !grad.finite {
+                ahead = alpha.simd_gt(zero).select(ahead, zero);
+            }
+            let change = if LONG { alpha.mul_add(ahead, (-alpha).mul_add(lost, lost)) } else { alpha * ahead };
+            let stepped = if LONG { behind + change } else { alpha.mul_add(ahead, behind) };
+            rho.store::<S, LONG>([stepped, change - (stepped - behind)], place);
+            let free = alpha.simd_lt(alpha_max);
+            let h = free.select(weight * ahead, zero);
+
+            let of_depth = if bends(channels - 1) { Some(weight * plane(channels - 1, place)) } else { None };
+            splat.add(&mut sums, &at.point, h, of_depth, grad.absolute);
+            if C == 0 {
+                store(weight, layer, 0);
+            } else {
+                for channel in 0..C {
+                    features[channel] = plane(channel, place).mul_add(weight, features[channel]);
+                }
+            }
+        }
+        sums.store(row, channels, P::EXTRA_COLUMNS);
         for channel in 0..channels {
-            let mut colour = if C == 0 { F::Block::<S>::splat(simd, colour[channel]) } else { colour_lanes[channel] };
-            if bends(channel) {
-                colour *= at.depth_factor;
-            }
-            along = plane(channel, place).mul_add(colour, along);
+            let sum = if C == 0 {
+                let mut sum = zero;
+                for (i, &place) in places.iter().enumerate() {
+                    sum = plane(channel, place as usize).mul_add(lanes::<S, F>(simd, &layers[i * layer_len..], 0), sum);
+                }
+                sum
+            } else {
+                features[channel]
+            };
+            row[MOMENTS + channel] = sum.reduce_sum();
         }
-        let weight = alpha * before;
-        let mut ahead = along - behind;
-        // What is not finite may lie behind any Gaussian.
-        if !grad.finite {
-            ahead = alpha.simd_gt(zero).select(ahead, zero);
-        }
-        let change = if LONG { alpha.mul_add(ahead, (-alpha).mul_add(lost, lost)) } else { alpha * ahead };
-        let stepped = if LONG { behind + change } else { alpha.mul_add(ahead, behind) };
-        rho.store::<S, LONG>([stepped, change - (stepped - behind)], place);
-        let free = alpha.simd_lt(alpha_max);
-        let h = free.select(weight * ahead, zero);
-
-        let of_depth = if bends(channels - 1) { Some(weight * plane(channels - 1, place)) } else { None };
-        splat.add(&mut sums, &at.point, h, of_depth, grad.absolute);
-        if C == 0 {
-            store(weight, layer, 0);
-        } else {
-            for channel in 0..C {
-                features[channel] = plane(channel, place).mul_add(weight, features[channel]);
-            }
-        }
-    }
-    for (out, sum) in row.iter_mut().zip(sums.moments) {
-        *out = sum.reduce_sum();
-    }
-    for channel in 0..channels {
-        let sum = if C == 0 {
-            let mut sum = zero;
-            for (i, &place) in places.iter().enumerate() {
-                sum = plane(channel, place as usize).mul_add(lanes::<S, F>(simd, &layers[i * layer_len..], 0), sum);
-            }
-            sum
-        } else {
-            features[channel]
-        };
-        row[MOMENTS + channel] = sum.reduce_sum();
-    }
-    for (out, sum) in row[MOMENTS + channels..].iter_mut().zip(sums.slopes).take(P::EXTRA_COLUMNS) {
-        *out = sum.reduce_sum();
-    }
-    if grad.absolute {
-        let last = MOMENTS + channels + P::EXTRA_COLUMNS;
-        row[last] = sums.absolute[0].reduce_sum();
-        row[last + 1] = sums.absolute[1].reduce_sum();
     }
 }

@@ -7,7 +7,6 @@ use cubecl::prelude::*;
 
 use super::blocks::BLOCKS;
 use super::layer::{BUCKETS, KernelShape, SEGMENT};
-use crate::counters::PairCounts;
 use crate::gpu::{Buffer, Gpu, split};
 use crate::intersect::TILE_PIXELS;
 use crate::intersect::launch::DeviceIntersections;
@@ -15,10 +14,6 @@ use crate::limits::Need;
 
 /// Number of words of a segment.
 pub(super) const WORDS: usize = BUCKETS * BLOCKS;
-
-/// Numbers that are counted for each unit: pairs of a pixel and a Gaussian evaluated forwards, those that the backward
-/// pass evaluates, and pairs that contribute.
-pub(super) const PAIR_COUNTS: usize = 3;
 
 /// The tiles of a launch.
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
@@ -38,8 +33,6 @@ pub(crate) struct DeviceTrace {
     pub(super) final_transmittance: Buffer<f32>,
     /// `[tiles]`: number of segments passed before every pixel was finished.
     pub(super) segment_count: Buffer<u32>,
-    /// `[tiles, 256, 3]`: numbers of pairs, if they are counted.
-    pub(super) pairs: Option<Buffer<u32>>,
 }
 
 /// Values of a run of tiles. Pixels are counted by unit, block by block.
@@ -84,18 +77,6 @@ impl TraceRun {
             tile_of_slot: Buffer::with_headroom(gpu, count),
             slots,
         }
-    }
-}
-
-impl DeviceTrace {
-    /// Returns the numbers of pairs, if they were counted. Waits for the device.
-    pub fn pair_counts(&self, gpu: &Gpu) -> Option<PairCounts> {
-        let mut sums = [0; PAIR_COUNTS];
-        for counts in self.pairs.as_ref()?.read(gpu).as_chunks::<PAIR_COUNTS>().0 {
-            sums.iter_mut().zip(counts).for_each(|(sum, count)| *sum += u64::from(*count));
-        }
-        let [evaluated_forwards, evaluated_backwards, contributing] = sums;
-        Some(PairCounts { evaluated_forwards, evaluated_backwards, contributing })
     }
 }
 

@@ -30,7 +30,8 @@ impl StageInputs {
     /// Gaussians far apart in depth, so that no step and no rounding exchanges two of them. Some are much thinner than wide.
     fn random(
         seed: u64,
-        (count, channels): (usize, usize),
+        count: usize,
+        channels: usize,
         (width, height): (usize, usize),
         (model, distortion): (CameraModel, [f64; 8]),
         options: RenderOptions,
@@ -116,7 +117,7 @@ fn planes_are_those_of_the_definition() {
     for (seed, lens) in lenses().into_iter().enumerate() {
         for options in [RenderOptions::standard(), RenderOptions::exact(), smooth(0.95)] {
             let options = options.with_projection(Projection::RayMax).with_depth(seed % 2 == 0);
-            let scene = StageInputs::random(seed as u64, (14, 3), (61, 37), lens, options);
+            let scene = StageInputs::random(seed as u64, 14, 3, (61, 37), lens, options);
             let rays = PictureRays::of(&scene.spec.intrinsics).expect("a lens");
             let [_, _, features, background] = &scene.inputs;
             let mut order: Vec<usize> = (0..14).collect();
@@ -139,7 +140,7 @@ fn planes_are_those_of_the_definition() {
 fn every_gradient_agrees_with_finite_differences() {
     for (seed, lens) in lenses().into_iter().enumerate() {
         let options = smooth(1.0).with_projection(Projection::RayMax).with_depth(true);
-        let scene = StageInputs::random(seed as u64, (7, 2), (24, 17), lens, options);
+        let scene = StageInputs::random(seed as u64, 7, 2, (24, 17), lens, options);
         let grad = scene.random_grad();
         let g = scene.backward(&grad, ALL);
         assert!(g.ray_space.chunks_exact(ROW).all(|row| row[RAY_SPACE..].iter().all(|value| *value == 0.0)));
@@ -163,7 +164,7 @@ fn every_gradient_agrees_with_finite_differences() {
 #[test]
 fn each_gradient_is_the_same_alone() {
     let options = smooth(0.9).with_projection(Projection::RayMax);
-    let scene = StageInputs::random(80, (12, 3), (20, 13), lenses()[1], options);
+    let scene = StageInputs::random(80, 12, 3, (20, 13), lenses()[1], options);
     let grad = scene.random_grad();
     let list = |g: Layers<Vec<f64>>| [g.projected, g.ray_space, g.features, g.background, g.mean2d_abs];
     let all = list(scene.backward(&grad, ALL));
@@ -191,7 +192,7 @@ mod kernels {
         for (seed, lens) in lenses().into_iter().enumerate() {
             let mut options = smooth(1.0).with_projection(Projection::RayMax).with_depth(true);
             options.alpha_max = f64::from(0.95f32);
-            let mut scene = StageInputs::random(seed as u64, (14, 3), (45, 37), lens, options);
+            let mut scene = StageInputs::random(seed as u64, 14, 3, (45, 37), lens, options);
             // No opacity is near the limit of alphas.
             scene.inputs[0].chunks_exact_mut(COLUMNS).for_each(|row| row[6] = row[6].min(0.875));
             let grad = rounded(&scene.random_grad());

@@ -30,7 +30,8 @@ impl StageInputs {
         count: usize,
         (width, height): (usize, usize),
         channels: usize,
-        (opacity, steep, thick): ([f64; 2], f64, f64),
+        opacity: [f64; 2],
+        [steep, thick]: [f64; 2],
         options: RenderOptions,
     ) -> Self {
         let mut random = Random::new(seed);
@@ -143,7 +144,7 @@ fn planes_are_those_of_the_definition() {
     for (seed, size) in [(37, 21), (16, 16), (1, 1), (1, 50), (90, 60)].into_iter().enumerate() {
         for options in [RenderOptions::standard(), RenderOptions::fast(), RenderOptions::exact(), smooth(0.95)] {
             let options = options.with_projection(Projection::RayMax).with_depth(seed % 2 == 0);
-            let scene = StageInputs::random(seed as u64, 200, size, 1 + seed, ([0.0, 1.0], 0.3, 0.3), options);
+            let scene = StageInputs::random(seed as u64, 200, size, 1 + seed, [0.0, 1.0], [0.3, 0.3], options);
             let what = format!("{size:?}, {}", options.alpha_min);
             assert_close(&what, &scene.planes(), &planes_by_definition(&scene), 1e-11);
         }
@@ -153,7 +154,7 @@ fn planes_are_those_of_the_definition() {
 #[test]
 fn without_a_depth_slope_it_is_rasterize() {
     let options = RenderOptions::standard().with_projection(Projection::RayMax).with_depth(true);
-    let mut scene = StageInputs::random(5, 300, (50, 40), 3, ([0.0, 1.0], 0.0, 0.0), options);
+    let mut scene = StageInputs::random(5, 300, (50, 40), 3, [0.0, 1.0], [0.0, 0.0], options);
     scene.inputs[1].chunks_exact_mut(RAY_SPACE).for_each(|row| row[..3].fill(0.0));
     let [projected, _, features, background] = &scene.inputs;
     let plain = Layers { projected: &projected[..], features, background, ..Layers::default() };
@@ -174,8 +175,7 @@ fn nearest(scene: &StageInputs, value: f64) -> f64 {
 fn every_gradient_agrees_with_finite_differences() {
     for (channels, depth) in [(1, false), (3, true), (5, true)] {
         let options = smooth(0.8).with_depth(depth).with_projection(Projection::RayMax);
-        let range = ([0.4, 1.0], 0.4, 0.12);
-        let scene = |seed| StageInputs::random(seed, 8, (14, 10), channels, range, options);
+        let scene = |seed| StageInputs::random(seed, 8, (14, 10), channels, [0.4, 1.0], [0.4, 0.12], options);
         // The derivative does not exist where an alpha meets its limit, so the scene is one in which no finite-difference step
         // gets there.
         let clear = |scene: &StageInputs| nearest(scene, 0.8) > 1e-3;
@@ -195,7 +195,7 @@ fn every_gradient_agrees_with_finite_differences() {
 fn gradients_hold_where_pixels_finish_and_small_alphas_are_cut() {
     let options = RenderOptions { transmittance_min: 1e-2, alpha_min: 1e-2, ..RenderOptions::standard() };
     let options = options.with_depth(true).with_projection(Projection::RayMax);
-    let scene = StageInputs::random(61, 160, (9, 7), 3, ([0.2, 0.9], 0.2, 0.1), options);
+    let scene = StageInputs::random(61, 160, (9, 7), 3, [0.2, 0.9], [0.2, 0.1], options);
     let finished = scene.planes()[3 * scene.pixels()..4 * scene.pixels()].iter().filter(|a| **a > 0.9).count();
     assert!(finished > scene.pixels() / 2, "{finished} pixels nearly finished");
     scene.check("with thresholds", 1);
@@ -204,7 +204,7 @@ fn gradients_hold_where_pixels_finish_and_small_alphas_are_cut() {
 #[test]
 fn absolute_gradients_are_the_sum_over_pixels_of_absolute_values() {
     let options = RenderOptions::standard().with_depth(true).with_projection(Projection::RayMax);
-    let scene = StageInputs::random(70, 60, (20, 13), 3, ([0.05, 0.6], 0.3, 0.2), options);
+    let scene = StageInputs::random(70, 60, (20, 13), 3, [0.05, 0.6], [0.3, 0.2], options);
     let grad = scene.random_grad(71);
     let found = scene.backward(&grad, ALL).mean2d_abs;
     let mut expected = vec![0.0; found.len()];
@@ -224,7 +224,7 @@ fn absolute_gradients_are_the_sum_over_pixels_of_absolute_values() {
 #[test]
 fn each_gradient_is_the_same_alone() {
     let options = RenderOptions::standard().with_projection(Projection::RayMax);
-    let scene = StageInputs::random(80, 120, (20, 13), 3, ([0.05, 0.9], 0.3, 0.2), options.with_depth(true));
+    let scene = StageInputs::random(80, 120, (20, 13), 3, [0.05, 0.9], [0.3, 0.2], options.with_depth(true));
     let grad = scene.random_grad(81);
     let list = |g: Layers<Vec<f64>>| [g.projected, g.ray_space, g.features, g.background, g.mean2d_abs];
     let all = list(scene.backward(&grad, ALL));
@@ -243,7 +243,7 @@ fn each_gradient_is_the_same_alone() {
 fn the_trace_leaves_out_only_what_contributes_nothing() {
     let options = RenderOptions { transmittance_min: 1e-2, ..RenderOptions::standard() }.with_depth(true);
     let options = options.with_projection(Projection::RayMax);
-    let scene = StageInputs::random(85, 900, (40, 37), 3, ([0.2, 1.0], 0.3, 0.2), options);
+    let scene = StageInputs::random(85, 900, (40, 37), 3, [0.2, 1.0], [0.3, 0.2], options);
     let (grad, lists) = (scene.random_grad(86), scene.lists());
     let kept = || rasterize_cpu(inputs(&scene.inputs), &scene.spec, &lists, true).1.expect("asked for");
     let (mut kept, mut whole) = (kept(), kept());
@@ -262,7 +262,7 @@ fn the_trace_leaves_out_only_what_contributes_nothing() {
 #[test]
 fn the_number_of_threads_changes_no_bit() {
     let options = RenderOptions::standard().with_projection(Projection::RayMax);
-    let scene = StageInputs::random(95, 1500, (90, 70), 3, ([0.0, 1.0], 0.2, 0.1), options.with_depth(true));
+    let scene = StageInputs::random(95, 1500, (90, 70), 3, [0.0, 1.0], [0.2, 0.1], options.with_depth(true));
     let grad = scene.random_grad(96);
     let with = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a small pool");

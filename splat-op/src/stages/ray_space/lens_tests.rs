@@ -97,7 +97,7 @@ fn the_columns_are_slopes_and_the_jacobian_of_the_lens() {
 
 /// Compares the tiles that bounds list with all pixels, evaluated in `F` as `rasterize_rays` does. Returns the numbers of tiles that
 /// are needed, and that are listed.
-fn check_tiles<F: Real>(lens: (CameraModel, [f64; 8]), focal: f64, (slope, alpha_min): (f64, f64)) -> [usize; 2] {
+fn check_tiles<F: Real>(lens: (CameraModel, [f64; 8]), focal: f64, slope: f64, alpha_min: f64) -> [usize; 2] {
     let project = spec(lens, focal);
     let tensors = scene(9, 400, slope);
     let spec =
@@ -140,8 +140,8 @@ fn check_tiles<F: Real>(lens: (CameraModel, [f64; 8]), focal: f64, (slope, alpha
 fn bounds_hold_what_shows_and_little_more() {
     for lens in lenses() {
         for alpha_min in [1.0 / 255.0, 1e-6] {
-            let [needed, listed] = check_tiles::<f64>(lens, 130.0, (0.9, alpha_min));
-            check_tiles::<f32>(lens, 130.0, (0.9, alpha_min));
+            let [needed, listed] = check_tiles::<f64>(lens, 130.0, 0.9, alpha_min);
+            check_tiles::<f32>(lens, 130.0, 0.9, alpha_min);
             println!("{lens:?}: {needed} needed, {listed} listed");
             // Large ones beside the picture, where the bound of the second derivative ends, are listed everywhere.
             assert!(needed > 800 && 5 * needed > listed, "{lens:?}: {needed} needed, {listed} listed");
@@ -149,8 +149,8 @@ fn bounds_hold_what_shows_and_little_more() {
     }
     // Up to 88° from the axis: 55 px per radian.
     for lens in [(CameraModel::Fisheye, [0.0; 8]), lenses()[4]] {
-        let [needed, listed] = check_tiles::<f64>(lens, 55.0, (4.0, 1.0 / 255.0));
-        check_tiles::<f32>(lens, 55.0, (4.0, 1.0 / 255.0));
+        let [needed, listed] = check_tiles::<f64>(lens, 55.0, 4.0, 1.0 / 255.0);
+        check_tiles::<f32>(lens, 55.0, 4.0, 1.0 / 255.0);
         println!("{lens:?}, wide: {needed} needed, {listed} listed");
         assert!(needed > 400 && 12 * needed > listed, "{lens:?}: {needed} needed, {listed} listed");
     }

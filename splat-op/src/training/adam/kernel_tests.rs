@@ -189,7 +189,7 @@ fn a_verdict_names_the_first_step_and_all_that_was_wrong_in_it() {
                     3 => Some(Buffer::new(&gpu, 0)),
                     _ => Some(one.clone()),
                 });
-                launch_watch(&gpu, loss, &gradients, &verdict, (*at_step, 0));
+                launch_watch(&gpu, loss, &gradients, &verdict, *at_step, 0);
                 assert_eq!(verdict.read(&gpu), expected, "{count}, {form}, step {at_step}, place {place}");
             }
         }

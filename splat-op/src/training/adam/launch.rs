@@ -75,7 +75,8 @@ pub(crate) fn launch_watch(
     loss: &Buffer<f32>,
     gradients: &[Option<Buffer<f32>>; WATCHED],
     verdict: &Buffer<u32>,
-    (at_step, first): (u32, u32),
+    at_step: u32,
+    first: u32,
 ) {
     let [a, b, c, d, e] = gradients.each_ref().map(Option::as_ref);
     let all = [Some(loss), a, b, c, d, e].map(|found| found.filter(|found| found.len > 0));

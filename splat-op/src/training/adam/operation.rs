@@ -96,7 +96,7 @@ impl Operation for Watch {
     fn launch(&self, mut args: GpuArgs) -> Vec<GpuOutput> {
         let (gpu, loss, verdict) = (args.gpu(), args.buffer(0), owned(args.take(1)));
         let gradients = std::array::from_fn(|i| args.optional(2 + i));
-        launch_watch(&gpu, &loss, &gradients, &unsigned(&verdict, VERDICT), (self.at_step, self.first));
+        launch_watch(&gpu, &loss, &gradients, &unsigned(&verdict, VERDICT), self.at_step, self.first);
         vec![Some(verdict.handle)]
     }
 }

@@ -1,6 +1,8 @@
 //! Tests that the judge can fail a result: each rule, broken alone, fails a result that otherwise equals the reference.
 
 use super::*;
+use crate::case::MeasuredDeviation;
+use crate::compare::largest;
 use crate::scene::Splat;
 
 fn reference() -> CaseReference {

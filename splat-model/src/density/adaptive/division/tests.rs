@@ -8,7 +8,8 @@ use crate::gaussians::{GaussianRows, sigmoid, values_of};
 /// The rows `of` of some rows, with what a function makes of them, on a device.
 fn divided(
     rows: &GaussianRows,
-    (of, copies): (&[u32], usize),
+    of: &[u32],
+    copies: usize,
     device: &Device,
     divide: impl Fn(&Gaussians, &Tensor<1, Int>) -> Divided,
 ) -> GaussianRows {
@@ -22,12 +23,12 @@ fn divided(
     new
 }
 
-/// Row `i` with another centre, size and opacity.
-fn placed(rows: &GaussianRows, i: usize, like: (&GaussianRows, usize)) -> GaussianRows {
+/// Row `i` with the centre, size and opacity of row `k` of others.
+fn placed(rows: &GaussianRows, i: usize, other: &GaussianRows, k: usize) -> GaussianRows {
     let mut one = rows.part(i..i + 1);
-    one.means[0] = like.0.means[like.1];
-    one.log_scales[0] = like.0.log_scales[like.1];
-    one.logit_opacities[0] = like.0.logit_opacities[like.1];
+    one.means[0] = other.means[k];
+    one.log_scales[0] = other.log_scales[k];
+    one.logit_opacities[0] = other.logit_opacities[k];
     one
 }
 
@@ -43,7 +44,7 @@ fn parts_are_drawn_from_the_gaussian() {
         (0..count).map(|i| [1.0, 3.0, 1e-25, 1e25][i % 4]).map(|length| [length, 0.0, 0.0, length]).collect();
     for device in devices() {
         let of: Vec<u32> = (0..2 * count as u32).map(|i| i / 2).collect();
-        check_parts(&rows, scales, &divided(&rows, (&of, 1), &device, |scene, rows| parts(scene, rows, 5)));
+        check_parts(&rows, scales, &divided(&rows, &of, 1, &device, |scene, rows| parts(scene, rows, 5)));
     }
 }
 
@@ -61,7 +62,7 @@ fn check_parts(rows: &GaussianRows, scales: [f32; 3], parts: &GaussianRows) {
         assert!(logs.iter().zip(scales).all(|(log, scale)| (log.exp() * 1.6 / scale - 1.0).abs() < 1e-5), "{logs:?}");
     }
     assert_eq!(parts.logit_opacities[..2], [rows.logit_opacities[0]; 2]);
-    assert_eq!(parts.part(7..8), placed(rows, 3, (parts, 7)));
+    assert_eq!(parts.part(7..8), placed(rows, 3, parts, 7));
 }
 
 /// Halves lie along the axis that is longest, whatever the rotation.
@@ -73,7 +74,7 @@ fn halves_lie_along_the_longest_axis() {
     let scales = [[0.04_f32, 0.01, 0.02], [0.01, 0.02, 0.03]];
     rows.log_scales = scales.map(|scale| scale.map(f32::ln)).to_vec();
     rows.logit_opacities = vec![0.0; 2];
-    devices().iter().for_each(|device| check_halves(&rows, scales, &divided(&rows, (&[0, 1], 2), device, halves)));
+    devices().iter().for_each(|device| check_halves(&rows, scales, &divided(&rows, &[0, 1], 2, device, halves)));
 }
 
 fn check_halves(rows: &GaussianRows, scales: [[f32; 3]; 2], halves: &GaussianRows) {
@@ -88,7 +89,7 @@ fn check_halves(rows: &GaussianRows, scales: [[f32; 3]; 2], halves: &GaussianRow
             assert!((ratio - shrunk).abs() < 1e-6, "half {half}, axis {k}: {ratio}");
         }
         assert!((sigmoid(halves.logit_opacities[half]) - 0.4).abs() < 1e-6);
-        assert_eq!(halves.part(half..half + 1), placed(rows, whole, (halves, half)));
+        assert_eq!(halves.part(half..half + 1), placed(rows, whole, halves, half));
     }
 }
 
@@ -110,7 +111,7 @@ fn two_halves_show_nearly_what_the_whole_showed() {
         rows.rotations = vec![[1.0, 0.0, 0.0, 0.0]];
         rows.log_scales = vec![[0.5_f32.ln(), -9.0, -9.0]];
         rows.logit_opacities = vec![(opacity / (1.0 - opacity)).ln()];
-        let halves = divided(&rows, (&[0], 2), &Device::flex(), halves);
+        let halves = divided(&rows, &[0], 2, &Device::flex(), halves);
         let alpha = |rows: &GaussianRows, i: usize, x: f64| {
             let (mean, sigma) = (f64::from(rows.means[i][0]), f64::from(rows.log_scales[i][0]).exp());
             sigmoid(rows.logit_opacities[i]) * (-0.5 * ((x - mean) / sigma).powi(2)).exp()
