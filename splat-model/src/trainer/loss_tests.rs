@@ -26,13 +26,14 @@ struct Toned {
     layer: Network<Linear>,
     from: usize,
     joins: bool,
+    rate: f64,
 }
 
 impl Toned {
     fn new(from: usize, joins: bool) -> Self {
         let mut layer = LinearConfig::new(3, 3).with_bias(false).init(&Device::flex());
         layer.weight = layer.weight.map(|weight| Tensor::eye(weight.dims()[0], &weight.device()));
-        Self { layer: Network::new(layer), from, joins }
+        Self { layer: Network::new(layer), from, joins, rate: 0.01 }
     }
 }
 
@@ -66,7 +67,7 @@ impl Loss for Toned {
     }
 
     fn step(&mut self, gradients: &mut Remaining, at: EffectContext) {
-        self.layer.step(gradients, 0.01, at.verdict);
+        self.layer.step(gradients, self.rate, at.verdict);
     }
 
     fn save(&self, to: &mut State) -> Result<(), StateError> {
@@ -147,11 +148,11 @@ fn ranks_share_a_losss_parameters() {
     }
 }
 
-/// Views that a loss joins without comparing them are trained as one by one, but for rounding and the order of the layer's steps.
+/// Views that a loss joins without comparing them are trained as one by one, but for rounding.
 #[test]
 fn joined_views_are_those_of_the_batch() {
     let losses = |joins| {
-        let mut trainer = trainer(config(12, 3)).with_loss(Toned::new(2, joins));
+        let mut trainer = trainer(config(12, 3)).with_loss(Toned { rate: 0.0, ..Toned::new(2, joins) });
         let losses: Vec<f32> = (0..6).map(|_| trainer.step().unwrap().loss.into_scalar::<f32>()).collect();
         (losses, trainer.gaussians().len(), trainer.gaussians().to_rows().means[3])
     };
@@ -160,7 +161,7 @@ fn joined_views_are_those_of_the_batch() {
     assert_eq!(apart.1, together.1, "density control sees the same signals");
     assert!(apart.1 > 30, "{apart:?}");
     for (a, b) in apart.0.iter().zip(&together.0) {
-        assert!((a - b).abs() < 0.05 * a, "{apart:?} {together:?}");
+        assert!((a - b).abs() < 1e-3 * a, "{apart:?} {together:?}");
     }
 }
 

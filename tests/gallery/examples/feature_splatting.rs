@@ -47,19 +47,20 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         }
     }
 
-    // A click on the middle of the first photograph.
+    // A click on the spotted sphere of the demo's first photograph.
     let scene = trainer.gaussians().untracked();
     let features = scene.group("features").ok_or("the scene has the group")?.values();
     let show = |splats: &Splats| shown(splats, &shots[0].camera);
     let splats = scene.splats();
     let map = show(&Splats { colour: Colour::Features(features.clone()), ..splats.clone() })?.colour;
     let [height, width, _] = map.dims();
-    let clicked = map.clone().narrow(0, height / 2, 1).narrow(1, width / 2, 1).reshape([1, FEATURES]);
+    let [x, y] = [3 * width / 4, 5 * height / 9];
+    let clicked = map.clone().narrow(0, y, 1).narrow(1, x, 1).reshape([1, FEATURES]);
     let length = |rows: Tensor<2>| rows.square().sum_dim(1).sqrt().clamp_min(1e-6);
     let likeness = (features.clone() * clicked.clone()).sum_dim(1) / (length(features) * length(clicked));
-    let alike = likeness.greater_elem(0.9).squeeze_dim::<1>(1);
+    let alike = likeness.greater_elem(0.95).squeeze_dim::<1>(1);
     let chosen = alike.clone().int().sum().into_scalar::<i64>();
-    println!("{chosen} of {} Gaussians are like pixel {}, {}", scene.len(), width / 2, height / 2);
+    println!("{chosen} of {} Gaussians are like pixel {x}, {y}", scene.len());
 
     let opacities = splats.opacities.clone().mask_fill(alike.bool_not(), 0.0);
     let selected = show(&Splats { opacities, ..splats })?.colour;
