@@ -14,6 +14,7 @@ mod start;
 mod state;
 mod views;
 
+use std::any::Any;
 use std::mem;
 use std::rc::Rc;
 
@@ -144,9 +145,14 @@ impl Trainer {
         })
     }
 
-    /// Replaces the loss, L1 + D-SSIM, by a custom one.
-    pub fn with_loss(self, loss: impl Loss + 'static) -> Self {
+    /// Replaces the loss, L1 + D-SSIM, by a custom one. Must be called before the first step.
+    pub fn with_loss(self, loss: impl Loss) -> Self {
         Self { loss: Box::new(loss), ..self }
+    }
+
+    /// The loss, if it is of type `T`, with its learned parameters.
+    pub fn loss<T: Loss>(&self) -> Option<&T> {
+        (&*self.loss as &dyn Any).downcast_ref()
     }
 
     /// Replaces density control by a custom strategy, which starts from the initial Gaussians of [`TrainConfig::density`].
@@ -297,15 +303,17 @@ impl Trainer {
         self.views.reduce(self.config.resolution.divisor_at(step, steps));
         self.scene.grow_sh(sh_degree_at(step - 1, self.config.sh_every, self.config.sh_degree));
 
-        let Batch { loss, gradients, views, held } = self.differentiate_batch()?;
-        let first = views[0].0;
+        let Batch { loss, gradients, passes, held } = self.differentiate_batch()?;
+        let first = passes[0].0[0];
         let done = step as f64 / steps as f64;
         let rates = self.config.step_rates().after(done);
         let rates = StepRates { rates, means: rates.means * self.extent, done, views: self.config.batch };
         let adam = Adam::default().for_batch(self.config.batch);
         self.scene.step(gradients, &adam, &rates, step, held.as_ref());
-        for (view, mut of_effects) in views {
-            self.effects.step(&mut of_effects, EffectContext { view, step, steps, verdict: held.as_ref() });
+        for (views, mut left) in passes {
+            let at = |view| EffectContext { view, step, steps, verdict: held.as_ref() };
+            self.loss.step(&mut left, at(views[0]));
+            views.into_iter().for_each(|view| self.effects.step(&mut left, at(view)));
         }
         // Refinement reads the scene and acts on it, so the verdict on earlier steps must be known.
         let refines = self.density.acts_at(step);
@@ -360,6 +368,8 @@ mod custom_effect_tests;
 mod effects_tests;
 #[cfg(test)]
 mod groups_tests;
+#[cfg(test)]
+mod loss_tests;
 #[cfg(test)]
 mod robust_tests;
 #[cfg(test)]

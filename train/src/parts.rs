@@ -1,16 +1,17 @@
-//! Losses, strategies and effects by name: the program's own, and those of a program that calls [`main_with`](crate::registry::main_with).
+//! Losses, strategies, effects and formats of captures by name: the program's own, and those of a program that calls [`main_with`](crate::registry::main_with).
 
 use std::collections::BTreeMap;
 use std::fmt;
 use std::str::FromStr;
-use std::sync::OnceLock;
+use std::sync::{Arc, OnceLock};
 
 use anyhow::{Result, anyhow};
 use clap::ValueEnum;
+use splat_model::capture::{self, CaptureFormat};
 use splat_model::density::{AdaptiveConfig, DensityConfig, GRADUAL_OPACITY_WEIGHT, McmcConfig, Strategy};
 use splat_model::effects::{Effect, EffectKind};
 use splat_model::loss::{l1, photometric};
-use splat_model::trainer::{Loss, LossInputs, Trainer};
+use splat_model::trainer::{Loss, LossInputs, TrainError, Trainer};
 
 /// Name of the loss of a run that asks for none.
 pub const USUAL_LOSS: &str = "l1-ssim";
@@ -43,7 +44,10 @@ type Supply = Box<dyn Fn(Trainer) -> Result<Trainer> + Send + Sync>;
 ///     main_with(Registry::new().loss("squares", squares))
 /// }
 /// ```
-pub struct Registry(BTreeMap<(Part, String), Supply>);
+pub struct Registry {
+    parts: BTreeMap<(Part, String), Supply>,
+    formats: Vec<Arc<dyn CaptureFormat>>,
+}
 
 impl Default for Registry {
     fn default() -> Self {
@@ -58,7 +62,7 @@ impl Registry {
             let lambda = trainer.config().lambda;
             Ok(trainer.with_loss(move |seen: &LossInputs| photometric(seen.image.clone(), seen.truth, lambda)))
         };
-        let none = Self(BTreeMap::new());
+        let none = Self { parts: BTreeMap::new(), formats: Vec::new() };
         none.with(Part::Loss, USUAL_LOSS, usual)
             .loss("l1", || |seen: &LossInputs| l1(seen.image.clone(), seen.truth.image()))
             .loss("l2", || |seen: &LossInputs| (seen.image.clone() - seen.truth.image()).square().mean())
@@ -77,7 +81,7 @@ impl Registry {
             Part::Strategy => StrategyName::value_variants().iter().any(|own| own.to_string() == name),
             Part::Effect => name.parse::<EffectKind>().is_ok(),
         };
-        let before = self.0.insert((part, name.to_owned()), Box::new(change));
+        let before = self.parts.insert((part, name.to_owned()), Box::new(change));
         assert!(!is_own && before.is_none(), "there are two parts named `{name}`");
         self
     }
@@ -85,6 +89,15 @@ impl Registry {
     /// Adds a loss, which a run makes at its start.
     pub fn loss<L: Loss + 'static>(self, name: &str, make: impl Fn() -> L + Send + Sync + 'static) -> Self {
         self.with(Part::Loss, name, move |trainer| Ok(trainer.with_loss(make())))
+    }
+
+    /// Adds a loss that needs more of a run than itself, such as a group of parameters: `set` gives a trainer both.
+    pub fn loss_with(
+        self,
+        name: &str,
+        set: impl Fn(Trainer) -> Result<Trainer, TrainError> + Send + Sync + 'static,
+    ) -> Self {
+        self.with(Part::Loss, name, move |trainer| Ok(set(trainer)?))
     }
 
     /// Adds a density strategy, for a run of a number of steps on a scene of an extent (see
@@ -108,9 +121,15 @@ impl Registry {
         })
     }
 
+    /// Adds a format of captures, which is tried before those of the program.
+    pub fn capture_format(mut self, format: impl CaptureFormat + 'static) -> Self {
+        self.formats.push(Arc::new(format));
+        self
+    }
+
     /// The names of a part, in alphabetical order.
     fn names(&self, part: Part) -> Vec<&str> {
-        self.0.keys().filter(|(of, _)| *of == part).map(|(_, name)| &**name).collect()
+        self.parts.keys().filter(|(of, _)| *of == part).map(|(_, name)| &**name).collect()
     }
 }
 
@@ -118,7 +137,10 @@ static REGISTRY: OnceLock<Registry> = OnceLock::new();
 
 /// Makes a registry that of the program. The first one stays.
 pub(crate) fn install(registry: Registry) {
-    let _ = REGISTRY.set(registry);
+    let formats = registry.formats.clone();
+    if REGISTRY.set(registry).is_ok() {
+        formats.into_iter().for_each(capture::register);
+    }
 }
 
 fn registry() -> &'static Registry {
@@ -135,7 +157,7 @@ pub(crate) fn names(part: Part) -> Vec<&'static str> {
 /// # Errors
 /// If there is none, as for a checkpoint of another program.
 pub(crate) fn supply(trainer: Trainer, part: Part, name: &str) -> Result<Trainer> {
-    let change = registry().0.get(&(part, name.to_owned()));
+    let change = registry().parts.get(&(part, name.to_owned()));
     let change = change.ok_or_else(|| {
         let option = format!("{part:?}").to_lowercase();
         anyhow!("this program has no {option} `{name}`: continue with the program that began the run")

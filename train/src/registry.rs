@@ -1,4 +1,4 @@
-//! The program as a function, for programs with losses, strategies and effects of their own.
+//! The program as a function, for programs with losses, strategies, effects and formats of captures of their own.
 
 use std::ffi::OsString;
 use std::process::ExitCode;

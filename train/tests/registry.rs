@@ -8,6 +8,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 
+use splat_model::capture::{Capture, View};
+use splat_model::formats;
 use splat_train::registry::main_of;
 
 fn fresh(name: &str) -> PathBuf {
@@ -49,4 +51,35 @@ fn registered_parts_are_chosen_by_their_names() {
     let refused = Command::new(env!("CARGO_BIN_EXE_splat")).args(["train", "--config", config]).output().unwrap();
     let said = String::from_utf8(refused.stderr).unwrap();
     assert!(!refused.status.success() && said.contains("there is no effect \"dim\""), "{said}");
+}
+
+/// A capture in a format of one's own trains, with a loss that brings a group of its own.
+#[test]
+fn a_registered_format_and_a_loss_with_a_group() {
+    let folders = ["written", "trained"].map(fresh);
+    let [capture, out] = folders.each_ref().map(|folder| folder.to_str().unwrap());
+    succeed(&["demo", "--out", capture, "--views", "8", "--width", "64", "--height", "48"]);
+    let demo = Capture::load(&folders[0]).unwrap();
+    let line = |view: &View| {
+        let (lens, pose) = (&view.intrinsics, &view.cam_from_world);
+        let (_, turn, at) = pose.to_scale_rotation_translation();
+        let numbers = [lens.width as f64, lens.height as f64, lens.fx].into_iter().chain(turn.to_array());
+        let numbers: Vec<String> = numbers.chain(at.to_array()).map(|number| number.to_string()).collect();
+        format!("{},{}\n", view.name, numbers.join(","))
+    };
+    fs::write(folders[0].join("cameras.csv"), demo.views.iter().map(line).collect::<String>()).unwrap();
+    fs::remove_dir_all(folders[0].join("sparse")).unwrap();
+    let table = Capture::load(&folders[0]).unwrap();
+    assert_eq!((demo.format, table.format, table.views.len()), ("COLMAP", "table", 8));
+    for (found, expected) in table.views.iter().zip(&demo.views) {
+        assert_eq!(found.image_path, expected.image_path);
+        assert!(found.cam_from_world.abs_diff_eq(expected.cam_from_world, 1e-9), "{}", found.name);
+    }
+    let options =
+        ["--effects", "none", "--steps", "8", "--checkpoint-every", "4", "--max-side", "48", "--device", "cpu"];
+    succeed(&[&["train", capture, "--out", out, "--loss", "brightness"][..], &options].concat());
+    let (scene, _) = formats::read(&folders[1].join("scene.ply")).unwrap();
+    let group = &scene.rows.groups[0];
+    assert_eq!((&*group.name, group.width, group.values.len()), ("brightness", 1, scene.rows.len()));
+    assert!(group.values.iter().any(|value| *value > 0.01), "it learnt nothing");
 }

@@ -21,10 +21,10 @@ use splat_op::Intrinsics;
 
 use self::files::{ModelFiles, find, of_model};
 pub(super) use self::files::{SPARSE, is_complete, models_in};
-pub(super) use self::pictures::Pictures;
+pub use self::pictures::Pictures;
 use super::names::{Names, PICTURES, parent};
 use super::read::{Place, PlaceInFile, quoted, read};
-use super::{Capture, CaptureError, Observation, Tracks, View};
+use super::{Capture, CaptureError, CaptureFormat, Observation, Tracks, View};
 use crate::encoding::utf8;
 use crate::ply;
 
@@ -64,6 +64,45 @@ struct TrackElement {
     image_id: u32,
     /// Counted from zero within the image.
     keypoint: u32,
+}
+
+/// The format.
+pub(super) struct Colmap;
+
+impl CaptureFormat for Colmap {
+    fn name(&self) -> &'static str {
+        "COLMAP"
+    }
+
+    /// The models in `sparse/`, if one is complete.
+    fn usual(&self, folder: &Path) -> Vec<PathBuf> {
+        let models = models_in(&folder.join(SPARSE));
+        if models.iter().any(|model| is_complete(model)) { models } else { Vec::new() }
+    }
+
+    /// Models in numbered subfolders, or else in the folder itself. They may be incomplete.
+    fn here(&self, folder: &Path) -> Vec<Vec<PathBuf>> {
+        let models: Vec<PathBuf> = models_in(folder).into_iter().filter(|model| is_model(model)).collect();
+        let models = if models.is_empty() && is_model(folder) { vec![folder.to_owned()] } else { models };
+        if models.is_empty() { Vec::new() } else { vec![models] }
+    }
+
+    fn of_file(&self, file: &Path) -> Vec<PathBuf> {
+        let [stem, extension] = [file.file_stem(), file.extension()]
+            .map(|part| part.map(|part| part.to_string_lossy().to_ascii_lowercase()).unwrap_or_default());
+        let is_part = ["cameras", "images", "points3d", "rigs", "frames"].contains(&&*stem);
+        let folder = Some(parent(file)).filter(|_| is_part && ["bin", "txt"].contains(&&*extension));
+        folder.into_iter().filter(|folder| is_model(folder)).collect()
+    }
+
+    fn load(&self, models: &[PathBuf], pictures: &Pictures) -> Result<Capture, CaptureError> {
+        load(models, pictures)
+    }
+}
+
+/// Whether a folder has files of a model, complete or not. A file `images.txt` alone may be any list.
+fn is_model(folder: &Path) -> bool {
+    ["cameras.bin", "cameras.txt", "images.bin"].iter().any(|name| folder.join(name).is_file())
 }
 
 /// Loads one of some models, and finds its pictures.

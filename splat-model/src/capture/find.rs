@@ -1,12 +1,11 @@
 //! Finds the cameras of a folder: at the usual places, or else anywhere in it or directly above it.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
-use super::names::{SAMPLE, children, entries, parent};
-use super::read::{read, regular_size};
-use super::transforms::{MAX_BYTES, SINGLE, TRAIN};
-use super::{Capture, CaptureError, colmap, transforms};
-use crate::encoding::utf8;
+use super::format::{CaptureFormat, formats};
+use super::names::{SAMPLE, children, parent};
+use super::{Capture, CaptureError, colmap};
 
 /// Folders below the given one that are searched: `CAPTURE/nerfstudio/colmap/sparse/0`.
 const DEEPEST: usize = 4;
@@ -17,29 +16,22 @@ pub(super) const OURS: [&str; 3] = ["reconstruction.json", "demo.json", "metrics
 /// Folders beside a folder of photographs that hold its cameras, in the layouts of nerfstudio, of the original code's `convert.py` and of COLMAP.
 const BESIDE: [&str; 6] = ["colmap", "distorted", "dense", "undistorted", "sparse_txt", "text"];
 
-/// Where cameras are.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) enum Cameras {
-    /// Folders of COLMAP models, such as `sparse/0` and `sparse/1`; several in order of their numbers.
-    Colmap(Vec<PathBuf>),
-    /// A JSON file with frames.
-    Json(PathBuf),
+/// Cameras of a format: files or folders, of which several are models of one capture.
+pub(super) struct Cameras {
+    format: Arc<dyn CaptureFormat>,
+    paths: Vec<PathBuf>,
 }
 
 impl Cameras {
-    fn path(&self) -> &Path {
-        match self {
-            Self::Colmap(models) => &models[0],
-            Self::Json(file) => file,
-        }
-    }
-
     fn load(&self, pictures: &colmap::Pictures) -> Result<Capture, CaptureError> {
-        match self {
-            Self::Colmap(models) => colmap::load(models, pictures),
-            Self::Json(file) => transforms::load(file),
-        }
+        Ok(Capture { format: self.format.name(), ..self.format.load(&self.paths, pictures)? })
     }
+}
+
+/// The cameras that the first format finds.
+fn first(find: impl Fn(&dyn CaptureFormat) -> Vec<PathBuf>) -> Option<Cameras> {
+    let found = |format: Arc<dyn CaptureFormat>| Cameras { paths: find(&*format), format };
+    formats().into_iter().map(found).find(|cameras| !cameras.paths.is_empty())
 }
 
 /// Whether cameras are in a folder or directly above it, or are a file.
@@ -77,15 +69,15 @@ pub(super) fn load(source: &Path) -> Result<Capture, CaptureError> {
         }
     }
     let list = |cameras: &mut dyn Iterator<Item = &Cameras>| {
-        cameras.map(|cameras| cameras.path().display().to_string()).collect::<Vec<_>>().join(" and ")
+        cameras.map(|cameras| cameras.paths[0].display().to_string()).collect::<Vec<_>>().join(" and ")
     };
     let detail = match (fitting.len(), is_above) {
         (1, _) => {
             let (chosen, capture) = fitting.remove(0);
-            let (path, picture) = (chosen.path().display(), capture.views[0].image_path.display());
+            let (path, picture) = (chosen.paths[0].display(), capture.views[0].image_path.display());
             let mut remark = format!("cameras are read from {path}, the first photograph is {picture}");
             if found.len() > 1 {
-                let others = list(&mut found.iter().filter(|cameras| *cameras != chosen));
+                let others = list(&mut found.iter().filter(|cameras| !std::ptr::eq(*cameras, chosen)));
                 remark.push_str(&format!("; the photographs of {others} are not there"));
             }
             return Ok(Capture { remarks: [vec![remark], capture.remarks].concat(), ..capture });
@@ -114,43 +106,23 @@ fn has_pictures(capture: &Capture, folder: Option<&Path>) -> bool {
 
 /// The cameras that a file is or belongs to.
 fn of_file(file: &Path) -> Option<Cameras> {
-    if !file.is_file() {
-        return None;
-    }
-    let name = file.file_name()?.to_str()?.to_ascii_lowercase();
-    let (stem, extension) = name.rsplit_once('.')?;
-    match extension {
-        "json" => has_frames(file).then(|| Cameras::Json(file.to_owned())),
-        "bin" | "txt" if ["cameras", "images", "points3d", "rigs", "frames"].contains(&stem) => {
-            Some(parent(file)).filter(|folder| is_model(folder)).map(|folder| Cameras::Colmap(vec![folder]))
-        }
-        _ => None,
-    }
+    if file.is_file() { first(|format| format.of_file(file)) } else { None }
 }
 
-/// The cameras at the usual places of a folder: the complete models in `sparse/`, or else the files of NeRF-synthetic, instant-ngp and
-/// nerfstudio.
+/// The cameras at the usual places of a folder.
 fn usual(folder: &Path) -> Option<Cameras> {
-    let models = colmap::models_in(&folder.join(colmap::SPARSE));
-    if models.iter().any(|model| colmap::is_complete(model)) {
-        return Some(Cameras::Colmap(models));
-    }
-    let json = [TRAIN, SINGLE].map(|name| folder.join(name));
-    json.into_iter().find(|file| file.is_file()).map(Cameras::Json)
+    first(|format| format.usual(folder))
 }
 
-/// The cameras at the usual places of a folder, or else those whose files lie in the folder itself or in numbered subfolders.
+/// The cameras at the usual places of a folder, or else those directly in it.
 fn here(folder: &Path) -> Vec<Cameras> {
     if let Some(cameras) = usual(folder) {
         return vec![cameras];
     }
-    let models: Vec<PathBuf> = colmap::models_in(folder).into_iter().filter(|model| is_model(model)).collect();
-    let models = if models.is_empty() && is_model(folder) { vec![folder.to_owned()] } else { models };
-    let is_json = |path: &PathBuf| path.extension().is_some_and(|kind| kind.eq_ignore_ascii_case("json"));
-    let mut json: Vec<PathBuf> = entries(folder).filter(|path| is_json(path) && has_frames(path)).collect();
-    json.sort();
-    let models = (!models.is_empty()).then_some(Cameras::Colmap(models));
-    models.into_iter().chain(json.into_iter().map(Cameras::Json)).collect()
+    let of = |format: Arc<dyn CaptureFormat>| {
+        format.here(folder).into_iter().map(move |paths| Cameras { format: format.clone(), paths })
+    };
+    formats().into_iter().flat_map(of).collect()
 }
 
 /// All cameras in a folder. Where a folder has them at the usual places, others in it do not count.
@@ -160,7 +132,7 @@ fn inside(folder: &Path, depth: usize) -> Vec<Cameras> {
         return found;
     }
     for child in children(folder) {
-        let is_counted = |of: &Cameras| matches!(of, Cameras::Colmap(models) if models.contains(&child));
+        let is_counted = |of: &Cameras| of.paths.contains(&child);
         let is_ours = OURS.iter().any(|file| child.join(file).is_file());
         if !is_ours && !found.iter().any(is_counted) {
             found.extend(inside(&child, depth + 1));
@@ -174,19 +146,6 @@ fn above(folder: &Path) -> Vec<Cameras> {
     let above = parent(folder);
     let places = std::iter::once(above.clone()).chain(BESIDE.map(|name| above.join(name)));
     places.map(|place| here(&place)).find(|found| !found.is_empty()).unwrap_or_default()
-}
-
-/// Whether a folder has files of a model, complete or not. A file `images.txt` alone may be any list.
-fn is_model(folder: &Path) -> bool {
-    ["cameras.bin", "cameras.txt", "images.bin"].iter().any(|name| folder.join(name).is_file())
-}
-
-/// Whether a file is JSON with frames that have poses.
-fn has_frames(file: &Path) -> bool {
-    let is_small = regular_size(file).is_ok_and(|bytes| bytes <= MAX_BYTES);
-    let text = if is_small { read(file).map(utf8).unwrap_or_default() } else { Vec::new() };
-    let holds = |word: &[u8]| text.windows(word.len()).any(|part| part == word);
-    holds(b"\"frames\"") && holds(b"\"transform_matrix\"")
 }
 
 #[cfg(test)]

@@ -8,6 +8,7 @@ pub(crate) mod depth_maps;
 mod error;
 pub mod exif;
 mod find;
+mod format;
 pub mod masks;
 pub(crate) mod names;
 pub(crate) mod origin;
@@ -33,8 +34,9 @@ use glam::{DAffine3, DVec3, Vec3};
 use splat_op::Intrinsics;
 
 use self::blocks::Bounds;
-pub use colmap::photographs_in;
+pub use colmap::{Pictures, photographs_in};
 pub use error::CaptureError;
+pub use format::{CaptureFormat, register};
 pub use image::{Photo, load_all};
 pub use photograph::{Photograph, PhotographFacts};
 pub use scale::Scale;
@@ -47,6 +49,8 @@ use crate::ply::WorldFrame;
 /// A capture as its files describe it. Pictures are not decoded yet.
 #[derive(Clone, Debug)]
 pub struct Capture {
+    /// Name of the [format](CaptureFormat).
+    pub format: &'static str,
     /// The capture's folder, which holds masks and the like.
     pub folder: PathBuf,
     /// The files that were read, besides pictures: first that which lists the photographs, then cameras, points, the size of a unit and the
@@ -75,7 +79,7 @@ pub struct Capture {
 }
 
 impl Capture {
-    /// Reads a folder as the first of these formats that matches:
+    /// Reads a folder as the first of these formats that matches, after those of [`register`]:
     ///
     /// 1. COLMAP: `images/`, and `sparse/0/` (or `sparse/`) with `cameras`, `images` and `points3D`, each as `.bin` or else
     ///    as `.txt`. Of several models, `sparse/0`, `sparse/1` and so on, the one with the most photographs.
@@ -134,8 +138,9 @@ impl Capture {
         Err(names::missing_photographs(&missing, self.views.len(), self.files.first().unwrap_or(&self.folder)))
     }
 
-    /// A capture of views and points of the files' world, moved next to zero where it lies far away.
-    fn near_zero(folder: &Path, mut views: Vec<View>, positions: &[DVec3], colours: Vec<[u8; 3]>) -> Self {
+    /// A capture of views and points, `positions` with a colour each, of the files' world, moved next to zero where it lies far away.
+    /// Without tracks, split and masks.
+    pub fn near_zero(folder: &Path, mut views: Vec<View>, positions: &[DVec3], colours: Vec<[u8; 3]>) -> Self {
         let poses: Vec<DAffine3> = views.iter().map(|view| view.cam_from_world).collect();
         let origin = origin::choose(&poses);
         for view in &mut views {
@@ -143,8 +148,21 @@ impl Capture {
         }
         let positions = positions.iter().map(|&position| (position - origin).as_vec3().to_array()).collect();
         let points = PointCloud { positions, colours };
-        let (tracks, scale, split, masks, focus, files, remarks) = Default::default();
-        Self { folder: folder.to_owned(), views, points, tracks, origin, scale, split, masks, focus, files, remarks }
+        let (format, tracks, scale, split, masks, focus, files, remarks) = Default::default();
+        Self {
+            format,
+            folder: folder.to_owned(),
+            views,
+            points,
+            tracks,
+            origin,
+            scale,
+            split,
+            masks,
+            focus,
+            files,
+            remarks,
+        }
     }
 
     /// What a file of a scene in this capture's world states about it.

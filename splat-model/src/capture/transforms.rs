@@ -24,18 +24,18 @@ use std::path::{Path, PathBuf};
 
 use self::camera::Lenses;
 use self::json::Fields;
-use super::names::{Names, PICTURES, below, missing_photographs, parent};
+use super::names::{Names, PICTURES, below, entries, missing_photographs, parent};
 use super::read::{Place, PlaceInFile, quoted, read, regular_size, unreadable};
-use super::{Capture, CaptureError, Split, View};
+use super::{Capture, CaptureError, CaptureFormat, Pictures, Split, View};
 use crate::encoding::utf8;
 use crate::ply;
 
 /// NeRF-synthetic's file of training frames.
-pub(super) const TRAIN: &str = "transforms_train.json";
+const TRAIN: &str = "transforms_train.json";
 /// NeRF-synthetic's file of test frames, then its substitutes; the first that exists is read.
 const HELD_OUT: [&str; 2] = ["transforms_test.json", "transforms_val.json"];
 /// The file of instant-ngp and nerfstudio.
-pub(super) const SINGLE: &str = "transforms.json";
+const SINGLE: &str = "transforms.json";
 
 /// The largest accepted file. A frame takes about a kilobyte.
 pub(super) const MAX_BYTES: u64 = 256 << 20;
@@ -62,6 +62,45 @@ impl Place<'_> {
         let is_plain = path.len() <= MAX_PATH_BYTES && !path.contains(char::is_control);
         below(path).filter(|_| is_plain).ok_or_else(refuse)
     }
+}
+
+/// The format.
+pub(super) struct Json;
+
+impl CaptureFormat for Json {
+    fn name(&self) -> &'static str {
+        "JSON"
+    }
+
+    /// The file of NeRF-synthetic, or else of instant-ngp and nerfstudio.
+    fn usual(&self, folder: &Path) -> Vec<PathBuf> {
+        let files = [TRAIN, SINGLE].map(|name| folder.join(name));
+        files.into_iter().find(|file| file.is_file()).into_iter().collect()
+    }
+
+    /// All files with frames.
+    fn here(&self, folder: &Path) -> Vec<Vec<PathBuf>> {
+        let mut files: Vec<PathBuf> = entries(folder).filter(|file| has_frames(file)).collect();
+        files.sort();
+        files.into_iter().map(|file| vec![file]).collect()
+    }
+
+    fn of_file(&self, file: &Path) -> Vec<PathBuf> {
+        if has_frames(file) { vec![file.to_owned()] } else { Vec::new() }
+    }
+
+    fn load(&self, files: &[PathBuf], _: &Pictures) -> Result<Capture, CaptureError> {
+        load(&files[0])
+    }
+}
+
+/// Whether a file is JSON with frames that have poses.
+fn has_frames(file: &Path) -> bool {
+    let is_json = file.extension().is_some_and(|kind| kind.eq_ignore_ascii_case("json"));
+    let is_small = is_json && regular_size(file).is_ok_and(|bytes| bytes <= MAX_BYTES);
+    let text = if is_small { read(file).map(utf8).unwrap_or_default() } else { Vec::new() };
+    let holds = |word: &[u8]| text.windows(word.len()).any(|part| part == word);
+    holds(b"\"frames\"") && holds(b"\"transform_matrix\"")
 }
 
 /// Loads a JSON file: with its test frames if it is NeRF-synthetic's, and else with the split that it states.

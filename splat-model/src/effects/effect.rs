@@ -9,8 +9,8 @@ use std::rc::Rc;
 use burn::tensor::{Device, Gradients, Tensor};
 use rand::Rng;
 use splat_op::{
-    Camera, Ellipses, Extras, Projected, RenderOptions, Rendered, SplatError, Splats, intersect, project, rasterize,
-    render_view, visible_colours,
+    Camera, Ellipses, Extras, Projected, RenderOptions, Rendered, SplatError, Splats, intersect, normals, project,
+    rasterize, render_view, visible_colours,
 };
 
 use super::background::Background;
@@ -66,7 +66,13 @@ impl RenderInput {
         let projected = self.project()?;
         let features = visible_colours(&self.splats, &self.camera, &projected, &self.options)?;
         let intersections = intersect(&projected, &self.options)?;
-        rasterize(&projected, &features, &intersections, &self.extras, &self.options)
+        let mut picture = rasterize(&projected, &features, &intersections, &self.extras, &self.options)?;
+        if self.options.normals {
+            let features = normals(&self.splats, &self.camera)?;
+            picture.normals =
+                Some(rasterize(&projected, &features, &intersections, &Extras::default(), &self.options)?.colour);
+        }
+        Ok(picture)
     }
 }
 

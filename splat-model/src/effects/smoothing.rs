@@ -11,14 +11,14 @@
 //! The filter is part of the render. A file holds Gaussians that are already convolved, as other viewers expect.
 
 use burn::tensor::{Device, Tensor};
-use glam::{DAffine3, DVec3, Vec3};
-use rayon::prelude::*;
+use glam::DAffine3;
+use splat_op::argsort::argsort_floats;
 use splat_op::smooth::smoothed;
-use splat_op::{Intrinsics, Projector, Splats};
+use splat_op::{Camera, Colour, Extras, Intrinsics, RenderOptions, Splats, project};
 
 use super::{Effect, EffectContext, EffectKind, RenderInput};
+use crate::density::counts;
 use crate::gaussians::{GaussianRows, Gaussians, values_of};
-use crate::quantile::quantile;
 use crate::state::{State, StateError};
 
 /// Variance of the filter as a multiple of the squared sample spacing: 0.2, as in the original.
@@ -29,34 +29,14 @@ const EVERY: usize = 100;
 
 /// A centre counts as visible up to this share of the picture beyond its border, because its Gaussian may extend into the
 /// picture.
-const MARGIN: f64 = 0.15;
+const MARGIN: f32 = 0.15;
 
 /// Share of the seen centres that are sampled less than one that no camera sees is taken to be.
 const COARSE: f64 = 0.1;
 
-struct Sampler {
-    projector: Projector,
-    cam_from_world: DAffine3,
-    size: [f64; 2],
-    /// Pixels per unit of slope.
-    focal_px: f64,
-}
-
-impl Sampler {
-    /// Samples per scene unit at a point. Zero if the camera does not see it.
-    fn rate(&self, world: DVec3) -> f64 {
-        let cam = self.cam_from_world.transform_point3(world);
-        let inside = |px: f64, size: f64| (-MARGIN * size..=(1.0 + MARGIN) * size).contains(&px);
-        match self.projector.px_from_cam(cam) {
-            Some(px) if inside(px.x, self.size[0]) && inside(px.y, self.size[1]) => self.focal_px / cam.z,
-            _ => 0.0,
-        }
-    }
-}
-
 /// The smoothing filter of a run.
 pub struct Smoothing {
-    cameras: Vec<Sampler>,
+    cameras: Vec<(Intrinsics, DAffine3)>,
     /// `[N, 1]`: `ln g` of the current Gaussians, and `g`.
     widths: Option<[Tensor<2>; 2]>,
     /// The step at which the widths were computed.
@@ -66,27 +46,56 @@ pub struct Smoothing {
 impl Smoothing {
     /// A filter for photographs of these cameras.
     pub fn new<'a>(cameras: impl IntoIterator<Item = (&'a Intrinsics, &'a DAffine3)>) -> Self {
-        let sampler = |(intrinsics, cam_from_world): (&Intrinsics, &DAffine3)| Sampler {
-            projector: intrinsics.projector(),
-            cam_from_world: *cam_from_world,
-            size: [intrinsics.width as f64, intrinsics.height as f64],
-            focal_px: (intrinsics.fx * intrinsics.fy).sqrt(),
-        };
-        Self { cameras: cameras.into_iter().map(sampler).collect(), widths: None, found_at: 0 }
+        let cameras = cameras.into_iter().map(|(intrinsics, pose)| (*intrinsics, *pose)).collect();
+        Self { cameras, widths: None, found_at: 0 }
     }
 
-    /// Logarithms of the filter's standard deviations at these centres, scene units. A centre that no camera sees gets the
-    /// filter that a tenth of the others exceed. (The widest in the original: that of one Gaussian far away would hide the scene.)
-    pub fn ln_widths(&self, means: &[[f32; 3]]) -> Vec<f32> {
-        let rate = |mean: &[f32; 3]| {
-            let world = Vec3::from_array(*mean).as_dvec3();
-            self.cameras.iter().map(|camera| camera.rate(world)).fold(0.0, f64::max)
+    /// `[N]`: samples per scene unit at these centres, `[N, 3]`, in the photograph that has most. Zero if no camera sees a centre.
+    fn rates(&self, means: &Tensor<2>) -> Tensor<1> {
+        let ([count, _], device) = (means.dims(), means.device());
+        // Points: the stage culls those behind a camera and outside the domain of its lens, and no others.
+        let splats = Splats {
+            means: means.clone(),
+            rotations: Tensor::<2>::ones([count, 4], &device),
+            scales: means.zeros_like(),
+            opacities: Tensor::ones([count], &device),
+            colour: Colour::Features(means.zeros_like()),
         };
-        let rates: Vec<f64> = means.par_iter().map(rate).collect();
-        let mut seen: Vec<f64> = rates.iter().copied().filter(|rate| *rate > 0.0).collect();
-        let coarsest = quantile(&mut seen, COARSE).unwrap_or(1.0);
-        let ln_width = |rate: f64| (0.5 * VARIANCE.ln() - if rate > 0.0 { rate } else { coarsest }.ln()) as f32;
-        rates.into_iter().map(ln_width).collect()
+        let options = RenderOptions::standard().with_near(0.0);
+        self.cameras.iter().fold(Tensor::zeros([count], &device), |most: Tensor<1>, (intrinsics, pose)| {
+            let camera = Camera::new(*intrinsics, pose, &device);
+            let seen =
+                project(&splats, &camera, &Extras::default(), &options).expect("centres are `[N, 3]`").ellipses();
+            let half = [intrinsics.width, intrinsics.height].map(|side| 0.5 * side as f32);
+            let [half, reach] = [1.0, 1.0 + 2.0 * MARGIN]
+                .map(|share| Tensor::<1>::from_floats(half.map(|half| half * share), &device).unsqueeze::<2>());
+            let off_centre = ((seen.mean2d - half) / reach).abs().max_dim(1).squeeze_dim::<1>(1);
+            let shown = off_centre.lower_equal_elem(1.0).bool_and(seen.depth.clone().greater_elem(0.0));
+            let focal_px = (intrinsics.fx * intrinsics.fy).sqrt();
+            most.max_pair((seen.depth.recip() * focal_px).mask_fill(shown.bool_not(), 0.0))
+        })
+    }
+
+    /// `[N, 1]`: logarithms of the filter's standard deviations at these centres, `[N, 3]`, scene units. A centre that no camera sees gets
+    /// the filter that a tenth of the others exceed. (The widest in the original: that of one Gaussian far away would hide the scene.)
+    pub fn ln_widths(&self, means: &Tensor<2>) -> Tensor<2> {
+        let rows = means.dims()[0];
+        if rows == 0 {
+            return means.clone().narrow(1, 0, 1);
+        }
+        let rates = self.rates(means);
+        let unseen = rates.clone().equal_elem(0.0);
+        let [hidden] = counts([unseen.clone()]);
+        let rates = match rows - hidden {
+            0 => rates.ones_like(),
+            seen => {
+                // Those that no camera sees come first.
+                let at = hidden + (COARSE * (seen - 1) as f64).round() as usize;
+                let coarsest = rates.clone().select(0, argsort_floats(rates.clone()).narrow(0, at, 1));
+                rates.mask_where(unseen, coarsest.expand([rows]))
+            }
+        };
+        (rates.log().neg() + 0.5 * VARIANCE.ln()).unsqueeze_dim(1)
     }
 
     /// Computes the widths again if they were discarded or a hundred steps have passed.
@@ -94,11 +103,7 @@ impl Smoothing {
         if self.widths.is_some() && step < self.found_at + EVERY {
             return;
         }
-        let means = gaussians.means().inner();
-        let device = means.device();
-        let rows = values_of(means);
-        let widths = self.ln_widths(rows.as_chunks::<3>().0);
-        self.set(Tensor::<1>::from_floats(widths.as_slice(), &device).unsqueeze_dim(1));
+        self.set(self.ln_widths(&gaussians.untracked().means()));
         self.found_at = step;
     }
 
@@ -149,7 +154,8 @@ impl Effect for Smoothing {
     }
 
     fn bake(&self, rows: &mut GaussianRows) {
-        let widths = self.ln_widths(&rows.means);
+        let means = Tensor::<1>::from_floats(rows.means.as_flattened(), &Device::flex());
+        let widths = values_of(self.ln_widths(&means.reshape([rows.len(), 3])));
         let of_row = rows.log_scales.iter_mut().zip(&mut rows.logit_opacities).zip(widths);
         for ((log_scales, logit), ln_width) in of_row {
             // An unusable Gaussian stays unchanged.

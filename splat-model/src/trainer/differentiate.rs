@@ -2,9 +2,7 @@
 //!
 //! Learning rates and Adam's constants change with the number of views (see [`crate::optim::Adam::for_batch`]). The number
 //! of steps and all schedules in steps are the user's choice. Parameters of effects, most of which belong to one
-//! photograph, take a separate step for each view.
-
-use std::iter;
+//! photograph, and of the loss take a separate step for each view.
 
 use burn::tensor::{Bool, Gradients as Remaining, Int, Tensor};
 use splat_op::{Extras, Rendered};
@@ -26,17 +24,17 @@ pub(super) struct PreparedStep {
     signals: Signals,
 }
 
-/// The results of the backward pass of a view.
-pub(super) struct OneView {
-    pub view: usize,
-    /// `[1]`
+/// The results of a backward pass: of a view, or of all views of a batch that the loss joins.
+pub(super) struct Passed {
+    pub views: Vec<usize>,
+    /// `[1]`: the sum over the views.
     pub loss: Tensor<1>,
     /// The gradients of the scene.
     pub gradients: Gradients,
-    /// The gradients of effects' parameters.
+    /// The gradients of the parameters of effects and of the loss.
     pub left: Remaining,
-    /// The requested signals, if there are any.
-    pub seen: Option<Observed>,
+    /// The requested signals of each view, if there are any.
+    pub seen: Vec<Observed>,
     /// See [`super::Guard::look`].
     pub held: Option<Tensor<1, Int>>,
 }
@@ -47,8 +45,8 @@ pub(super) struct Batch {
     pub loss: Tensor<1>,
     /// The mean gradients of the scene.
     pub gradients: Gradients,
-    /// Views, each with the gradients of its effects' parameters.
-    pub views: Vec<(usize, Remaining)>,
+    /// The views of each backward pass, with the gradients of the parameters of effects and of the loss.
+    pub passes: Vec<(Vec<usize>, Remaining)>,
     /// See [`super::Guard::look`].
     pub held: Option<Tensor<1, Int>>,
 }
@@ -65,42 +63,45 @@ impl Batch {
 }
 
 impl Trainer {
-    /// Differentiates the views of a step, one by one.
+    /// Differentiates the views of a step: one by one, unless the loss joins them.
     pub(super) fn differentiate_batch(&mut self) -> Result<Batch, TrainError> {
         let count = self.config.batch;
         if self.ranks.count() > 1 {
             return Ok(self.differentiate_shared()?.averaged(count));
         }
+        let views: Vec<_> = (0..count).map(|_| (self.draw_view(), self.effects.draw(&mut self.rng))).collect();
         let (mut losses, mut gradients) = (Vec::new(), Gradients::default());
-        let (mut views, mut held) = (Vec::new(), None);
-        for _ in 0..count {
-            let view = self.draw_view();
-            self.views.expect(iter::once(view).chain(self.queue.iter().rev().copied()));
-            let drawn = self.effects.draw(&mut self.rng);
-            let one = self.differentiate(view, drawn)?;
-            if let Some(seen) = one.seen {
-                self.density.observe(seen);
-            }
-            losses.push(one.loss);
-            gradients = gradients.plus(one.gradients);
-            views.push((view, one.left));
-            held = one.held;
+        let (mut passes, mut held) = (Vec::new(), None);
+        let at_once = if self.loss.joins_views() { count } else { 1 };
+        for (i, part) in views.chunks(at_once).enumerate() {
+            let next = views[i * at_once..].iter().map(|(view, _)| *view);
+            self.views.expect(next.chain(self.queue.iter().rev().copied()));
+            let passed = self.differentiate(part)?;
+            passed.seen.into_iter().for_each(|seen| self.density.observe(seen));
+            losses.push(passed.loss);
+            gradients = gradients.plus(passed.gradients);
+            passes.push((passed.views, passed.left));
+            held = passed.held;
         }
         let loss = losses.into_iter().reduce(|a, b| a + b).expect("a batch has a view");
-        Ok(Batch { loss, gradients, views, held }.averaged(count))
+        Ok(Batch { loss, gradients, passes, held }.averaged(count))
     }
 
-    /// Renders a view over a `drawn` background if there is one, compares it with its photograph, and computes the gradients, which the
-    /// guard checks. Density control is not told.
-    pub(super) fn differentiate(&mut self, view: usize, drawn: Option<[f32; 3]>) -> Result<OneView, TrainError> {
-        let prepared = self.prepare(view, drawn)?;
-        // If effects make several renders, their mean counts.
-        let inputs = self.effects.samples(prepared.input.clone(), prepared.at).into_iter();
-        let picture = inputs.map(|input| input.render()).collect::<Result<_, _>>().map(mean_of)?;
-        let loss = self.compare(&prepared, picture);
-        let one = self.go_back(prepared, loss);
-        let held = self.guard.look(self.step, view, &one.loss, &one.gradients);
-        Ok(OneView { held: held.map_err(|fault| self.non_finite(fault))?, ..one })
+    /// Renders views, each over a drawn background if there is one, compares them with their photographs, and computes the gradients, which
+    /// the guard checks. Density control is not told.
+    pub(super) fn differentiate(&mut self, views: &[(usize, Option<[f32; 3]>)]) -> Result<Passed, TrainError> {
+        let (mut prepared, mut pictures) = (Vec::new(), Vec::new());
+        for &(view, drawn) in views {
+            let one = self.prepare(view, drawn)?;
+            // If effects make several renders, their mean counts.
+            let inputs = self.effects.samples(one.input.clone(), one.at).into_iter();
+            pictures.push(inputs.map(|input| input.render()).collect::<Result<_, _>>().map(mean_of)?);
+            prepared.push(one);
+        }
+        let loss = self.compare(&prepared, pictures);
+        let passed = self.go_back(prepared, loss);
+        let held = self.guard.look(self.step, views[0].0, &passed.loss, &passed.gradients);
+        Ok(Passed { held: held.map_err(|fault| self.non_finite(fault))?, ..passed })
     }
 
     /// Prepares a view: Gaussians, camera and background after the effects, and the photograph.
@@ -124,6 +125,7 @@ impl Trainer {
         let excluded = self.views.excluded(view)?;
         let mut input = RenderInput { splats, camera, extras, options: self.options, edits: Vec::new() };
         self.effects.before(&mut input, &self.scene.gaussians, at);
+        input.options = self.loss.outputs(input.options, self.step);
         Ok(PreparedStep { at, input, truth, excluded, signals })
     }
 
@@ -133,46 +135,65 @@ impl Trainer {
         self.effects.samples(prepared.input, prepared.at).iter().find_map(first_wrong)
     }
 
-    /// Computes the loss of a picture with all penalties, `[1]`, tracked.
-    fn compare(&mut self, prepared: &PreparedStep, picture: Rendered<3>) -> Tensor<1> {
-        let PreparedStep { at, input, truth, excluded, .. } = prepared;
-        let cleared = |picture: Tensor<3>| match excluded {
+    /// Computes the sum of the views' losses with all penalties, `[1]`, tracked.
+    fn compare(&mut self, prepared: &[PreparedStep], pictures: Vec<Rendered<3>>) -> Tensor<1> {
+        let cleared = |of: &PreparedStep, picture: Tensor<3>| match &of.excluded {
             Some(excluded) => masks::cleared(picture, excluded),
             None => picture,
         };
         // Excluded pixels are cleared last, so that they do not train the effects either.
-        let image = cleared(self.effects.image(picture.colour.clone(), input, &picture, *at));
-        let (alpha, depth) = (cleared(picture.alpha.clone()), picture.depth.clone().map(cleared));
-        let (gaussians, excluded) = (&self.scene.gaussians, excluded.as_ref());
-        let (step, view) = (at.step, self.views.name(at.view));
-        let seen = LossInputs { image, alpha, depth, excluded, truth, input, gaussians, step, view };
-        let mut loss = self.loss.loss(&seen);
-        if let Some(penalty) = self.effects.penalty(input, &picture, *at) {
-            loss = loss + penalty;
+        let image = |(of, picture): (&PreparedStep, &Rendered<3>)| {
+            cleared(of, self.effects.image(picture.colour.clone(), &of.input, picture, of.at))
+        };
+        let images: Vec<_> = prepared.iter().zip(&pictures).map(image).collect();
+        let (gaussians, views) = (&self.scene.gaussians, &self.views);
+        let mut seen = Vec::new();
+        for ((of, picture), image) in prepared.iter().zip(&pictures).zip(images) {
+            let plane = |plane: &Option<Tensor<3>>| plane.clone().map(|plane| cleared(of, plane));
+            let (alpha, excluded) = (cleared(of, picture.alpha.clone()), of.excluded.as_ref());
+            let (depth, normals) = (plane(&picture.depth), plane(&picture.normals));
+            let PreparedStep { at, input, truth, .. } = of;
+            let (step, view) = (at.step, views.name(at.view));
+            seen.push(LossInputs { image, alpha, depth, normals, excluded, truth, input, gaussians, step, view });
         }
-        let opacity_weight = self.config.opacity_weight_at(at.step);
-        if opacity_weight > 0.0 {
-            loss = loss + regularise::opacity(input.splats.opacities.clone()) * opacity_weight;
-        }
-        if let Some(penalty) = self.density.penalty(&input.splats, at.step) {
-            loss = loss + penalty;
+        let mut loss = match self.loss.joins_views() {
+            true => self.loss.of_batch(&seen) * seen.len() as f64,
+            false => self.loss.loss(&seen[0]),
+        };
+        drop(seen);
+        for (PreparedStep { at, input, .. }, picture) in prepared.iter().zip(&pictures) {
+            if let Some(penalty) = self.effects.penalty(input, picture, *at) {
+                loss = loss + penalty;
+            }
+            let opacity_weight = self.config.opacity_weight_at(at.step);
+            if opacity_weight > 0.0 {
+                loss = loss + regularise::opacity(input.splats.opacities.clone()) * opacity_weight;
+            }
+            if let Some(penalty) = self.density.penalty(&input.splats, at.step) {
+                loss = loss + penalty;
+            }
         }
         loss
     }
 
-    /// Computes the gradients of the scene, of the probes and of the effects.
-    fn go_back(&self, prepared: PreparedStep, loss: Tensor<1>) -> OneView {
-        let PreparedStep { at, input: RenderInput { splats, camera, extras, .. }, signals, .. } = prepared;
-        drop(splats);
+    /// Computes the gradients of the scene, of the probes, and of the parameters of effects and of the loss.
+    fn go_back(&self, prepared: Vec<PreparedStep>, loss: Tensor<1>) -> Passed {
+        let left_of = |of: PreparedStep| {
+            let size = (of.input.camera.intrinsics.width, of.input.camera.intrinsics.height);
+            (of.at.view, of.signals, of.input.extras, size)
+        };
+        let kept: Vec<_> = prepared.into_iter().map(left_of).collect();
         let mut left = loss.backward();
-        let mut seen = None;
-        if signals != Signals::default() {
-            let mut taken = |probe: Option<Tensor<2>>| probe.and_then(|probe| probe.grad_remove(&mut left));
-            let (gradient, abs_gradient) = (taken(extras.mean2d_probe), taken(extras.mean2d_abs_probe));
-            let size = (camera.intrinsics.width, camera.intrinsics.height);
-            seen = Some(Observed { gradient, abs_gradient, size });
+        let (mut views, mut seen) = (Vec::new(), Vec::new());
+        for (view, signals, extras, size) in kept {
+            views.push(view);
+            if signals != Signals::default() {
+                let mut taken = |probe: Option<Tensor<2>>| probe.and_then(|probe| probe.grad_remove(&mut left));
+                let (gradient, abs_gradient) = (taken(extras.mean2d_probe), taken(extras.mean2d_abs_probe));
+                seen.push(Observed { gradient, abs_gradient, size });
+            }
         }
         let gradients = Gradients::take(&self.scene.gaussians, &mut left);
-        OneView { view: at.view, loss: loss.inner(), gradients, left, seen, held: None }
+        Passed { views, loss: loss.inner(), gradients, left, seen, held: None }
     }
 }

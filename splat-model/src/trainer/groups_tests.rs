@@ -3,11 +3,11 @@
 use super::ranks::testing::together;
 use super::testing::{photos, points};
 use super::*;
-use crate::density::{AdaptiveConfig, DensityConfig, Mcmc, McmcConfig};
+use crate::density::{AdaptiveConfig, DensityConfig, Division, Mcmc, McmcConfig};
 use crate::gaussians::{GroupRows, values_of};
 
 /// Strategies that change rows in a few dozen steps.
-fn strategies() -> [DensityConfig; 2] {
+fn strategies() -> [DensityConfig; 4] {
     let adaptive = AdaptiveConfig {
         every: 5,
         from: 5,
@@ -17,7 +17,9 @@ fn strategies() -> [DensityConfig; 2] {
         ..AdaptiveConfig::default()
     };
     let mcmc = McmcConfig { every: 5, from: 5, growth: 1.2, max_splats: 60, ..McmcConfig::default() };
-    [adaptive.into(), mcmc.into()]
+    let absgrad = AdaptiveConfig { absolute: true, ..adaptive };
+    let gradual = AdaptiveConfig { division: Division::LongAxis, growth: Some(0.2), ..adaptive };
+    [adaptive.into(), mcmc.into(), absgrad.into(), gradual.into()]
 }
 
 /// A run that also learns the photographs as features of a group.

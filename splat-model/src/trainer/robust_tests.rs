@@ -3,6 +3,7 @@
 
 use std::path::{Path, PathBuf};
 
+use burn::tensor::{Device, Tensor};
 use glam::{DAffine3, DVec3};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -13,6 +14,7 @@ use crate::cleanup::Bulk;
 use crate::effects::depth::{Depths, from_tracks};
 use crate::effects::smoothing::Smoothing;
 use crate::effects::{Plan, Survey};
+use crate::gaussians::values_of;
 use crate::init;
 use crate::optim::{near_plane, scene_extent};
 use splat_demo::{self as demo, DemoOptions};
@@ -43,10 +45,12 @@ fn statistics(capture: &Capture) -> Vec<(&'static str, f64, f64)> {
     let least = init::from_points(&small).log_scales.iter().map(|log| log[0].exp()).fold(f32::INFINITY, f32::min);
     let filter = Smoothing::new(cameras.iter().map(|(camera, pose)| (camera, pose)));
     let unseen = [&start.positions[..], &[[0.0, 0.0, 1e9]]].concat();
+    let unseen = Tensor::<1>::from_floats(unseen.as_flattened(), &Device::flex()).reshape([unseen.len(), 3]);
+    let width_of_unseen = f64::from(values_of(filter.ln_widths(&unseen))[start.positions.len()].exp());
     let all: Vec<usize> = (0..capture.views.len()).collect();
     let mut samples = from_tracks(capture, &all);
     samples.iter_mut().flatten().step_by(20).for_each(|sample| sample.depth *= 1e-6);
-    let depths = Depths::new(Default::default(), samples, &burn::tensor::Device::flex());
+    let depths = Depths::new(Default::default(), samples, &Device::flex());
     let survey = Survey::of(capture).unwrap();
     let (pose, shutter) = (survey.pose.clone().unwrap(), survey.shutter.unwrap());
     let depth = survey.depth.clone().unwrap();
@@ -59,7 +63,7 @@ fn statistics(capture: &Capture) -> Vec<(&'static str, f64, f64)> {
         ("places of their own", start.positions.len() as f64, 1.1),
         ("size at the start: median", f64::from(sizes[sizes.len() / 2]), 1.5),
         ("size at the start: least", f64::from(least), 1.5),
-        ("filter where no photograph looks", f64::from(filter.ln_widths(&unseen)[start.positions.len()].exp()), 3.0),
+        ("filter where no photograph looks", width_of_unseen, 3.0),
         ("largest weight of a known depth", 1.0 / depths.least(), 10.0),
         ("exposure: spread of brightness, stops", 0.1 + survey.exposure.unwrap().brightness_spread_stops, 2.0),
         ("colour maps: residual", survey.grading.unwrap().left_by_maps, 2.0),

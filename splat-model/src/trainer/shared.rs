@@ -2,19 +2,19 @@
 //!
 //! All ranks draw the same views and random numbers. Each differentiates its share of the views and tells the others how that
 //! went. Then everything that the step needs goes from one rank to all: the sum of the scene's gradients, and for each view its
-//! loss, the gradients of its effects' parameters and the signals for density control.
+//! loss, the gradients of the parameters of effects and of the loss, and the signals for density control.
 
 use burn::tensor::{Gradients as Remaining, Tensor, TensorData};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use splat_op::Extras;
 
-use super::differentiate::{Batch, OneView};
+use super::differentiate::{Batch, Passed};
 use super::ranks::{self, Fact, RankError, gather_all, share_of};
 use super::{TrainError, Trainer};
 use crate::density::Observed;
 use crate::density::rows::{Gradients, GroupGradients};
-use crate::effects::{Effect, EffectContext, RenderInput, stand_in};
+use crate::effects::{Effect, EffectContext, Leaf, RenderInput, stand_in};
 use crate::gaussians::values_of;
 use crate::state::State;
 
@@ -35,7 +35,7 @@ struct ViewAccount {
     loss_bits: u32,
     /// Which blocks of the scene's groups have a gradient, in the order of [`Gradients`].
     scene: Vec<bool>,
-    /// Which parameters of effects have a gradient, in the order of [`Effect::leaves`].
+    /// Which parameters of effects and of the loss have a gradient, in the order of [`Trainer::leaves`].
     leaves: Vec<bool>,
     /// Which signals density control gets, in the order of [`Observed`], and the size of the picture. `None` without any.
     signals: Option<([bool; 2], (usize, usize))>,
@@ -46,6 +46,11 @@ impl Trainer {
     /// gradients are sums.
     pub(super) fn differentiate_shared(&mut self) -> Result<Batch, TrainError> {
         let ranks = self.ranks.clone();
+        if self.loss.joins_views() {
+            let reason =
+                "the loss compares the views of a step, each of which one process renders; run it in one process";
+            return Err(RankError { rank: ranks.rank(), reason: reason.into() }.into());
+        }
         let batch = self.config.batch;
         let views: Vec<_> = (0..batch).map(|_| (self.draw_view(), self.effects.draw(&mut self.rng))).collect();
         let shares: Vec<_> = (0..ranks.count()).map(|rank| share_of(rank, ranks.count(), batch)).collect();
@@ -57,7 +62,7 @@ impl Trainer {
         if share.is_empty() {
             self.follow_scene(views[0].0);
         }
-        let own = views[share].iter().map(|&(view, drawn)| self.differentiate(view, drawn)).collect();
+        let own = views[share].chunks(1).map(|view| self.differentiate(view)).collect();
         let (mut own, accounts) = self.settle(own)?;
         let losses = accounts.iter().map(|account| f32::from_bits(account.loss_bits));
         let plain = self.device.clone();
@@ -66,18 +71,18 @@ impl Trainer {
         let parts = own.iter_mut().map(|one| std::mem::take(&mut one.gradients)).collect();
         let gradients = self.summed(parts, &accounts, &shares)?;
         let mut seen = Vec::new();
-        let mut lefts = own.into_iter().map(|one| (one.left, one.seen)).collect::<Vec<_>>().into_iter();
-        let mut of_effects = Vec::new();
+        let mut lefts = own.into_iter().map(|mut one| (one.left, one.seen.pop())).collect::<Vec<_>>().into_iter();
+        let mut passes = Vec::new();
         for (i, (&(view, _), account)) in views.iter().zip(&accounts).enumerate() {
             let owner = shares.iter().position(|share| share.contains(&i)).expect("shares cover the batch");
             let (left, own_seen) = if owner == ranks.rank() { lefts.next() } else { None }.unzip();
             if let Some((signals, size)) = account.signals {
                 seen.push(self.observed(owner, own_seen.flatten(), signals, size)?);
             }
-            of_effects.push((view, self.gradients_of_effects(owner, view, left, &account.leaves)?));
+            passes.push((vec![view], self.gradients_of_leaves(owner, view, left, &account.leaves)?));
         }
         seen.into_iter().for_each(|seen| self.density.observe(seen));
-        Ok(Batch { loss, gradients, views: of_effects, held: None })
+        Ok(Batch { loss, gradients, passes, held: None })
     }
 
     /// Has effects follow the scene on a rank that renders no view of a step, as they do before every render.
@@ -94,10 +99,7 @@ impl Trainer {
     ///
     /// # Errors
     /// If a view of any rank failed: on every rank the error of the first.
-    fn settle(
-        &mut self,
-        own: Result<Vec<OneView>, TrainError>,
-    ) -> Result<(Vec<OneView>, Vec<ViewAccount>), TrainError> {
+    fn settle(&mut self, own: Result<Vec<Passed>, TrainError>) -> Result<(Vec<Passed>, Vec<ViewAccount>), TrainError> {
         let account = match &own {
             Ok(own) => Account::Views(own.iter().map(|one| self.account_of(one)).collect()),
             Err(TrainError::NonFinite { view, what, stage, .. }) => {
@@ -122,15 +124,22 @@ impl Trainer {
         Ok((own?, all))
     }
 
-    fn account_of(&mut self, one: &OneView) -> ViewAccount {
-        let leaves = self.effects.leaves(self.at(one.view));
-        let signals = one.seen.as_ref().map(|seen| ([seen.gradient.is_some(), seen.abs_gradient.is_some()], seen.size));
+    fn account_of(&mut self, one: &Passed) -> ViewAccount {
+        let leaves = self.leaves(one.views[0]);
+        let signals = one.seen.first().map(|seen| ([seen.gradient.is_some(), seen.abs_gradient.is_some()], seen.size));
         ViewAccount {
             loss_bits: one.loss.clone().into_scalar::<f32>().to_bits(),
             scene: one.gradients.blocks().map(|(_, gradient)| gradient.is_some()).collect(),
             leaves: leaves.iter().map(|leaf| leaf.gradient(&one.left).is_some()).collect(),
             signals,
         }
+    }
+
+    /// The parameters of effects and of the loss at a view.
+    fn leaves(&mut self, view: usize) -> Vec<Leaf> {
+        let mut leaves = self.effects.leaves(self.at(view));
+        leaves.extend(self.loss.leaves());
+        leaves
     }
 
     fn at(&self, view: usize) -> EffectContext<'static> {
@@ -197,18 +206,18 @@ impl Trainer {
         Ok(Observed { gradient, abs_gradient, size })
     }
 
-    /// The gradients of the parameters of effects at a view: `left` on its rank, and stand-ins on the others.
-    fn gradients_of_effects(
+    /// The gradients of the parameters of effects and of the loss at a view: `left` on its rank, and stand-ins on the others.
+    fn gradients_of_leaves(
         &mut self,
         owner: usize,
         view: usize,
         left: Option<Remaining>,
         present: &[bool],
     ) -> Result<Remaining, TrainError> {
-        let leaves = self.effects.leaves(self.at(view));
+        let leaves = self.leaves(view);
         if leaves.len() != present.len() {
             let reason = format!(
-                "its `Effect::leaves` list {} parameters, and rank {owner} has {}",
+                "its `Effect::leaves` and `Loss::leaves` list {} parameters, and rank {owner} has {}",
                 leaves.len(),
                 present.len()
             );
@@ -255,7 +264,7 @@ impl Trainer {
         ranks::agree(&*self.ranks, &facts)
     }
 
-    /// Checks that all ranks have come to the same after a step: the state of effects and of density control, random numbers,
+    /// Checks that all ranks have come to the same after a step: the state of effects, of the loss and of density control, random numbers,
     /// and the centres of the Gaussians.
     pub(super) fn check_together(&mut self) -> Result<(), TrainError> {
         let mut state = State::default();
@@ -263,6 +272,7 @@ impl Trainer {
         state.put("means", self.scene.gaussians.means().inner());
         state.in_part("density", |part| self.density.save(part))?;
         state.in_part("effects", |part| self.effects.save(part))?;
+        state.in_part("loss", |part| self.loss.save(part))?;
         match ranks::first_difference(&*self.ranks, &checksums(&state))? {
             None => Ok(()),
             Some((rank, what, ..)) => Err(TrainError::Apart { step: self.step, rank, what }),

@@ -12,7 +12,7 @@ use crate::state::{State, StateError};
 
 impl Trainer {
     /// Saves the state that the run needs to resume: parameters and their moments, learned parameters of effects,
-    /// statistics of density control, random number generators. Photographs and custom losses are not included.
+    /// statistics of density control, random number generators, and what a custom loss saves. Photographs are not included.
     ///
     /// # Errors
     /// If an earlier step turns out to have failed.
@@ -27,6 +27,7 @@ impl Trainer {
         state.put_part("scene", self.scene.save()?);
         state.in_part("density", |part| self.density.save(part))?;
         state.in_part("effects", |part| self.effects.save(part))?;
+        state.in_part("loss", |part| self.loss.save(part))?;
         Ok(state)
     }
 
@@ -67,6 +68,7 @@ impl Trainer {
         self.scene = scene;
         state.load_part("density", |part| self.density.load(part, &self.device))?;
         state.load_part("effects", |part| self.effects.load(part, &self.device))?;
+        state.load_part("loss", |part| self.loss.load(part, &self.device))?;
         state.finish()?;
         (self.queue, self.rng, self.step) = (queue, rng, step);
         self.turn(&dials);

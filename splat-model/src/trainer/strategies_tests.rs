@@ -176,7 +176,7 @@ fn a_batch_of_one_view_twice_is_that_view() {
     (one.step, two.step) = (1, 1);
     let ([a, b], before) =
         ([&mut one, &mut two].map(|run| run.differentiate_batch().unwrap()), one.gaussians().to_rows());
-    assert_eq!((a.views.len(), b.views.len()), (1, 2));
+    assert_eq!((a.passes.len(), b.passes.len()), (1, 2));
     assert_eq!(values_of(a.loss.clone()), values_of(b.loss.clone()));
     assert_eq!(values_of(a.gradients.get("means").unwrap()), values_of(b.gradients.get("means").unwrap()));
     assert_eq!(values_of(a.gradients.get("sh").unwrap()), values_of(b.gradients.get("sh").unwrap()));
@@ -208,8 +208,8 @@ fn a_batch_averages_its_views_and_visits_each_once_an_epoch() {
     let mut alone = trainer(single(1));
     alone.step = 1;
     let parts: Vec<Batch> = (0..4).map(|_| alone.differentiate_batch().unwrap()).collect();
-    let mut views: Vec<usize> = all.views.iter().map(|(view, _)| *view).collect();
-    assert_eq!(views, parts.iter().map(|part| part.views[0].0).collect::<Vec<_>>());
+    let mut views: Vec<usize> = all.passes.iter().map(|(views, _)| views[0]).collect();
+    assert_eq!(views, parts.iter().map(|part| part.passes[0].0[0]).collect::<Vec<_>>());
     views.sort_unstable();
     assert_eq!(views, [0, 1, 2, 3]);
     let mean = |of: fn(&Batch) -> Vec<f32>| -> Vec<f32> {
@@ -231,7 +231,7 @@ fn a_batch_averages_its_views_and_visits_each_once_an_epoch() {
     let mut run = trainer(single(3));
     run.step = 1;
     let mut visited: Vec<usize> =
-        (0..4).flat_map(|_| run.differentiate_batch().unwrap().views).map(|(view, _)| view).collect();
+        (0..4).flat_map(|_| run.differentiate_batch().unwrap().passes).map(|(views, _)| views[0]).collect();
     visited.sort_unstable();
     assert_eq!(visited, [0, 0, 0, 1, 1, 1, 2, 2, 2, 3, 3, 3]);
 }

@@ -10,14 +10,14 @@ use super::scene::DemoScene;
 use super::shot::{Shot, shots};
 use super::{DemoOptions, picture, points};
 
-/// How far the thing gets from its place, scene units.
-const REACH: f64 = 0.45;
+/// Radius of the circle that the thing describes around its place, scene units. A larger one leads through others.
+const RADIUS: f64 = 0.25;
 
-/// The still life at a time: the planet in its middle bobs and circles once from 0 to 1.
+/// The still life at a time: the planet in its middle slides once around its place from 0 to 1.
 fn at(options: &DemoOptions, time: f64) -> LitScene {
     let (sin, cos) = (TAU * time).sin_cos();
     let mut scene = DemoScene::still_life(options);
-    scene.move_planet(REACH * DVec3::new(cos, sin, 0.5 - 0.5 * cos));
+    scene.move_planet(RADIUS * DVec3::new(cos, sin, 0.0));
     LitScene::new(scene)
 }
 

@@ -12,7 +12,6 @@ use splat_gallery::{SMALL, Shot, capture, demo, picture, save, shown};
 use splat_model::gaussians::Gaussians;
 use splat_model::init;
 use splat_model::loss::{DEFAULT_LAMBDA, l1, photometric};
-use splat_model::metrics::psnr;
 use splat_op::{Colour, SplatError, Splats};
 
 const FEATURES: usize = 16;
@@ -54,14 +53,14 @@ impl Wild {
 
     /// The photograph's render, `[H, W, 3]`.
     fn image(&self, appearance: &Appearance, shot: &Shot) -> Result<Tensor<3>, SplatError> {
-        Ok(shown(&self.splats(&appearance.embedding.val()), &shot.camera)?.colour)
+        Ok(shot.seen(shown(&self.splats(&appearance.embedding.val()), &shot.camera)?.colour))
     }
 }
 
-/// One half of a picture.
-fn half(picture: Tensor<3>, right: bool) -> Tensor<3> {
+/// The left half of a picture.
+fn half(picture: Tensor<3>) -> Tensor<3> {
     let width = picture.dims()[1];
-    picture.narrow(1, if right { width / 2 } else { 0 }, width / 2)
+    picture.narrow(1, 0, width / 2)
 }
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -97,15 +96,15 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     for shot in &held_out {
         let mut look = Appearance::new(&device);
         let score = |look: &Appearance| -> Result<f64, SplatError> {
-            let image = wild.image(look, shot)?.inner();
-            Ok(psnr(half(image.clamp(0.0, 1.0), true), half(shot.image(), true)))
+            let width = shot.camera.intrinsics.width;
+            Ok(shot.score(wild.image(look, shot)?, width / 2..width))
         };
         plain += score(&look)? / held_out.len() as f64;
         pictures = vec![shot.image(), wild.image(&look, shot)?];
         let mut optimiser = AdamConfig::new().init();
         for _ in 0..60 {
-            let seen = half(wild.image(&look, shot)?, false);
-            let loss = l1(seen, Tensor::from_inner(half(shot.image(), false)));
+            let seen = half(wild.image(&look, shot)?);
+            let loss = l1(seen, Tensor::from_inner(half(shot.image())));
             let gradients = GradientsParams::from_grads(loss.backward(), &look);
             look = optimiser.step(0.05, look, gradients);
         }

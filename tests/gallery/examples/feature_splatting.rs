@@ -2,14 +2,13 @@
 //! features of each photograph. A click on a pixel then selects the Gaussians that look alike in them.
 //! Run with a capture: `cargo run --release -p splat-gallery --example feature_splatting -- CAPTURE selected.png`.
 use std::f32::consts::TAU;
-use std::path::Path;
 
 use burn::tensor::{Device, Tensor};
-use splat_model::capture::{Capture, load_all};
+use splat_gallery::{capture, save, shown};
 use splat_model::gaussians::GroupOptions;
 use splat_model::loss::{DEFAULT_LAMBDA, photometric};
 use splat_model::trainer::{LossInputs, TrainConfig, Trainer};
-use splat_op::{Camera, Colour, Extras, Splats, render_view};
+use splat_op::{Colour, Splats};
 
 const FEATURES: usize = 16;
 
@@ -29,11 +28,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut arguments = std::env::args().skip(1);
     let folder = arguments.next().ok_or("pass the folder of a capture")?;
     let picture = arguments.next().ok_or("pass the picture to write")?;
-    let capture = Capture::load(Path::new(&folder))?;
-    let photos = load_all(&capture.views, Some(96), |_| {})?;
     let (device, config) = (Device::flex(), TrainConfig::for_steps(200));
+    let (shots, points) = capture(folder.as_ref(), &device)?;
+    let photos = shots.iter().map(|shot| shot.photo.clone()).collect();
     let options = GroupOptions { rate: 0.02, final_share: 0.1, ..GroupOptions::default() };
-    let mut trainer = Trainer::new(photos.clone(), &capture.points, config, &device)?
+    let mut trainer = Trainer::new(photos, &points, config, &device)?
         .with_group("features", FEATURES, options)?
         .with_loss(|seen: &LossInputs| {
             let features = seen.features(seen.group("features")).expect("16 features for each Gaussian");
@@ -48,26 +47,23 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         }
     }
 
-    // A click on the middle of the first photograph.
+    // A click on the spotted sphere of the demo's first photograph.
     let scene = trainer.gaussians().untracked();
     let features = scene.group("features").ok_or("the scene has the group")?.values();
-    let camera = Camera::new(photos[0].intrinsics, &photos[0].cam_from_world, &device);
-    let show = |splats: &Splats| render_view(splats, &camera, &Extras::default(), &trainer.render_options());
+    let show = |splats: &Splats| shown(splats, &shots[0].camera);
     let splats = scene.splats();
     let map = show(&Splats { colour: Colour::Features(features.clone()), ..splats.clone() })?.colour;
     let [height, width, _] = map.dims();
-    let clicked = map.narrow(0, height / 2, 1).narrow(1, width / 2, 1).reshape([1, FEATURES]);
+    let [x, y] = [3 * width / 4, 5 * height / 9];
+    let clicked = map.clone().narrow(0, y, 1).narrow(1, x, 1).reshape([1, FEATURES]);
     let length = |rows: Tensor<2>| rows.square().sum_dim(1).sqrt().clamp_min(1e-6);
     let likeness = (features.clone() * clicked.clone()).sum_dim(1) / (length(features) * length(clicked));
-    let alike = likeness.greater_elem(0.9).squeeze_dim::<1>(1);
+    let alike = likeness.greater_elem(0.95).squeeze_dim::<1>(1);
     let chosen = alike.clone().int().sum().into_scalar::<i64>();
-    println!("{chosen} of {} Gaussians are like pixel {}, {}", scene.len(), width / 2, height / 2);
+    println!("{chosen} of {} Gaussians are like pixel {x}, {y}", scene.len());
 
     let opacities = splats.opacities.clone().mask_fill(alike.bool_not(), 0.0);
-    let selected = show(&Splats { opacities, ..splats })?.colour.clamp(0.0, 1.0) * 255.0;
-    let pixels = selected.into_data().iter::<f32>().map(|value| value.round() as u8).collect();
-    image::RgbImage::from_raw(width as u32, height as u32, pixels)
-        .ok_or("a picture of three channels")?
-        .save(&picture)?;
-    Ok(())
+    let selected = show(&Splats { opacities, ..splats })?.colour;
+    // Three of the features as colours.
+    save(&picture, vec![shots[0].image(), map.narrow(2, 0, 3) * 0.5 + 0.5, selected])
 }

@@ -6,9 +6,10 @@ use burn::tensor::activation::sigmoid;
 use burn::tensor::{Device, Distribution, Tensor, TensorData};
 use burn_optim::{AdamConfig, GradientsParams};
 use glam::DAffine3;
+use splat_gallery::{save, shown};
 use splat_model::loss::{Truth, photometric};
 use splat_model::metrics::psnr;
-use splat_op::{Camera, Colour, Extras, Intrinsics, RenderOptions, SplatError, Splats, render_view};
+use splat_op::{Camera, Colour, Intrinsics, SplatError, Splats};
 
 /// Largest side of the fitted picture, px.
 const SIDE: u32 = 96;
@@ -55,7 +56,7 @@ impl Picture {
             opacities: paint.clone().narrow(1, 3, 1).squeeze_dim(1),
             colour: Colour::Features(paint.narrow(1, 0, 3)),
         };
-        Ok(render_view(&splats, camera, &Extras::default(), &RenderOptions::standard())?.colour)
+        Ok(shown(&splats, camera)?.colour)
     }
 }
 
@@ -72,7 +73,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let focal = width.max(height) as f64;
     let camera = Camera::new(Intrinsics::centred(width, height, focal), &DAffine3::IDENTITY, &device);
 
-    let mut before = 0.0;
+    let (mut before, mut pictures) = (0.0, vec![truth.clone()]);
     for count in [50, 200, 800] {
         let mut model = Picture::new(count, &device);
         let mut optimiser = AdamConfig::new().init();
@@ -87,9 +88,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         println!("{count:4} Gaussians  {:6} bytes  {found:.2} dB", 18 * count);
         assert!(found > before, "more Gaussians fit no better");
         before = found;
-        let bytes = (fitted * 255.0).into_data().iter::<f32>().map(|value| value.round() as u8).collect();
-        let fitted = image::RgbImage::from_raw(width as u32, height as u32, bytes).ok_or("three channels")?;
-        fitted.save(&target)?;
+        pictures.push(fitted);
     }
-    Ok(())
+    save(&target, pictures)
 }

@@ -2,15 +2,16 @@
 //!
 //! `docs/GALLERY.md` describes the examples.
 use std::error::Error;
+use std::ops::Range;
 use std::path::Path;
 
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Bool, Device, Tensor, TensorData};
 use glam::DAffine3;
 use image::imageops::FilterType;
 use splat_demo::DemoOptions;
-use splat_model::capture::{Capture, Photo, PointCloud, load_all};
+use splat_model::capture::{Capture, Photo, PointCloud, load_all, masks};
 use splat_model::loss::Truth;
-use splat_model::metrics::psnr;
+use splat_model::metrics::{psnr, scores_without};
 use splat_model::trainer::{TrainConfig, Trainer};
 use splat_op::{Camera, Extras, RenderOptions, Rendered, SplatError, Splats, render_view};
 
@@ -20,8 +21,10 @@ pub struct Shot {
     pub photo: Photo,
     /// Its camera.
     pub camera: Camera,
-    /// Its pixels, prepared for the loss.
+    /// Its pixels, prepared for the loss; black where its mask excludes.
     pub truth: Truth,
+    /// `[1, H, W]`: the pixels that its mask excludes.
+    excluded: Option<Tensor<3, Bool>>,
 }
 
 impl Shot {
@@ -29,13 +32,39 @@ impl Shot {
     pub fn new(photo: Photo, device: &Device) -> Self {
         let plain = device.clone().inner();
         let camera = Camera::new(photo.intrinsics, &photo.cam_from_world, device);
-        let truth = Truth::new(photo.rgb_over([0.0; 3], &plain));
-        Self { photo, camera, truth }
+        let excluded = photo.mask.as_ref().map(|mask| {
+            let excluded: Vec<bool> = mask.iter().map(|counts| !counts).collect();
+            Tensor::from_data(TensorData::new(excluded, [1, photo.intrinsics.height, photo.intrinsics.width]), &plain)
+        });
+        let truth = Truth::new(cleared(photo.rgb_over([0.0; 3], &plain), excluded.as_ref()));
+        Self { photo, camera, truth, excluded }
+    }
+
+    /// A render, `[H, W, C]`, as it is compared with the photograph: black where the mask excludes.
+    pub fn seen(&self, image: Tensor<3>) -> Tensor<3> {
+        cleared(image, self.excluded.as_ref())
+    }
+
+    /// dB of some columns of a render, `[H, W, 3]`, over the pixels that count.
+    pub fn score(&self, image: Tensor<3>, columns: Range<usize>) -> f64 {
+        let part = |picture: Tensor<3>| untracked(picture).narrow(1, columns.start, columns.len());
+        let (image, truth) = (part(image), part(self.image()));
+        match &self.excluded {
+            Some(excluded) => scores_without(image, truth, &excluded.clone().narrow(2, columns.start, columns.len())).0,
+            None => psnr(image, truth),
+        }
     }
 
     /// The photograph, `[H, W, 3]`, untracked.
     pub fn image(&self) -> Tensor<3> {
         self.truth.image()
+    }
+}
+
+fn cleared(image: Tensor<3>, excluded: Option<&Tensor<3, Bool>>) -> Tensor<3> {
+    match excluded {
+        Some(excluded) => masks::cleared(image, excluded),
+        None => image,
     }
 }
 
@@ -52,13 +81,14 @@ pub fn demo(options: DemoOptions, device: &Device) -> Result<(Vec<Shot>, PointCl
     capture(folder.path(), device)
 }
 
-/// Photographs and points of a capture, at most 96 px a side.
+/// Photographs, with their masks, and points of a capture, at most 96 px a side.
 ///
 /// # Errors
 /// If the capture cannot be read.
 pub fn capture(folder: &Path, device: &Device) -> Result<(Vec<Shot>, PointCloud), Box<dyn Error>> {
     let capture = Capture::load(folder)?;
-    let photos = load_all(&capture.views, Some(96), |_| {})?;
+    let mut photos = load_all(&capture.views, Some(96), |_| {})?;
+    masks::attach(&capture, &(0..photos.len()).collect::<Vec<_>>(), &mut photos)?;
     let shots = photos.into_iter().map(|photo| Shot::new(photo, device));
     Ok((shots.collect(), capture.points))
 }

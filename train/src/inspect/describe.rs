@@ -1,7 +1,7 @@
 //! Scenes and captures in numbers, and what is odd about them.
 
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use anyhow::{Context, Result};
 use serde::Serialize;
@@ -166,10 +166,9 @@ pub fn of_capture(capture: &Capture, seen: &PointsSeen) -> CaptureInfo {
     }
     let pixels: f64 = capture.views.iter().map(|view| (view.intrinsics.width * view.intrinsics.height) as f64).sum();
     let split = Split::of(capture, capture.split.is_none().then_some(Split::USUAL));
-    let is_json = |file: &PathBuf| file.extension().is_some_and(|kind| kind.eq_ignore_ascii_case("json"));
     CaptureInfo {
         kind: "capture",
-        format: if capture.files.first().is_some_and(is_json) { "JSON" } else { "COLMAP" },
+        format: capture.format,
         views: capture.views.len(),
         held_out: split.test.len(),
         own_split: capture.split.is_some(),

@@ -4,6 +4,7 @@ use std::fs;
 
 use serde_json::Value;
 use splat_model::formats::{self, Format};
+use splat_model::gaussians::{GroupOptions, GroupRows};
 
 use crate::run::{DEMO, TRAINED, refuse, splat, succeed};
 use crate::text;
@@ -49,8 +50,11 @@ fn what_is_odd_about_a_scene_is_said() {
     rows.means[1] = [1e6, 0.0, 0.0];
     rows.log_scales[2] = [-10.0, -1.0, -1.0];
     rows.logit_opacities[3] = -9.0;
+    let values = vec![0.5; 2 * rows.len()];
+    rows.groups = vec![GroupRows { name: "features".into(), width: 2, values, options: GroupOptions::default() }];
     formats::write(&path, &scene, Format::Ply).unwrap();
     let (said, json) = info(&path);
+    assert!(said.contains("further groups: features [2]") && json["groups"][0][0] == "features", "{said} {json}");
     for part in
         ["1 splats cannot be rendered", "1 splats are never drawn", "1 splats are needles", "1 splats are outliers"]
     {

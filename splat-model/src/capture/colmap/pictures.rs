@@ -6,8 +6,8 @@ use super::ImageRecord;
 use crate::capture::image;
 use crate::capture::names::{Names, PICTURES, SAMPLE, children, parent};
 
-/// Where the pictures of a model may be.
-pub(in crate::capture) enum Pictures<'a> {
+/// Where the photographs of a capture may be.
+pub enum Pictures<'a> {
     /// In or around this folder, which the user named.
     Near(&'a Path),
     /// In this folder alone, beside which the cameras lie.

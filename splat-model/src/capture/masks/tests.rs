@@ -95,6 +95,7 @@ fn both_conventions_are_found_and_read() {
         cam_from_world: DAffine3::IDENTITY,
     };
     let mut capture = Capture {
+        format: "COLMAP",
         scale: None,
         folder: folder.path().to_owned(),
         views: ["a.jpg", "b.jpg", "c/d.e.png", "f.jpg"].map(view).to_vec(),

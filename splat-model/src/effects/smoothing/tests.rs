@@ -1,5 +1,8 @@
+use glam::{DVec3, Vec3};
+use splat_op::CameraModel;
+
 use super::*;
-use crate::gaussians::testing::random_rows;
+use crate::gaussians::testing::{devices, random_rows};
 
 fn cameras() -> Vec<(Intrinsics, DAffine3)> {
     let camera = |focal_px: f64, distance: f64| {
@@ -12,10 +15,16 @@ fn smoothing(cameras: &[(Intrinsics, DAffine3)]) -> Smoothing {
     Smoothing::new(cameras.iter().map(|(intrinsics, pose)| (intrinsics, pose)))
 }
 
+fn ln_widths(smoothing: &Smoothing, means: &[[f32; 3]], device: &Device) -> Vec<f32> {
+    let means = Tensor::<1>::from_floats(means.as_flattened(), device).reshape([means.len(), 3]);
+    values_of(smoothing.ln_widths(&means))
+}
+
 #[test]
 fn the_finest_photograph_that_shows_a_centre_counts() {
     let smoothing = smoothing(&cameras());
-    let rate = |mean: [f32; 3]| (0.5 * VARIANCE.ln() - f64::from(smoothing.ln_widths(&[mean])[0])).exp();
+    let widths = |means: &[[f32; 3]]| ln_widths(&smoothing, means, &Device::flex());
+    let rate = |mean: [f32; 3]| (0.5 * VARIANCE.ln() - f64::from(widths(&[mean])[0])).exp();
     // At the origin: 50/5 = 10, 20/1 = 20, 50/40.
     assert!((rate([0.0; 3]) - 20.0).abs() < 1e-4);
     // At x = 2 the near camera does not see the point: its slopes end at 1.3, margin included.
@@ -23,9 +32,48 @@ fn the_finest_photograph_that_shows_a_centre_counts() {
     // Behind the first two.
     assert!((rate([0.0, 0.0, -20.0]) - 2.5).abs() < 1e-4);
     // A point that no camera sees gets the coarsest filter of the others.
-    let widths = smoothing.ln_widths(&[[0.0; 3], [0.0, 0.0, -50.0], [2.0, 0.0, 0.0]]);
-    assert_eq!(widths[1], widths[2]);
-    assert!(smoothing.ln_widths(&[[0.0, 0.0, -50.0]])[0].is_finite());
+    let found = widths(&[[0.0; 3], [0.0, 0.0, -50.0], [2.0, 0.0, 0.0]]);
+    assert_eq!(found[1], found[2]);
+    assert!(widths(&[[0.0, 0.0, -50.0]])[0].is_finite() && widths(&[]).is_empty());
+}
+
+/// The formula of the module's head, on the host in f64, on every device and through every kind of lens.
+#[test]
+fn rates_are_those_of_the_photographs() {
+    let mut rows = random_rows(400, 0, 9);
+    rows.means.as_flattened_mut().iter_mut().for_each(|x| *x *= 2.5);
+    let lens = |model, distortion: [f64; 4]| {
+        let mut camera = Intrinsics::pinhole(40, 30, [25.0, 28.0], [18.0, 15.0]);
+        camera.model = model;
+        camera.distortion[..4].copy_from_slice(&distortion);
+        camera
+    };
+    let all = [
+        lens(CameraModel::Pinhole, [0.0; 4]),
+        lens(CameraModel::OpenCv, [0.1, -0.05, 0.002, -0.001]),
+        lens(CameraModel::Fisheye, [0.05, -0.01, 0.0, 0.0]),
+    ];
+    let pose = |i: usize| DAffine3::from_translation(DVec3::new(0.3 * i as f64, 0.1, 1.0 + i as f64));
+    let cameras: Vec<_> = all.into_iter().enumerate().map(|(i, camera)| (camera, pose(i))).collect();
+    let rate = |mean: &[f32; 3], (camera, pose): &(Intrinsics, DAffine3)| {
+        let cam = pose.transform_point3(Vec3::from(*mean).as_dvec3());
+        let inside = |px: f64, size: usize| (px / size as f64 - 0.5).abs() <= 0.5 + f64::from(MARGIN);
+        let shown = camera.px_from_cam(cam).is_some_and(|px| inside(px.x, camera.width) && inside(px.y, camera.height));
+        if shown { (camera.fx * camera.fy).sqrt() / cam.z } else { 0.0 }
+    };
+    for device in devices() {
+        for seen in cameras.iter().map(std::slice::from_ref).chain([&cameras[..]]) {
+            let means = Gaussians::from_rows(&rows, &device).unwrap().means();
+            let found = values_of(smoothing(seen).rates(&means));
+            let mut unseen = 0;
+            for (mean, found) in rows.means.iter().zip(found) {
+                let expected = seen.iter().map(|camera| rate(mean, camera)).fold(0.0, f64::max);
+                assert!((f64::from(found) - expected).abs() <= 1e-5 * expected, "{found}, {expected} at {mean:?}");
+                unseen += usize::from(expected == 0.0);
+            }
+            assert!((1..400).contains(&unseen), "{unseen} of 400 are not seen");
+        }
+    }
 }
 
 #[test]

@@ -1,5 +1,6 @@
 use super::*;
 use crate::gaussians::testing::random_rows;
+use crate::gaussians::{GroupOptions, GroupRows};
 
 fn halves() -> [Bounds; 2] {
     Bounds::everything(glam::DMat3::from_rotation_z(0.7)).cut(0, 0.25)
@@ -32,11 +33,13 @@ fn parts_of_a_gaussian_add_up_to_it() {
     assert!(cut > 10 && cut < 290, "{cut} lie across the border");
 }
 
-/// Small Gaussians belong to the cell that holds their centres, and are not changed.
+/// Small Gaussians belong to the cell that holds their centres, and are not changed, nor are their further groups.
 #[test]
 fn small_gaussians_are_kept_as_they_are() {
     let mut rows = random_rows(200, 1, 4);
     rows.log_scales.fill([-12.0; 3]);
+    let values = (0..400).map(|i| i as f32).collect();
+    rows.groups = vec![GroupRows { name: "features".into(), width: 2, values, options: GroupOptions::default() }];
     let [below, above] = halves();
     let inside = |cell: &Bounds| {
         (0..rows.len()).filter(|&i| cell.contains(Vec3::from(rows.means[i]).as_dvec3())).collect::<Vec<_>>()
@@ -47,6 +50,7 @@ fn small_gaussians_are_kept_as_they_are() {
         assert!(!expected.is_empty() && found.len() == expected.len());
         for (now, &was) in expected.iter().enumerate() {
             assert_eq!((found.means[now], found.logit_opacities[now]), (rows.means[was], rows.logit_opacities[was]));
+            assert_eq!(found.groups[0].values[2 * now..][..2], rows.groups[0].values[2 * was..][..2]);
         }
     }
 }

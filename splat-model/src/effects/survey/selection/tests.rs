@@ -29,6 +29,7 @@ fn street(tracked: bool) -> Capture {
         tracks.push(seen, 0.1);
     }
     Capture {
+        format: "COLMAP",
         scale: None,
         folder: PathBuf::new(),
         views: (0..VIEWS).map(view).collect(),
