@@ -158,7 +158,7 @@ fn effects() -> Vec<(&'static str, TrainConfig)> {
 }
 
 /// Steps in between read the counts of `intersect` and the guard's verdict. (The counts are two numbers for each of at most 1,024 cubes.)
-/// The hundred steps include one in which the 3D filter follows the scene.
+/// The hundred steps include one in which the 3D filter follows the scene. A driver in software is slow, and takes three of the runs.
 #[test]
 fn a_step_reads_back_a_few_numbers() {
     let _alone = ALONE.lock();
@@ -166,6 +166,9 @@ fn a_step_reads_back_a_few_numbers() {
     for (place, (name, config)) in
         places().into_iter().flat_map(|place| effects().into_iter().map(move |effect| (place.clone(), effect)))
     {
+        if place.software && !["nothing", "antialias", "all"].contains(&name) {
+            continue;
+        }
         let mut run = slope_trainer_with(config, &place.device).with_depths(vec![known.to_vec()]);
         run.step().expect("a sound run");
         let before = read_bytes();

@@ -69,14 +69,13 @@ impl Trainer {
         if self.ranks.count() > 1 {
             return Ok(self.differentiate_shared()?.averaged(count));
         }
-        let views: Vec<_> = (0..count).map(|_| (self.draw_view(), self.effects.draw(&mut self.rng))).collect();
         let (mut losses, mut gradients) = (Vec::new(), Gradients::default());
         let (mut passes, mut held) = (Vec::new(), None);
         let at_once = if self.loss.joins_views() { count } else { 1 };
-        for (i, part) in views.chunks(at_once).enumerate() {
-            let next = views[i * at_once..].iter().map(|(view, _)| *view);
-            self.views.expect(next.chain(self.queue.iter().rev().copied()));
-            let passed = self.differentiate(part)?;
+        for _ in 0..count / at_once {
+            let views: Vec<_> = (0..at_once).map(|_| (self.draw_view(), self.effects.draw(&mut self.rng))).collect();
+            self.views.expect(views.iter().map(|(view, _)| *view).chain(self.queue.iter().rev().copied()));
+            let passed = self.differentiate(&views)?;
             passed.seen.into_iter().for_each(|seen| self.density.observe(seen));
             losses.push(passed.loss);
             gradients = gradients.plus(passed.gradients);
