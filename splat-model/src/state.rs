@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 
 use burn::tensor::kind::{Basic, Kind};
-use burn::tensor::{DType, Device, Tensor, TensorData};
+use burn::tensor::{DType, Device, Element, Tensor, TensorData};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use thiserror::Error;
@@ -160,16 +160,24 @@ fn stored_as<K: Basic>() -> DType {
 /// Numbers that are copied at a time.
 const AT_ONCE: usize = 1 << 20;
 
-/// Copies all elements of a tensor, row-major. Burn copies data that the tensor keeps twice, so it is asked for a part at a time.
 fn data_of<const D: usize, K: Basic>(tensor: Tensor<D, K>) -> TensorData {
-    let (of, shape, count) = (stored_as::<K>(), tensor.dims(), tensor.shape().num_elements());
-    let flat: Tensor<1, K> = tensor.flatten(0, D - 1);
-    let mut bytes = Vec::with_capacity(count * of.size());
+    let (shape, flat) = (tensor.dims(), tensor.flatten(0, D - 1));
+    match stored_as::<K>() {
+        DType::F32 => TensorData::new(elements::<K, f32>(&flat), shape),
+        _ => TensorData::new(elements::<K, i32>(&flat), shape),
+    }
+}
+
+/// Copies all elements. Burn copies data that the tensor keeps twice, so it is asked for a part at a time; and bytes once more to align
+/// them, so they are numbers from the start.
+fn elements<K: Basic, E: Element>(flat: &Tensor<1, K>) -> Vec<E> {
+    let [count] = flat.dims();
+    let mut all = Vec::with_capacity(count);
     for first in (0..count).step_by(AT_ONCE) {
         let part = flat.clone().narrow(0, first, AT_ONCE.min(count - first)).into_data();
-        bytes.extend_from_slice(part.convert_dtype(of).as_bytes());
+        all.extend_from_slice(part.convert::<E>().as_slice().expect("it was just converted"));
     }
-    TensorData::from_bytes_vec(bytes, shape, of)
+    all
 }
 
 #[cfg(test)]

@@ -10,6 +10,7 @@ use std::io::{self, BufReader};
 use std::path::Path;
 
 use burn::tensor::{DType, TensorData};
+use bytemuck::pod_collect_to_vec;
 use safetensors::tensor::{Dtype, Metadata, SafeTensors, TensorView};
 use serde::Deserialize;
 use sha2::{Digest, Sha256};
@@ -91,10 +92,14 @@ impl State {
         let tensors = SafeTensors::deserialize(&bytes).map_err(|error| damaged(&error))?;
         let mut state = Self::default();
         for (name, view) in tensors.iter() {
-            let Some((of, _)) = TYPES.iter().find(|(_, found)| *found == view.dtype()) else {
-                return Err(damaged(&format!("`{name}` is of the type {}, expected F32, I32 or U8", view.dtype())));
+            // Typed, because Burn copies bytes once more to align them.
+            let (bytes, shape) = (view.data(), view.shape().to_vec());
+            let data = match view.dtype() {
+                Dtype::F32 => TensorData::new(pod_collect_to_vec::<u8, f32>(bytes), shape),
+                Dtype::I32 => TensorData::new(pod_collect_to_vec::<u8, i32>(bytes), shape),
+                Dtype::U8 => TensorData::new(bytes.to_vec(), shape),
+                other => return Err(damaged(&format!("`{name}` is of the type {other}, expected F32, I32 or U8"))),
             };
-            let data = TensorData::from_bytes_vec(view.data().to_vec(), view.shape().to_vec(), *of);
             state.entries.insert(name.to_owned(), data);
         }
         match metadata.get(CHECKSUM_KEY) {

@@ -135,8 +135,9 @@ impl HostArgs {
         Self { inputs, outputs, grads, needs: self.needs.clone() }
     }
 
-    pub(super) fn is_f64(&self) -> bool {
-        self.all_present().any(|tensor| tensor.dtype() == DType::F64)
+    /// Whether a tensor has this type.
+    pub(super) fn holds(&self, dtype: DType) -> bool {
+        self.all_present().any(|tensor| tensor.dtype() == dtype)
     }
 
     /// Returns the shape of input `i`.

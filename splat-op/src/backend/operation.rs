@@ -114,10 +114,10 @@ impl<O: Operation> Erased for O {
     }
 
     fn run(&self, args: &HostArgs, backward: bool) -> Vec<HostOutput> {
-        if !args.is_f64() && f32_in_f64() {
+        if args.holds(DType::F32) && f32_in_f64() {
             return Erased::run(self, &args.widened(), backward).into_iter().map(HostOutput::narrowed).collect();
         }
-        match (args.is_f64(), backward) {
+        match (args.holds(DType::F64), backward) {
             (false, false) => Operation::run::<f32>(self, args),
             (false, true) => self.run_backward::<f32>(args),
             (true, false) => Operation::run::<f64>(self, args),
