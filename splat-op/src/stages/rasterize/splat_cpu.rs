@@ -95,12 +95,15 @@ impl<S: Simd, F: Real> PairSums<S, F> {
     /// there is room.
     #[inline(always)]
     pub fn store(&self, row: &mut [F], channels: usize, slopes: usize) {
-        let total = |sums: &[F::Block<S>], to: &mut [F]| {
-            to.iter_mut().zip(sums).for_each(|(to, sum)| *to = sum.reduce_sum());
-        };
-        total(&self.moments, row);
+        for (to, sum) in row.iter_mut().zip(self.moments) {
+            *to = sum.reduce_sum();
+        }
         let behind = &mut row[MOMENTS + channels..];
-        total(&self.slopes[..slopes], behind);
-        total(&self.absolute, &mut behind[slopes..]);
+        for (to, sum) in behind.iter_mut().zip(self.slopes).take(slopes) {
+            *to = sum.reduce_sum();
+        }
+        for (to, sum) in behind[slopes..].iter_mut().zip(self.absolute) {
+            *to = sum.reduce_sum();
+        }
     }
 }
