@@ -61,18 +61,8 @@ struct Compared {
 }
 
 fn main() -> Result<(), Box<dyn Error>> {
-    let (mut name, mut sizes): (DeviceName, _) = ("flex".parse()?, Vec::<JobSize>::new());
-    // Cargo passes `--bench`.
-    for word in std::env::args().skip(1).filter(|word| word != "--bench") {
-        match word.parse() {
-            Ok(size) => sizes.push(size),
-            Err(()) => name = word.parse()?,
-        }
-    }
-    if sizes.is_empty() {
-        sizes = vec![JobSize::FoxColmap];
-    }
-    let (device, name) = name.resolve()?;
+    let (sizes, name) = JobSize::beside_a_device(&[JobSize::FoxColmap]);
+    let (device, name) = name.as_deref().unwrap_or("flex").parse::<DeviceName>()?.resolve()?;
     println!("{name}, {} threads", rayon::current_num_threads());
     println!(
         "scene\toperation\tms\tms in tensor code\tsaves, share of a step without it\tlaunches\tlaunches in tensor code"

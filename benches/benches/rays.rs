@@ -23,18 +23,8 @@ const BUDGET: Duration = Duration::from_secs(40);
 const LENS: (CameraModel, [f64; 8]) = (CameraModel::OpenCv, [-0.12, 0.03, 0.004, -0.006, 0.0, 0.0, 0.0, 0.0]);
 
 fn main() -> Result<(), Box<dyn Error>> {
-    let (mut name, mut sizes): (DeviceName, _) = ("flex".parse()?, Vec::<JobSize>::new());
-    // Cargo passes `--bench`.
-    for word in std::env::args().skip(1).filter(|word| word != "--bench") {
-        match word.parse() {
-            Ok(size) => sizes.push(size),
-            Err(()) => name = word.parse()?,
-        }
-    }
-    if sizes.is_empty() {
-        sizes = vec![JobSize::Small];
-    }
-    let (device, name) = name.resolve()?;
+    let (sizes, name) = JobSize::beside_a_device(&[JobSize::Small]);
+    let (device, name) = name.as_deref().unwrap_or("flex").parse::<DeviceName>()?.resolve()?;
     for size in sizes {
         let job = Job::new(size)?;
         let (splats, camera) = (job.gaussians(&device).splats(), job.camera(&device));

@@ -60,6 +60,19 @@ impl JobSize {
         named.map(|named| if named.is_empty() { standard.to_vec() } else { named })
     }
 
+    /// Returns the sizes named on the command line, or `standard` if there are none, and the last word that is no size: a device's name.
+    pub fn beside_a_device(standard: &[Self]) -> (Vec<Self>, Option<String>) {
+        let (mut sizes, mut device) = (Vec::new(), None);
+        // Cargo passes `--bench`.
+        for word in std::env::args().skip(1).filter(|word| word != "--bench") {
+            match word.parse() {
+                Ok(size) => sizes.push(size),
+                Err(()) => device = Some(word),
+            }
+        }
+        (if sizes.is_empty() { standard.to_vec() } else { sizes }, device)
+    }
+
     /// Returns the synthetic view; `None` for a real capture.
     pub fn view(self) -> Option<SyntheticView> {
         match self {
