@@ -30,8 +30,8 @@ pub(crate) fn project(
 }
 
 impl Capture {
-    /// The points that each of some views shows, ascending: by the tracks, or by projection where there are none; then nothing hides
-    /// anything. Every `step`th point is looked at.
+    /// The points that each of some views shows, ascending, of every `step`th point. The tracks say it. Without tracks it is every point
+    /// that is projected into the picture, hidden or not.
     pub(crate) fn shown(&self, views: &[usize], step: usize) -> Vec<Vec<u32>> {
         // COLMAP numbers points with 32 bits in practice; more do not fit into memory beside their tracks.
         let points = (0..self.points.positions.len() as u32).step_by(step);
