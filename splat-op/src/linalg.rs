@@ -26,8 +26,13 @@ pub(crate) trait Number:
     /// What a comparison finds.
     type Mask: Copy + BitAnd<Output = Self::Mask> + BitOr<Output = Self::Mask> + Not<Output = Self::Mask>;
 
+    /// Whether the number is an f64.
+    const DOUBLE: bool;
+
     /// Returns a constant of the kind of this number, rounded.
     fn constant(self, value: f64) -> Self;
+    /// Returns `self · factor + addend`, in one operation where there is one.
+    fn mul_add(self, factor: Self, addend: Self) -> Self;
     fn sqrt(self) -> Self;
     fn ln(self) -> Self;
     fn abs(self) -> Self;
@@ -97,6 +102,12 @@ pub(crate) fn hadamard<F: Entry>(a: [F; 3], b: [F; 3]) -> [F; 3] {
 #[inline(always)]
 pub(crate) fn dot<F: Entry>(a: [F; 3], b: [F; 3]) -> F {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+/// [`dot`] in the plane.
+#[inline(always)]
+pub(crate) fn dot2<F: Entry>(a: [F; 2], b: [F; 2]) -> F {
+    a[0] * b[0] + a[1] * b[1]
 }
 
 #[inline(always)]

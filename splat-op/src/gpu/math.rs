@@ -20,14 +20,6 @@ impl Vec2 {
         Vec2 { x, y }
     }
 
-    pub fn plus(&self, other: Vec2) -> Vec2 {
-        Vec2 { x: self.x + other.x, y: self.y + other.y }
-    }
-
-    pub fn times(&self, factor: f32) -> Vec2 {
-        Vec2 { x: self.x * factor, y: self.y * factor }
-    }
-
     pub fn dot(&self, other: Vec2) -> f32 {
         self.x * other.x + self.y * other.y
     }

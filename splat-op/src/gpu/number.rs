@@ -138,9 +138,14 @@ macro_rules! comparisons {
 
 impl<'a> Number for KernelNumber<'a> {
     type Mask = KernelMask<'a>;
+    const DOUBLE: bool = false;
 
     fn constant(self, value: f64) -> Self {
         Self { scope: self.scope, value: NativeExpand::from_lit(self.scope, value as f32) }
+    }
+
+    fn mul_add(self, factor: Self, addend: Self) -> Self {
+        self * factor + addend
     }
 
     functions!(sqrt = __expand_sqrt_method, ln = __expand_ln_method, abs = __expand_abs_method);

@@ -4,9 +4,9 @@ use std::ops::{Add, Div, Mul, Neg, Sub};
 
 use fearless_simd::prelude::*;
 
-use super::each;
 use super::lanes::{Lanes, MaskOf, norm, width};
 use super::real::{LANES, Real};
+use super::{each, is_f32};
 use crate::linalg::Number;
 
 /// A number in each lane.
@@ -77,10 +77,16 @@ macro_rules! comparisons {
 
 impl<S: Simd, F: Real> Number for LaneNumber<S, F> {
     type Mask = MaskOf<S, F>;
+    const DOUBLE: bool = !is_f32::<F>();
 
     #[inline(always)]
     fn constant(self, value: f64) -> Self {
         Self::splat(self.0.token(), F::of(value))
+    }
+
+    #[inline(always)]
+    fn mul_add(self, factor: Self, addend: Self) -> Self {
+        Self(self.0.mul_add(factor.0, addend.0))
     }
 
     #[inline(always)]

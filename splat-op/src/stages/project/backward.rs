@@ -14,8 +14,7 @@ use cubecl::prelude::*;
 
 use super::axis::{CameraAxis, JacobianRow};
 use super::forward::{Gaussian, GeometryInputs, PackedEllipse, ProjectCamera, ProjectionTerms, project_one};
-use super::lens_backward::bent_backward;
-use super::lens_forward::SeenGrad;
+use super::lens_kernel::{SeenGrad, bent_backward};
 use crate::gpu::UNITS;
 use crate::gpu::math::{Mat3, POSE, Pose, Quaternion, Vec3};
 use crate::gpu::reduce::cube_sum;
@@ -76,10 +75,10 @@ fn row_backward(
     grad_j: Vec3,
     grad_mean_px: f32,
 ) -> JacobianRowGrad {
-    let inverse = 1.0 / f.depth;
+    let inverse = 1.0 / f.mean_cam.z;
     // j = (focal / z) (row − slope · last)
     let grad_row = grad_j.times(axis.focal * inverse);
-    let through_slope = select(row.slope_free, grad_row.dot(f.last), 0.0);
+    let through_slope = select(row.slope_free, grad_row.dot(f.cam_from_gaussian.z), 0.0);
     let across = (grad_mean_px * axis.focal - through_slope) * inverse;
     JacobianRowGrad { across, depth: -(grad_j.dot(row.j) * inverse) - across * row.ratio, row: grad_row }
 }
@@ -92,17 +91,15 @@ pub(crate) fn seen_backward(
     grad_j: (Vec3, Vec3),
     grad: &PackedEllipse,
 ) -> SeenGrad {
-    #[comptime]
-    match p.bent {
-        ComptimeOption::Some(bent) => bent_backward(&bent, camera, grad_j, grad),
-        ComptimeOption::None => {
-            let x = row_backward(p, &p.x, &camera.x, grad_j.0, grad.x);
-            let y = row_backward(p, &p.y, &camera.y, grad_j.1, grad.y);
-            let to_last = x.row.times(p.x.slope).plus(y.row.times(p.y.slope));
-            SeenGrad {
-                turned: Mat3 { x: x.row, y: y.row, z: Vec3::new(0.0, 0.0, 0.0).minus(to_last) },
-                centre: Vec3::new(x.across, y.across, grad.depth + x.depth + y.depth),
-            }
+    if comptime!(camera.distortion.is_some()) {
+        bent_backward(p.mean_cam, p.cam_from_gaussian, camera, grad_j, grad)
+    } else {
+        let x = row_backward(p, &p.x, &camera.x, grad_j.0, grad.x);
+        let y = row_backward(p, &p.y, &camera.y, grad_j.1, grad.y);
+        let to_last = x.row.times(p.x.slope).plus(y.row.times(p.y.slope));
+        SeenGrad {
+            turned: Mat3 { x: x.row, y: y.row, z: Vec3::new(0.0, 0.0, 0.0).minus(to_last) },
+            centre: Vec3::new(x.across, y.across, grad.depth + x.depth + y.depth),
         }
     }
 }

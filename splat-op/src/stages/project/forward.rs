@@ -4,7 +4,7 @@
 use cubecl::prelude::*;
 
 use super::axis::{CameraAxis, JacobianRow};
-use super::lens_forward::{Distortion, LensProjection, bent_rows};
+use super::lens_kernel::{DistortionArg, bent_rows};
 use super::{COLUMNS, COMPENSATION_MIN};
 use crate::gpu::math::{Mat3, Pose, Quaternion, Vec3, finite};
 
@@ -22,7 +22,7 @@ pub(crate) struct ProjectCamera {
     /// Square root of the blur, px.
     pub blur_sigma: f32,
     /// Lens; absent for a pinhole.
-    pub distortion: ComptimeOption<Distortion>,
+    pub distortion: ComptimeOption<DistortionArg>,
     #[cube(comptime)]
     pub antialias: bool,
     #[cube(comptime)]
@@ -144,16 +144,14 @@ impl PackedEllipse {
 pub(crate) struct ProjectionTerms {
     /// Whether the Gaussian is not culled. If it is, all other fields are meaningless.
     pub visible: bool,
-    pub depth: f32,
+    pub mean_cam: Vec3,
     pub quaternion: Quaternion,
     pub quaternion_length: f32,
     pub world_from_gaussian: Mat3,
-    /// The last row of `W R`.
-    pub last: Vec3,
+    /// `W R`.
+    pub cam_from_gaussian: Mat3,
     pub x: JacobianRow,
     pub y: JacobianRow,
-    /// Terms of a lens.
-    pub bent: ComptimeOption<LensProjection>,
     /// `m0 / sigma_u`, `m1 / sigma_u`, `n × m1` and its length.
     pub n: Vec3,
     pub along: Vec3,
@@ -167,36 +165,26 @@ pub(crate) struct ProjectionTerms {
     pub compensation_free: bool,
 }
 
-/// Projections along both axes and the terms of a lens, from the centre in the camera's frame and `W R`.
+/// Projections along both axes, from the centre in the camera's frame and `W R`, and whether the centre lies within the domain of a
+/// lens.
 #[cube]
 fn seen_rows(
     mean_cam: Vec3,
     cam_from_gaussian: Mat3,
     scale: Vec3,
     camera: &ProjectCamera,
-) -> (JacobianRow, JacobianRow, ComptimeOption<LensProjection>) {
+) -> (JacobianRow, JacobianRow, bool) {
     #[comptime]
     match camera.distortion {
         ComptimeOption::Some(distortion) => {
-            let (x, y, bent) = bent_rows(mean_cam, cam_from_gaussian, scale, &camera.x, &camera.y, &distortion);
-            (x, y, ComptimeOption::new_Some(bent))
+            bent_rows(mean_cam, cam_from_gaussian, scale, &camera.x, &camera.y, &distortion)
         }
         ComptimeOption::None => {
             let (depth, last) = (mean_cam.z, cam_from_gaussian.z);
             let x = camera.x.project(mean_cam.x, depth, cam_from_gaussian.x, last, scale);
             let y = camera.y.project(mean_cam.y, depth, cam_from_gaussian.y, last, scale);
-            (x, y, ComptimeOption::new_None())
+            (x, y, true)
         }
-    }
-}
-
-/// Whether a Gaussian that is otherwise `drawn` also lies within the lens's domain.
-#[cube]
-fn within_domain(drawn: bool, bent: ComptimeOption<LensProjection>) -> bool {
-    #[comptime]
-    match bent {
-        ComptimeOption::Some(bent) => drawn && bent.within,
-        ComptimeOption::None => drawn,
     }
 }
 
@@ -206,8 +194,8 @@ pub(crate) fn project_one(gaussian: &Gaussian, pose: &Pose, camera: &ProjectCame
     let (quaternion, quaternion_length) = gaussian.rotation.unit();
     let world_from_gaussian = gaussian.world_from_gaussian(&quaternion, comptime!(camera.factors));
     let cam_from_gaussian = pose.matrix.times(world_from_gaussian);
-    let (depth, last, scale) = (mean_cam.z, cam_from_gaussian.z, gaussian.sizes(comptime!(camera.factors)));
-    let (x, y, bent) = seen_rows(mean_cam, cam_from_gaussian, scale, camera);
+    let (depth, scale) = (mean_cam.z, gaussian.sizes(comptime!(camera.factors)));
+    let (x, y, within) = seen_rows(mean_cam, cam_from_gaussian, scale, camera);
 
     let sigma_u = Vec3::new(x.m.length(), camera.blur_sigma, 0.0).length();
     let inverse = 1.0 / sigma_u;
@@ -226,7 +214,7 @@ pub(crate) fn project_one(gaussian: &Gaussian, pose: &Pose, camera: &ProjectCame
         wide = wide && (sigma_u > camera.clip_sigma || vertical > camera.clip_sigma);
     }
     let drawn = gaussian.finite() && in_front && quaternion_length > 0.0 && wide;
-    let visible = within_domain(drawn, bent);
+    let visible = if comptime!(camera.distortion.is_some()) { drawn && within } else { drawn };
 
     let mut compensation = 1.0f32;
     let mut compensation_free = false;
@@ -238,14 +226,13 @@ pub(crate) fn project_one(gaussian: &Gaussian, pose: &Pose, camera: &ProjectCame
     }
     ProjectionTerms {
         visible,
-        depth,
+        mean_cam,
         quaternion,
         quaternion_length,
         world_from_gaussian,
-        last,
+        cam_from_gaussian,
         x,
         y,
-        bent,
         n,
         along,
         p,
@@ -267,7 +254,7 @@ pub(crate) fn packed_of(gaussian: &Gaussian, p: &ProjectionTerms, camera: &Proje
         sigma_u: select(p.visible, p.sigma_u, 1.0),
         shear: select(p.visible, p.shear, 0.0),
         sigma_v: select(p.visible, p.sigma_v, 1.0),
-        depth: select(p.visible, p.depth, 0.0),
+        depth: select(p.visible, p.mean_cam.z, 0.0),
         opacity: select(p.visible, gaussian.opacity * p.compensation, 0.0),
     }
 }

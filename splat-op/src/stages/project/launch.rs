@@ -3,10 +3,9 @@
 use super::axis::CameraAxisLaunch;
 use super::backward::project_backward_kernel;
 use super::forward::{GeometryInputsLaunch, ProjectCameraLaunch, project_forward_kernel};
-use super::lens_forward::DistortionLaunch;
+use super::lens_kernel::distortion_arg;
 use super::{COLUMNS, Geometry, ProjectSpec, RADIUS_SIGMAS, WIDTHS};
-use crate::camera::{CameraModel, Intrinsics};
-use crate::gpu::math::{POSE, Vec2Launch};
+use crate::gpu::math::POSE;
 use crate::gpu::reduce::launch_column_sums;
 use crate::gpu::{Buffer, Gpu, UNITS, elementwise, given};
 
@@ -25,7 +24,7 @@ pub(crate) fn project_camera(spec: &ProjectSpec) -> ProjectCameraLaunch {
         (options.far as f32).min(f32::MAX),
         (options.radius_clip / RADIUS_SIGMAS) as f32,
         options.blur.sqrt() as f32,
-        distortion(camera).into(),
+        distortion_arg(camera).into(),
         options.antialias,
         options.radius_clip > 0.0,
         spec.factors,
@@ -36,20 +35,6 @@ pub(crate) fn project_camera(spec: &ProjectSpec) -> ProjectCameraLaunch {
 pub(crate) fn geometry_arg(inputs: &Geometry<Buffer<f32>>) -> GeometryInputsLaunch {
     let [means, scales, opacities] = [&inputs.means, &inputs.scales, &inputs.opacities].map(Buffer::arg);
     GeometryInputsLaunch::new(means, inputs.rotations.vectors(4), scales, opacities, inputs.cam_from_world.arg())
-}
-
-/// Lens as an argument of the kernels; `None` for a pinhole.
-fn distortion(camera: &Intrinsics) -> Option<DistortionLaunch> {
-    if camera.model == CameraModel::Pinhole {
-        return None;
-    }
-    let found = camera.coefficients();
-    let [k1, k2, k3, k4] = found.radial.map(|k| k as f32);
-    let [d1, d2, d3] = found.denominator.map(|d| d as f32);
-    let [tangential, prism] = [found.tangential, found.prism].map(|[x, y]| Vec2Launch::new(x as f32, y as f32));
-    // Shader compilers may assume that infinity does not occur.
-    let max_radius_squared = (camera.max_radius().powi(2) as f32).min(f32::MAX);
-    Some(DistortionLaunch::new(k1, k2, k3, k4, d1, d2, d3, tangential, prism, max_radius_squared, camera.model))
 }
 
 /// Launches the forward kernel. Returns packed ellipses, `[N, 7]`.

@@ -34,11 +34,9 @@ mod kernel_tests;
 #[cfg(feature = "cube")]
 pub(crate) mod launch;
 mod lens;
+pub(crate) mod lens_formulas;
 #[cfg(feature = "cube")]
-pub(crate) mod lens_backward;
-#[cfg(feature = "cube")]
-pub(crate) mod lens_forward;
-pub(crate) mod lens_simd;
+pub(crate) mod lens_kernel;
 pub(crate) mod operation;
 pub(crate) mod simd;
 pub(crate) mod simd_backward;

@@ -3,11 +3,12 @@
 
 use fearless_simd::prelude::*;
 
-use super::lens_simd::{DistortionSimd, LensProjectionSimd};
+use super::lens_formulas::{Distortion, LensProjection, LensProjectionGrad};
 use super::{COMPENSATION_MIN, Ellipse, ProjectSpec, RADIUS_SIGMAS};
 use crate::linalg::{Matrix3, add, cross, dot, hadamard, matmul, matvec, rotation_of, scale, sub};
 use crate::simd::each;
-use crate::simd::lanes::{MaskOf, Vector, norm};
+use crate::simd::lanes::{Lanes, MaskOf, Vector, norm};
+use crate::simd::number::LaneNumber;
 use crate::simd::real::Real;
 
 /// The camera, as numbers or broadcast to all lanes.
@@ -29,7 +30,7 @@ pub(crate) struct ProjectCameraSimd<L> {
     /// Whether Gaussians have factors of covariances.
     pub(super) factors: bool,
     /// `None` for a pinhole.
-    pub distortion: Option<DistortionSimd<L>>,
+    pub distortion: Option<Distortion<L>>,
 }
 
 impl<F: Real> ProjectCameraSimd<F> {
@@ -50,7 +51,7 @@ impl<F: Real> ProjectCameraSimd<F> {
             blur_sigma: F::of(options.blur).sqrt(),
             antialias: options.antialias,
             factors: spec.factors,
-            distortion: DistortionSimd::new(camera),
+            distortion: Distortion::new(camera),
         }
     }
 
@@ -76,9 +77,57 @@ impl<F: Real> ProjectCameraSimd<F> {
             factors: self.factors,
             #[allow(clippy::manual_map, reason = "a closure may be left out of line, without vector instructions")]
             distortion: match &self.distortion {
-                Some(distortion) => Some(distortion.lanes(simd)),
+                Some(distortion) => Some(distortion.map(
+                    #[inline(always)]
+                    |value| F::Lanes::<S>::splat(simd, value),
+                )),
                 None => None,
             },
+        }
+    }
+}
+
+/// A lens and the projection of eight centres through it.
+pub(crate) struct Bent<S: Simd, F: Real> {
+    distortion: Distortion<LaneNumber<S, F>>,
+    focal: [LaneNumber<S, F>; 2],
+    pub projection: LensProjection<LaneNumber<S, F>>,
+}
+
+impl<S: Simd, F: Real> Bent<S, F> {
+    /// `rows` are those of `W R`.
+    #[inline(always)]
+    pub fn new(
+        camera: &ProjectCameraSimd<Lanes<S, F>>,
+        distortion: &Distortion<Lanes<S, F>>,
+        mean_cam: Vector<S, F>,
+        rows: &Matrix3<Lanes<S, F>>,
+    ) -> Self {
+        let distortion = distortion.map(
+            #[inline(always)]
+            |value| LaneNumber(value),
+        );
+        let limits = [LaneNumber::row(camera.low), LaneNumber::row(camera.high)];
+        let rows = each!(*rows, |row| LaneNumber::row(row));
+        let projection = LensProjection::new(&distortion, LaneNumber::row(mean_cam), rows, limits);
+        Self { distortion, focal: LaneNumber::row(camera.focal), projection }
+    }
+
+    /// The rows of `J W R`.
+    #[inline(always)]
+    pub fn rows(&self) -> [Vector<S, F>; 2] {
+        each!(self.projection.rows(self.focal), |row| LaneNumber::lanes(row))
+    }
+
+    /// Gradients of the centres and of `W R` from those of the rows of `J W R` and of the distorted positions, px.
+    #[inline(always)]
+    pub fn backward(&self, grad_j: [Vector<S, F>; 2], grad_px: [Lanes<S, F>; 2]) -> LensProjectionGrad<Lanes<S, F>> {
+        let grad_j = each!(grad_j, |row| LaneNumber::row(row));
+        let grad_at = each!([0, 1], |axis| LaneNumber(grad_px[axis]) * self.focal[axis]);
+        let grad = self.projection.backward(&self.distortion, self.focal, grad_j, grad_at);
+        LensProjectionGrad {
+            mean_cam: LaneNumber::lanes(grad.mean_cam),
+            rows: each!(grad.rows, |row| LaneNumber::lanes(row)),
         }
     }
 }
@@ -134,7 +183,7 @@ pub(crate) struct ProjectionTermsSimd<S: Simd, F: Real> {
     pub(super) compensation: F::Lanes<S>,
     pub(super) compensation_free: MaskOf<S, F>,
     /// Terms of a lens; `None` in the code that is compiled for pinholes.
-    pub(super) bent: Option<LensProjectionSimd<S, F>>,
+    pub(super) bent: Option<Bent<S, F>>,
 }
 
 impl<S: Simd, F: Real> ProjectionTermsSimd<S, F> {
@@ -169,10 +218,9 @@ impl<S: Simd, F: Real> ProjectionTermsSimd<S, F> {
         });
         let mut bent = None;
         if BENDS && let Some(distortion) = &camera.distortion {
-            let found =
-                LensProjectionSimd::<S, F>::new(distortion, mean_cam, &cam_from_gaussian, [camera.low, camera.high]);
-            (ratio, j) = (found.seen_at(), found.rows(camera.focal));
-            seen &= found.within;
+            let found = Bent::<S, F>::new(camera, distortion, mean_cam, &cam_from_gaussian);
+            (ratio, j) = (LaneNumber::lanes(found.projection.seen_at()), found.rows());
+            seen &= found.projection.within;
             bent = Some(found);
         }
         seen = seen & finite(ratio[0]) & finite(ratio[1]) & quaternion_length.simd_gt(zero);

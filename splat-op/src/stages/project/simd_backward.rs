@@ -3,7 +3,7 @@
 use fearless_simd::prelude::*;
 
 use super::Ellipse;
-use super::lens_simd::LensProjectionGrad;
+use super::lens_formulas::LensProjectionGrad;
 use super::simd::{GaussiansSimd, ProjectCameraSimd, ProjectionTermsSimd};
 use crate::linalg::{Matrix3, add, cross, dot, hadamard, matmul, matvec, scale, sub, transpose, transposed_matvec};
 use crate::simd::each;
@@ -61,9 +61,8 @@ impl<S: Simd, F: Real> ProjectionTermsSimd<S, F> {
         grad_j: [Vector<S, F>; 2],
         grad: &Ellipse<F::Lanes<S>>,
     ) -> LensProjectionGrad<F::Lanes<S>> {
-        if BENDS && let (Some(bent), Some(distortion)) = (&self.bent, &camera.distortion) {
-            let grad_seen_at = [grad.mean_px[0] * camera.focal[0], grad.mean_px[1] * camera.focal[1]];
-            let mut out = bent.backward(distortion, camera.focal, grad_j, grad_seen_at);
+        if BENDS && let Some(bent) = &self.bent {
+            let mut out = bent.backward(grad_j, grad.mean_px);
             out.mean_cam[2] += grad.depth;
             return out;
         }

@@ -4,14 +4,13 @@
 use cubecl::prelude::*;
 
 use super::formulas::RaySpaceGrad;
-use super::forward::{KernelFrame, lens_map, terms_of};
+use super::forward::{KernelFrame, lens_map, not_rotated, terms_of};
 use super::{LENS_COLUMNS, RAY_SPACE};
 use crate::gpu::math::{Mat3Expand, Vec2, Vec3};
 use crate::gpu::number::{KernelNumber, load_row, vec3};
 use crate::project::backward::{GeometryGradMask, no_gradient, store_pose, world_backward};
 use crate::project::forward::{Gaussian, GeometryInputs, PackedEllipse, ProjectCamera, ProjectionTerms, project_one};
-use crate::project::lens_backward::bent_backward;
-use crate::project::lens_forward::{Distortion, SeenGrad, SeenGradExpand};
+use crate::project::lens_kernel::{DistortionArg, SeenGrad, SeenGradExpand, bent_backward};
 
 /// Whether any number is not zero, by its bits, so that NaN counts.
 #[cube]
@@ -56,13 +55,13 @@ fn jacobian_backward(map: &KernelFrame, z: f32, jacobian: (Vec3, Vec3), blur: Ve
 
 /// Returns the gradient of a centre in the camera's frame through `G` of a lens.
 #[cube]
-fn map_backward(mean: Vec3, blur: Vec3, camera: &ProjectCamera, distortion: &Distortion) -> Vec3 {
-    let (map, jacobian, bent) = lens_map(mean, camera, distortion);
+fn map_backward(mean: Vec3, blur: Vec3, camera: &ProjectCamera, distortion: &DistortionArg) -> Vec3 {
+    let (map, jacobian) = lens_map(mean, camera, distortion);
     let (of_x, of_y, of_z) = jacobian_backward(&map, mean.z, jacobian, blur);
     let zero = 0.0f32.runtime();
     let none =
         PackedEllipse { x: zero, y: zero, sigma_u: zero, shear: zero, sigma_v: zero, depth: of_z, opacity: zero };
-    bent_backward(&bent, camera, (of_x, of_y), &none).centre
+    bent_backward(mean, not_rotated(), camera, (of_x, of_y), &none).centre
 }
 
 /// Returns the linear map at a Gaussian.
@@ -71,7 +70,7 @@ fn map_of(f: &ProjectionTerms, mean: Vec3, camera: &ProjectCamera) -> KernelFram
     #[comptime]
     match camera.distortion {
         ComptimeOption::Some(distortion) => {
-            let (map, _jacobian, _bent) = lens_map(mean, camera, &distortion);
+            let (map, _jacobian) = lens_map(mean, camera, &distortion);
             map
         }
         ComptimeOption::None => {

@@ -9,7 +9,7 @@ use crate::gpu::number::{KernelMask, KernelNumber, store_row};
 use crate::project::forward::{
     Gaussian, GaussianExpand, GeometryInputs, ProjectCamera, ProjectionTerms, ProjectionTermsExpand, project_one,
 };
-use crate::project::lens_forward::{Distortion, LensProjection, bent_rows};
+use crate::project::lens_kernel::{DistortionArg, bent_rows};
 
 /// The linear map at a Gaussian: the slopes `t` and the rows of `G`, px per slope; with a lens the columns of a row.
 #[derive(CubeType, Clone, Copy)]
@@ -29,22 +29,28 @@ impl KernelFrameExpand {
     }
 }
 
-/// Returns the map of a lens at a centre in the camera's frame, the rows of the lens's Jacobian there, and its projection.
+/// `W R` of a Gaussian that is not rotated against the camera.
+#[cube]
+pub(super) fn not_rotated() -> Mat3 {
+    Mat3 { x: Vec3::new(1.0, 0.0, 0.0), y: Vec3::new(0.0, 1.0, 0.0), z: Vec3::new(0.0, 0.0, 1.0) }
+}
+
+/// Returns the map of a lens at a centre in the camera's frame, and the rows of the lens's Jacobian there.
 #[cube]
 pub(super) fn lens_map(
     mean_cam: Vec3,
     camera: &ProjectCamera,
-    distortion: &Distortion,
-) -> (KernelFrame, (Vec3, Vec3), LensProjection) {
-    let rows = Mat3 { x: Vec3::new(1.0, 0.0, 0.0), y: Vec3::new(0.0, 1.0, 0.0), z: Vec3::new(0.0, 0.0, 1.0) };
-    let (x, y, bent) = bent_rows(mean_cam, rows, Vec3::new(1.0, 1.0, 1.0), &camera.x, &camera.y, distortion);
+    distortion: &DistortionArg,
+) -> (KernelFrame, (Vec3, Vec3)) {
+    let one = Vec3::new(1.0, 1.0, 1.0);
+    let (x, y, _within) = bent_rows(mean_cam, not_rotated(), one, &camera.x, &camera.y, distortion);
     let z = mean_cam.z;
     let map = KernelFrame {
         centre: Vec2::new(mean_cam.x / z, mean_cam.y / z),
         x: Vec2::new(z * x.j.x, z * x.j.y),
         y: Vec2::new(z * y.j.x, z * y.j.y),
     };
-    (map, (x.j, y.j), bent)
+    (map, (x.j, y.j))
 }
 
 /// Returns the terms of a Gaussian, from its projection.
@@ -61,8 +67,8 @@ pub(super) fn terms_of<'a>(
         sigma_u: KernelNumber::of(scope, f.sigma_u),
         shear: KernelNumber::of(scope, f.shear),
         sigma_v: KernelNumber::of(scope, f.sigma_v),
-        last: KernelNumber::vector(scope, f.last),
-        depth: KernelNumber::of(scope, f.depth),
+        last: KernelNumber::vector(scope, f.cam_from_gaussian.z),
+        depth: KernelNumber::of(scope, f.mean_cam.z),
         scale: KernelNumber::vector(scope, g.scale),
         blur_sigma: KernelNumber::of(scope, blur_sigma),
     })
@@ -105,7 +111,7 @@ pub(super) fn ray_space_forward_kernel(
         store_row(&row, ray_rows, at);
         #[comptime]
         if let ComptimeOption::Some(distortion) = camera.distortion {
-            let (map, _jacobian, _bent) = lens_map(pose.apply(gaussian.mean), &camera, &distortion);
+            let (map, _jacobian) = lens_map(pose.apply(gaussian.mean), &camera, &distortion);
             let (at, seen) = (at + comptime!(RAY_SPACE), projection.visible);
             ray_rows[at] = select(seen, map.centre.x, 0.0);
             ray_rows[at + 1] = select(seen, map.centre.y, 0.0);

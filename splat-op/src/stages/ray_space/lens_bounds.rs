@@ -5,7 +5,7 @@ use std::f64::consts::FRAC_PI_2;
 use super::bounds::Bounded;
 use super::{EXTENT, RAY_SPACE, ROUNDING};
 use crate::camera::{Intrinsics, PictureRays};
-use crate::linalg::Number;
+use crate::linalg::{Number, dot2};
 use crate::project::Ellipse;
 use crate::simd::each;
 use crate::simd::real::Real;
@@ -68,11 +68,6 @@ impl<F: Real> LensLimits<F> {
 #[inline(always)]
 fn solved<N: Number>([[a, b], [c, d]]: [[N; 2]; 2], inverse: N, [x, y]: [N; 2]) -> [N; 2] {
     [(d * x - b * y) * inverse, (a * y - c * x) * inverse]
-}
-
-#[inline(always)]
-fn dot2<N: Number>(a: [N; 2], b: [N; 2]) -> N {
-    a[0] * b[0] + a[1] * b[1]
 }
 
 impl<N: Number> LensLimits<N> {

@@ -6,8 +6,8 @@ use fearless_simd::prelude::*;
 use super::formulas::{Factored, RaySpaceGrad, RaySpaceTerms};
 use super::{LensFrame, RAY_SPACE};
 use crate::linalg::{Matrix3, Number, add};
-use crate::project::lens_simd::{LensProjectionGrad, LensProjectionSimd};
-use crate::project::simd::{GaussiansSimd, ProjectCameraSimd, ProjectionTermsSimd};
+use crate::project::lens_formulas::LensProjectionGrad;
+use crate::project::simd::{Bent, GaussiansSimd, ProjectCameraSimd, ProjectionTermsSimd};
 use crate::project::simd_backward::{GradientsSimd, ShapeGrad, any_not_zero};
 use crate::simd::each;
 use crate::simd::number::LaneNumber;
@@ -15,7 +15,7 @@ use crate::simd::real::Real;
 
 /// A lens's projection of Gaussians that are not rotated against the camera, whose rows of `J W R` are those of `J`, and these rows.
 struct LensTerms<S: Simd, F: Real> {
-    bent: LensProjectionSimd<S, F>,
+    bent: Bent<S, F>,
     jacobian: [[LaneNumber<S, F>; 3]; 2],
 }
 
@@ -56,8 +56,8 @@ impl<S: Simd, F: Real> RaySpaceSimd<S, F> {
         if BENDS && let Some(distortion) = &camera.distortion {
             let identity: Matrix3<F::Lanes<S>> =
                 [[one.0, zero.0, zero.0], [zero.0, one.0, zero.0], [zero.0, zero.0, one.0]];
-            let bent = LensProjectionSimd::new(distortion, projection.mean_cam, &identity, [camera.low, camera.high]);
-            let jacobian = each!(bent.rows(camera.focal), |row| LaneNumber::row(row));
+            let bent = Bent::<S, F>::new(camera, distortion, projection.mean_cam, &identity);
+            let jacobian = each!(bent.rows(), |row| LaneNumber::row(row));
             map = LensFrame::at(LaneNumber::row(projection.mean_cam), &jacobian);
             lens = Some(LensTerms { bent, jacobian });
         }
@@ -98,11 +98,11 @@ impl<S: Simd, F: Real> RaySpaceSimd<S, F> {
         let RaySpaceGrad { scales, rows, centre, blur } = self.terms.backward(j, &self.map, &LaneNumber::row(*grad));
         let rows = each!(rows, |row| LaneNumber::lanes(row));
         let mut through = LensProjectionGrad { mean_cam: LaneNumber::lanes(centre), rows };
-        if BENDS && let (Some(LensTerms { bent, jacobian }), Some(distortion)) = (&self.lens, &camera.distortion) {
+        if BENDS && let Some(LensTerms { bent, jacobian }) = &self.lens {
             let (of_jacobian, of_z) = self.map.backward(LaneNumber(projection.mean_cam[2]), jacobian, blur);
             through.mean_cam[2] += of_z.0;
             let of_jacobian = each!(of_jacobian, |row| LaneNumber::lanes(row));
-            let of_lens = bent.backward(distortion, camera.focal, of_jacobian, [zero; 2]);
+            let of_lens = bent.backward(of_jacobian, [zero; 2]);
             through.mean_cam = add(through.mean_cam, of_lens.mean_cam);
         }
         let of_shape = ShapeGrad { scales: LaneNumber::lanes(scales), opacity: zero };
