@@ -24,14 +24,17 @@ macro_rules! each {
 }
 pub(crate) use each;
 
-/// `dispatch!(F, simd => value)`: the value, computed with the best vector instructions of this processor that are compiled in, whose
-/// token is `simd`. Every function called has to be `#[inline(always)]`, and so do closures. All of it is compiled once for each set of
-/// instructions, so that it belongs around a whole task and not into a loop.
+/// `dispatch!(F, simd => value)`: the value, computed with vector instructions whose token is `simd`. Every function called has to be
+/// `#[inline(always)]`, and so do closures. All of it is compiled once for each set of instructions, so that it belongs around a whole task
+/// and not into a loop.
 ///
-/// Of x86-64 these are AVX2 and AVX-512 in f32, and SSE2, which every processor has, in f64. A processor without AVX2 computes operations in
-/// f32 as those in f64 ([`f32_in_f64`]). Of other processors they are those of [`fearless_simd::dispatch`].
+/// Of x86-64 these are AVX2 in f32, and SSE2, which every processor has, in f64. A processor without AVX2 computes operations in f32 as
+/// those in f64 ([`f32_in_f64`]). Of other processors they are those of [`fearless_simd::dispatch`].
 macro_rules! dispatch {
-    ($float:ty, $simd:ident => $value:expr) => {{
+    ($float:ty, $simd:ident => $value:expr) => {
+        $crate::simd::dispatch!($float, false, $simd => $value)
+    };
+    ($float:ty, $has_avx512:literal, $simd:ident => $value:expr) => {{
         #[cfg(target_arch = "x86_64")]
         {
             let level = fearless_simd::Level::new();
@@ -47,7 +50,7 @@ macro_rules! dispatch {
             }
             if const { !$crate::simd::is_f32::<$float>() } {
                 on!(level.as_sse2().expect("x86-64 has SSE2"))
-            } else if let Some(token) = level.as_avx512() {
+            } else if const { $has_avx512 } && let Some(token) = level.as_avx512() {
                 on!(token)
             } else {
                 on!(level.as_avx2().expect("processors without AVX2 compute f32 in f64"))
@@ -60,6 +63,15 @@ macro_rules! dispatch {
     }};
 }
 pub(crate) use dispatch;
+
+/// As [`dispatch`], with AVX-512 too. A version for it takes as long to compile as that for AVX2, so it is for passes that take most of a
+/// step and whose vectors are [`real::Real::Block`]: others have no vector that is wider than AVX2's.
+macro_rules! dispatch_widest {
+    ($float:ty, $simd:ident => $value:expr) => {
+        $crate::simd::dispatch!($float, true, $simd => $value)
+    };
+}
+pub(crate) use dispatch_widest;
 
 /// Whether a float type is f32. Versions in f64, which serves as a reference, would take as long to compile as those in f32.
 pub(crate) const fn is_f32<F: real::Real>() -> bool {

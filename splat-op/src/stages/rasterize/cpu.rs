@@ -14,27 +14,28 @@ use super::{Layers, MOMENTS, PlaneParts, RasterizeSpec};
 use crate::intersect::{IntersectionLists, TILE_PIXELS, TILE_SIZE, tile_grid};
 use crate::ray_space;
 use crate::simd::real::Real;
-use crate::simd::{dispatch, is_f32};
+use crate::simd::{dispatch, dispatch_widest, is_f32};
 use crate::tasks;
 
 /// Runs `$body` with the SIMD level of this processor as `$simd` and the number of channels as the constant `$c`, or
-/// zero if no specialised version exists. `$long` is the constant of [`is_long`].
+/// zero if no specialised version exists. `$long` is the constant of [`is_long`]. Colours of ellipses alone have a version for AVX-512.
 #[rustfmt::skip] // rustfmt indents the inner macro further at every run
 macro_rules! specialised {
     ($channels:expr, $is_long:expr, $simd:ident, $c:ident, $long:ident => $body:expr) => {{
         macro_rules! with {
-            ($count:literal, $on_long:literal) => {{
+            ($count:literal, $on_long:literal, $dispatch:ident) => {{
                 const $c: usize = $count;
                 const $long: bool = $on_long;
-                dispatch!(F, $simd => $body)
+                $dispatch!(F, $simd => $body)
             }};
         }
         match ($channels, $is_long) {
-            (1, false) if const { is_f32::<F>() && !P::ALONG_RAYS } => with!(1, false),
-            (3, false) if const { is_f32::<F>() } => with!(3, false),
-            (4, false) if const { is_f32::<F>() } => with!(4, false),
-            (_, false) => with!(0, false),
-            (_, true) => with!(0, true),
+            (1, false) if const { is_f32::<F>() && !P::ALONG_RAYS } => with!(1, false, dispatch),
+            (3, false) if const { is_f32::<F>() && !P::ALONG_RAYS } => with!(3, false, dispatch_widest),
+            (3, false) if const { is_f32::<F>() && P::ALONG_RAYS } => with!(3, false, dispatch),
+            (4, false) if const { is_f32::<F>() } => with!(4, false, dispatch),
+            (_, false) => with!(0, false, dispatch),
+            (_, true) => with!(0, true, dispatch),
         }
     }};
 }
