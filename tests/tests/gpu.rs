@@ -186,6 +186,19 @@ fn no_splats_and_none_visible_show_the_background_and_have_no_gradient() {
 }
 
 #[test]
+fn a_render_leaves_what_its_caller_computes_alone() {
+    let Some(device) = gpu() else { return };
+    let scene = Scene::random(&mut Random::new(5), 20, 0, CAMERA);
+    let SceneTensors { splats, camera, .. } = scene.tensors(&device, DType::F32);
+    let [a, b] = [3.0, 4.0].map(|value| tensor::<2>(&[value], [1, 1], &device, DType::F32));
+    // Burn runs it later, together with what the render computes.
+    let sum = a * 2.0 + b;
+    let picture = render(&splats, &[camera], &Extras::default(), &RenderOptions::standard()).expect("a valid scene");
+    assert!(host(picture.alpha).iter().any(|alpha| *alpha > 0.0));
+    assert_eq!(host(sum), [10.0]);
+}
+
+#[test]
 fn ordered_accumulation_gives_the_same_bits_in_every_run() {
     let Some(device) = gpu() else { return };
     let camera = Intrinsics::centred(190, 130, 150.0);

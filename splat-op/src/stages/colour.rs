@@ -126,7 +126,7 @@ pub(super) fn seen(
     });
     let colours: Vec<Tensor<2>> = colours.collect();
     match colours.is_empty() {
-        true => Tensor::zeros([0, 3], (&means.device(), means.dtype())),
+        true => Tensor::empty([0, 3], (&means.device(), means.dtype())),
         false => Tensor::cat(colours, 0),
     }
 }

@@ -116,7 +116,7 @@ pub(super) fn replace<const D: usize>(param: &mut Param<Tensor<D>>, values: Tens
 /// Moves the values out of a parameter, so that no other reference exists. Nothing is allocated for the parameter that stays.
 pub(super) fn take<const D: usize>(param: &mut Param<Tensor<D>>) -> Tensor<D> {
     let device = param.val().device();
-    let none = |device: &Device, _: bool| Tensor::zeros([0; D], device);
+    let none = |device: &Device, _: bool| Tensor::empty([0; D], device);
     let none = Param::uninitialized(ParamId::new(), none, device, false, Shape::from([0; D]));
     std::mem::replace(param, none).into_value().inner()
 }
