@@ -31,7 +31,7 @@ pub(crate) trait Number:
 
     /// Returns a constant of the kind of this number, rounded.
     fn constant(self, value: f64) -> Self;
-    /// Returns `self · factor + addend`, in one operation where there is one.
+    /// Returns `self · factor + addend`, rounded once or twice.
     fn mul_add(self, factor: Self, addend: Self) -> Self;
     fn sqrt(self) -> Self;
     fn ln(self) -> Self;

@@ -76,7 +76,11 @@ impl Contribution {
 /// Returns `[N, 3]`: the sums of each Gaussian's weights over all pixels, over those with a surface, and over these times its depth.
 fn weights(splats: &Splats, camera: &Camera, options: &RenderOptions) -> Result<Vec<f32>, SplatError> {
     let device = splats.means.device();
-    let features = Tensor::<2>::ones([splats.means.dims()[0], 3], &device.autodiff()).require_grad();
+    let count = splats.means.dims()[0];
+    if count == 0 {
+        return Ok(Vec::new());
+    }
+    let features = Tensor::<2>::ones([count, 3], &device.autodiff()).require_grad();
     let splats = Splats {
         means: Tensor::from_inner(splats.means.clone()),
         rotations: Tensor::from_inner(splats.rotations.clone()),

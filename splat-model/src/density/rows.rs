@@ -101,6 +101,9 @@ impl Trained {
     pub fn reset_opacities(&mut self, logits: Tensor<1>) {
         let bits = self.moments[0][0].bits();
         let (opacities, count) = (BASE_GROUPS[3], logits.dims()[0]);
+        if count == 0 {
+            return;
+        }
         for (group, moments) in self.gaussians.groups.iter_mut().zip(&mut self.moments) {
             let shape = [count, group.width()];
             let values = match group.options().reset {

@@ -64,8 +64,8 @@ macro_rules! dispatch {
 }
 pub(crate) use dispatch;
 
-/// As [`dispatch`], with AVX-512 too. A version for it takes as long to compile as that for AVX2, so it is for passes that take most of a
-/// step and whose vectors are [`real::Real::Block`]: others have no vector that is wider than AVX2's.
+/// As [`dispatch`], with AVX-512 too. A version for it takes as long to compile as that for AVX2. It is for the pass that takes most of a step
+/// and whose vectors, [`real::Real::Block`], are wider than AVX2's.
 macro_rules! dispatch_widest {
     ($float:ty, $simd:ident => $value:expr) => {
         $crate::simd::dispatch!($float, true, $simd => $value)

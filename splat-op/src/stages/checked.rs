@@ -103,8 +103,8 @@ impl<'a> Checked<'a> {
         Ok(background)
     }
 
-    /// Checks a probe; without rows if there is none. Burn's fusion would add zeros of no rows to a kernel with what was computed
-    /// on one row before, and launch it for no rows.
+    /// Checks a probe; without rows if there is none. Burn's fusion would put zeros of no rows into one kernel with pending
+    /// results of one row, and launch it for no rows.
     pub fn probe(&self, name: &'static str, probe: Option<&Tensor<2>>) -> Result<Tensor<2>, SplatError> {
         let Some(probe) = probe else { return Ok(Tensor::empty([0, 2], self.reference.options())) };
         self.reference.check(name, probe, [Some(self.count), Some(2)], "[N, 2]")?;

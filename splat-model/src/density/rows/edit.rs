@@ -64,11 +64,11 @@ impl RowEdit {
     fn change(&self, group: &Group) -> Option<Tensor<2>> {
         let named = self.changes.iter().rev().find(|(name, _)| *name == group.name());
         named.map(|(_, values)| values.clone()).or_else(|| match group.options().new_rows {
-            NewRows::Copied => None,
-            NewRows::Filled(value) => {
+            NewRows::Filled(value) if self.added() > 0 => {
                 let values = group.blocks[0].val().inner();
                 Some(Tensor::full([self.added(), group.width()], value, (&values.device(), values.dtype())))
             }
+            _ => None,
         })
     }
 

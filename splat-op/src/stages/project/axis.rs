@@ -31,7 +31,7 @@ impl CameraAxis {
 #[expand(derive(Clone, Copy))]
 pub(crate) struct JacobianRow {
     /// `x/z` or `y/z`, the slope at which the Jacobian is evaluated, and whether that slope is free (not clamped). With a lens,
-    /// `ratio` is the distorted position of the centre in units of the focal length.
+    /// `ratio` is the distorted position of the centre in units of the focal length, and nothing reads the slope.
     pub ratio: f32,
     pub slope: f32,
     pub slope_free: bool,

@@ -1,5 +1,5 @@
-//! The contract of lenses: the equations of `project` for cameras that are not pinholes. Kernels and twins both follow it, each
-//! with its own arithmetic; the models' equations are those of [`CameraModel`](crate::CameraModel).
+//! The contract of lenses: the equations of `project` for cameras that are not pinholes. `lens_formulas.rs` computes them
+//! for kernels and twins; the models' equations are those of [`CameraModel`](crate::CameraModel).
 //!
 //! A lens has two steps. The first maps the centre `(x, y, z)` in the camera's frame to slopes or angles `s`. The rows of its
 //! Jacobian times `W R` are `bₖ`, with the rows `rowₖ` and `last` of `W R`:

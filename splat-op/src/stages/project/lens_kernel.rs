@@ -1,5 +1,5 @@
-//! Lenses in the kernels of `project`. The backward pass projects through the lens once more: a kernel computes each value once,
-//! however often it is asked for.
+//! Lenses in the kernels of `project`. The backward pass projects through the lens once more: CubeCL removes what a kernel computes
+//! twice.
 
 use cubecl::prelude::*;
 
@@ -52,13 +52,13 @@ pub(crate) struct SeenGrad {
 }
 
 /// A lens and the projection of a centre through it, as numbers of a kernel.
-struct Bent<'a> {
+struct KernelBent<'a> {
     distortion: Distortion<KernelNumber<'a>>,
     focal: [KernelNumber<'a>; 2],
     projection: LensProjection<KernelNumber<'a>>,
 }
 
-impl<'a> Bent<'a> {
+impl<'a> KernelBent<'a> {
     fn new(
         scope: &'a Scope,
         mean_cam: Vec3Expand,
@@ -89,7 +89,7 @@ fn lens_rows(
     lens: &DistortionArg,
 ) -> (Vec3, Vec3, Vec2, bool) {
     intrinsic!(|scope| {
-        let Bent { focal, projection, .. } = Bent::new(scope, mean_cam, rows, [x, y], lens);
+        let KernelBent { focal, projection, .. } = KernelBent::new(scope, mean_cam, rows, [x, y], lens);
         let ([j_x, j_y], [x, y]) = (projection.rows(focal), projection.seen_at());
         (vec3(j_x), vec3(j_y), Vec2Expand { x: x.value, y: y.value }, projection.within.value)
     })
@@ -124,7 +124,7 @@ fn lens_backward(
     grad_at: Vec2,
 ) -> SeenGrad {
     intrinsic!(|scope| {
-        let Bent { distortion, focal, projection } = Bent::new(scope, mean_cam, rows, [x, y], lens);
+        let KernelBent { distortion, focal, projection } = KernelBent::new(scope, mean_cam, rows, [x, y], lens);
         let grad_j = [grad_j.0, grad_j.1].map(|row| KernelNumber::vector(scope, row));
         let grad_at = [grad_at.x, grad_at.y].map(|value| KernelNumber::of(scope, value));
         let LensProjectionGrad { mean_cam, rows: [x, y, z] } = projection.backward(&distortion, focal, grad_j, grad_at);

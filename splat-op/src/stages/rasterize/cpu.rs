@@ -17,8 +17,9 @@ use crate::simd::real::Real;
 use crate::simd::{dispatch, dispatch_widest, is_f32};
 use crate::tasks;
 
-/// Runs `$body` with the SIMD level of this processor as `$simd` and the number of channels as the constant `$c`, or
-/// zero if no specialised version exists. `$long` is the constant of [`is_long`]. Colours of ellipses alone have a version for AVX-512.
+/// Runs `$body` with a token of vector instructions as `$simd` and the number of channels as the constant `$c`, or zero if no
+/// specialised version exists. `$long` is the constant of [`is_long`]. A plain colour picture, three channels in f32 without depth, has a version
+/// for AVX-512.
 #[rustfmt::skip] // rustfmt indents the inner macro further at every run
 macro_rules! specialised {
     ($channels:expr, $is_long:expr, $simd:ident, $c:ident, $long:ident => $body:expr) => {{
