@@ -131,13 +131,13 @@ impl<'a> CleanupJudge<'a> {
 }
 
 /// Rows that are left, and the score that they have.
-struct Kept<'a> {
+struct KeptRows<'a> {
     rows: Vec<usize>,
     judge: Option<&'a CleanupJudge<'a>>,
     psnr: Option<f64>,
 }
 
-impl Kept<'_> {
+impl KeptRows<'_> {
     /// Keeps the rows at the places for which `keeps` holds, and prints how many were removed and what that cost.
     fn retain(&mut self, what: &str, keeps: impl Fn(usize, usize) -> bool) -> Result<()> {
         let before = self.rows.len();
@@ -180,7 +180,7 @@ pub fn run(args: &CleanArgs) -> Result<()> {
 
     let all: Vec<usize> = (0..scene.rows.len()).collect();
     let psnr = judge.as_ref().map(|judge| judge.psnr(&all)).transpose()?;
-    let mut kept = Kept { rows: all, judge: judge.as_ref(), psnr };
+    let mut kept = KeptRows { rows: all, judge: judge.as_ref(), psnr };
     if scene.rows.unusable() > 0 {
         kept.retain("cannot be rendered", |_, row| scene.rows.is_usable(row))?;
     }
@@ -201,7 +201,7 @@ pub fn run(args: &CleanArgs) -> Result<()> {
 }
 
 /// Removes what the views of the capture decide.
-fn by_views(args: &CleanArgs, judge: &CleanupJudge, kept: &mut Kept) -> Result<()> {
+fn by_views(args: &CleanArgs, judge: &CleanupJudge, kept: &mut KeptRows) -> Result<()> {
     if let Some(margin) = args.hull {
         let centres: Vec<DVec3> =
             judge.capture.views.iter().map(|view| view.cam_from_world.inverse().translation).collect();

@@ -11,7 +11,7 @@ use crate::intersect::Kept;
 use crate::intersect::operation::Intersect;
 use crate::options::RenderOptions;
 use crate::rasterize::RasterizeSpec;
-use crate::ray_space::operation::Bounds;
+use crate::ray_space::operation::BoundRows;
 
 /// The intersections of Gaussians and tiles of one view, as [`intersect`](fn@intersect) returns them.
 #[derive(Clone, Debug)]
@@ -65,7 +65,7 @@ pub(super) fn listed(checked: &Checked, projected: &Projected, mask: Option<Tens
     let spec = RasterizeSpec { intrinsics: projected.intrinsics, options: *checked.options };
     let mut packed = projected.packed.clone().detach();
     if let Some(ray_space) = &projected.ray_space {
-        packed = apply(Bounds(spec), [packed.into(), ray_space.clone().detach().into()]).float(0);
+        packed = apply(BoundRows(spec), [packed.into(), ray_space.clone().detach().into()]).float(0);
     }
     let counts = apply(Intersect { spec, lists: lists.clone() }, [packed.into(), mask.into()]).int(0);
     Intersections { counts, lists, of: (checked.count, spec) }

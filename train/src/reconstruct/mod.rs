@@ -26,7 +26,7 @@ use splat_model::capture::{Capture, Scale};
 
 use self::cache::{Ingredients, Stage, Workspace};
 use self::photographs::CameraModelName;
-use self::programs::{Colmap, Ffmpeg};
+use self::programs::{ColmapProgram, Ffmpeg};
 use self::stages::Stages;
 use crate::input::{self, is_video};
 use crate::inputs::Inputs;
@@ -190,7 +190,7 @@ pub fn reconstruct(source: &Path, folder: &Path, options: &CameraArgs) -> Result
     let ingredients = ingredients(source, listed.as_ref(), options)?;
     let programs = match Workspace::is_finished(folder, &ingredients) {
         true => None,
-        false => Some((Colmap::find()?, is_video.then(Ffmpeg::find).transpose()?)),
+        false => Some((ColmapProgram::find()?, is_video.then(Ffmpeg::find).transpose()?)),
     };
     let mut workspace = Workspace::open(folder, ingredients)?;
     if let Some((colmap, ffmpeg)) = programs {

@@ -14,13 +14,13 @@ const COLMAP_ADVICE: &str = "`apt install colmap` (Debian, Ubuntu), `brew instal
 const FFMPEG_ADVICE: &str = "`apt install ffmpeg` (Debian, Ubuntu), `brew install ffmpeg` (macOS), or a program from \
                              https://ffmpeg.org/download.html (Windows) on the PATH; or save the frames as photographs in a folder";
 
-pub struct Colmap {
+pub struct ColmapProgram {
     /// Its version, such as `3.8`.
     pub version: String,
     commands: BTreeSet<String>,
 }
 
-impl Colmap {
+impl ColmapProgram {
     /// Finds `colmap` on the PATH and asks for its version and commands.
     ///
     /// # Errors

@@ -12,7 +12,7 @@ use splat_model::capture::unposed::Unposed;
 
 use super::cache::{DATABASE, DATABASE_FILES, IMAGES, LISTS, LOG, SPARSE, SPARSE_PARTIAL, Stage, Workspace};
 use super::photographs::{CameraModelName, extractions};
-use super::programs::Colmap;
+use super::programs::ColmapProgram;
 use super::{failure, stage};
 use crate::progress::{self, CountedProgress};
 use crate::stop::Stop;
@@ -35,7 +35,7 @@ const FULL_SIZE: &str = "`--max-side` does not change it";
 
 /// Runs the stages of a reconstruction.
 pub struct Stages<'a> {
-    pub colmap: &'a Colmap,
+    pub colmap: &'a ColmapProgram,
     pub stop: &'a Stop,
     /// Whether photographs are the frames of a video, of which neighbours by name are neighbours.
     pub is_video: bool,
@@ -79,7 +79,7 @@ impl Stages<'_> {
         for (i, extraction) in extractions.iter().enumerate() {
             let list = workspace.join(LISTS).join(format!("{i}.txt"));
             write_list(&list, &extraction.names)?;
-            let mut command = with_paths(Colmap::command("feature_extractor"), workspace, true);
+            let mut command = with_paths(ColmapProgram::command("feature_extractor"), workspace, true);
             command.arg("--image_list_path").arg(&list).args(&extraction.arguments);
             command.args(on_gpu.map(|name| [format!("--{name}"), "0".into()]).into_iter().flatten());
             let mut of = String::new();
@@ -135,7 +135,7 @@ impl Stages<'_> {
 
     fn matcher(&self, workspace: &Workspace, name: &str, photographs: usize, arguments: &[[&str; 2]]) -> Result<()> {
         let options = self.colmap.options(name)?;
-        let mut command = with_paths(Colmap::command(name), workspace, false);
+        let mut command = with_paths(ColmapProgram::command(name), workspace, false);
         let on_gpu = options.first(&["FeatureMatching.use_gpu", "SiftMatching.use_gpu"]).map(|name| [name, "0"]);
         // A second pass along the epipolar lines: a third more points, from which the scene grows.
         let guided = options.first(&["FeatureMatching.guided_matching", "SiftMatching.guided_matching"]);
@@ -173,7 +173,7 @@ impl Stages<'_> {
             let partial = workspace.join(SPARSE_PARTIAL);
             workspace.clear(&[SPARSE_PARTIAL])?;
             fs::create_dir_all(&partial).with_context(|| format!("cannot make {}", partial.display()))?;
-            let mut command = with_paths(Colmap::command(mapper), workspace, true);
+            let mut command = with_paths(ColmapProgram::command(mapper), workspace, true);
             command.arg("--output_path").arg(&partial);
             let options = self.colmap.options(mapper)?;
             for name in ERRORS.iter().filter_map(|name| options.first(&[name])) {

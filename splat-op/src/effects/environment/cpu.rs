@@ -15,14 +15,14 @@ use crate::tasks;
 const RUN: usize = 4096;
 
 /// Inputs of a run of pixels, which begins with pixel `first` of `pixels`.
-struct Run<'a, F> {
+struct PixelRun<'a, F> {
     inputs: Sky<&'a [F]>,
     pixels: usize,
     first: usize,
     len: usize,
 }
 
-impl<'a, F: Real> Run<'a, F> {
+impl<'a, F: Real> PixelRun<'a, F> {
     /// The runs of a picture.
     fn all(inputs: Sky<&'a [F]>) -> impl Iterator<Item = Self> {
         let pixels = inputs.alpha.len();
@@ -130,7 +130,7 @@ pub(crate) fn environment_cpu<F: Real>(inputs: Sky<&[F]>) -> Vec<F> {
     let (red, rest) = out.split_at_mut(inputs.alpha.len());
     let (green, blue) = rest.split_at_mut(inputs.alpha.len());
     let planes = red.chunks_mut(RUN).zip(green.chunks_mut(RUN)).zip(blue.chunks_mut(RUN));
-    tasks::for_each(planes.zip(Run::all(inputs)), |_, (((red, green), blue), run)| {
+    tasks::for_each(planes.zip(PixelRun::all(inputs)), |_, (((red, green), blue), run)| {
         dispatch!(F, simd => run.compose(simd, [red, green, blue]));
     });
     out
@@ -141,7 +141,7 @@ pub(crate) fn environment_cpu<F: Real>(inputs: Sky<&[F]>) -> Vec<F> {
 pub(crate) fn environment_backward_cpu<F: Real>(inputs: Sky<&[F]>, grad: &[F], needs: Sky<bool>) -> Sky<Vec<F>> {
     let mut alpha = vec![F::ZERO; inputs.alpha.len()];
     let sums = tasks::map(
-        alpha.chunks_mut(RUN).zip(Run::all(inputs)),
+        alpha.chunks_mut(RUN).zip(PixelRun::all(inputs)),
         |_, (out, run)| dispatch!(F, simd => run.differentiate(simd, grad, out, needs)),
     );
     let mut coefficients = vec![F::ZERO; if needs.coefficients { inputs.coefficients.len() } else { 0 }];

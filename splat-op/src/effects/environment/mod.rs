@@ -87,6 +87,6 @@ pub fn over(
         directions: directions.into(),
         coefficients: coefficients.into(),
     };
-    let composed: Tensor<3> = apply(operation::Environment, inputs.into_array()).float(0);
+    let composed: Tensor<3> = apply(operation::OverEnvironment, inputs.into_array()).float(0);
     Ok(composed.permute([1, 2, 0]))
 }

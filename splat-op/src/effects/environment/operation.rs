@@ -11,9 +11,9 @@ use crate::backend::*;
 
 /// The render over the environment, `[3, H, W]`.
 #[derive(Clone, Debug)]
-pub(super) struct Environment;
+pub(super) struct OverEnvironment;
 
-impl Operation for Environment {
+impl Operation for OverEnvironment {
     fn run<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {
         float_outputs([environment_cpu(Sky::from_array(slices(&args.all::<F, 4>())))])
     }

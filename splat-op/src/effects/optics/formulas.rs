@@ -1,13 +1,13 @@
 //! Changes of an ellipse and their gradients, for the kernels and the CPU twin. They mean nothing for culled Gaussians.
 
-use super::{Exposure, LARGEST_SHARE, PARAMETERS};
+use super::{LARGEST_SHARE, OpticsEffect, PARAMETERS};
 use crate::linalg::Number;
 use crate::project::Ellipse;
 use crate::simd::each;
 
 /// Constants and the motion of a change.
 pub(super) struct Change<N> {
-    pub exposure: Exposure,
+    pub exposure: OpticsEffect,
     /// As of [`OpticsSpec::axes`](super::OpticsSpec::axes).
     pub axes: [[N; 4]; 2],
     /// Height of the picture, px.
@@ -20,8 +20,8 @@ impl<N: Number> Change<N> {
     pub fn of(&self, e: &Ellipse<N>) -> Ellipse<N> {
         let velocity = Moving::new(e, self).velocity;
         match self.exposure {
-            Exposure::MotionBlur => Widened::new(e, blur(velocity)).of(e),
-            Exposure::RollingShutter => Rolled::new(e, velocity, self.height).of(e),
+            OpticsEffect::MotionBlur => Widened::new(e, blur(velocity)).of(e),
+            OpticsEffect::RollingShutter => Rolled::new(e, velocity, self.height).of(e),
         }
     }
 
@@ -30,11 +30,11 @@ impl<N: Number> Change<N> {
     pub fn backward(&self, e: &Ellipse<N>, grad: &Ellipse<N>) -> (Ellipse<N>, [N; PARAMETERS]) {
         let moving = Moving::new(e, self);
         let (of_ellipse, of_velocity) = match self.exposure {
-            Exposure::MotionBlur => {
+            OpticsEffect::MotionBlur => {
                 let (of_ellipse, w) = Widened::new(e, blur(moving.velocity)).backward(e, grad);
                 (of_ellipse, blur(w))
             }
-            Exposure::RollingShutter => Rolled::new(e, moving.velocity, self.height).backward(e, grad, self.height),
+            OpticsEffect::RollingShutter => Rolled::new(e, moving.velocity, self.height).backward(e, grad, self.height),
         };
         moving.backward(self, of_velocity, of_ellipse)
     }

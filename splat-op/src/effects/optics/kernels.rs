@@ -4,7 +4,7 @@
 use cubecl::prelude::*;
 
 use super::formulas::Change;
-use super::{Exposure, PARAMETERS};
+use super::{OpticsEffect, PARAMETERS};
 use crate::gpu::UNITS;
 use crate::gpu::number::{KernelNumber, load_row, store_row};
 use crate::gpu::reduce::cube_sum;
@@ -32,7 +32,7 @@ pub(super) struct ChangeArg {
     /// px.
     height: f32,
     #[cube(comptime)]
-    exposure: Exposure,
+    exposure: OpticsEffect,
 }
 
 impl ChangeArgExpand {

@@ -94,7 +94,7 @@ record! {
 
 /// How a picture is exposed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Exposure {
+pub enum OpticsEffect {
     /// The shutter is open while the camera moves.
     MotionBlur,
     /// Rows are read one after the other while the camera moves.
@@ -105,7 +105,7 @@ pub enum Exposure {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct OpticsSpec {
     pub(crate) intrinsics: Intrinsics,
-    pub(crate) exposure: Exposure,
+    pub(crate) exposure: OpticsEffect,
     /// Share of half the picture's size by which a centre may lie outside it before its velocity is that at the margin.
     pub(crate) margin: f64,
 }
@@ -132,7 +132,7 @@ impl OpticsSpec {
 /// # Errors
 /// If the camera is not a pinhole, if a shape is not as documented, or if float types or devices differ.
 pub fn blurred(projected: &Projected, twist: &Tensor<1>, margin: f64) -> Result<Projected, SplatError> {
-    exposed(projected, twist, Exposure::MotionBlur, margin)
+    exposed(projected, twist, OpticsEffect::MotionBlur, margin)
 }
 
 /// Returns the ellipses on a sensor that is read row by row, from the upper border to the lower, while the camera moves by `twist`,
@@ -142,10 +142,15 @@ pub fn blurred(projected: &Projected, twist: &Tensor<1>, margin: f64) -> Result<
 /// # Errors
 /// As [`blurred`].
 pub fn rolled(projected: &Projected, twist: &Tensor<1>, margin: f64) -> Result<Projected, SplatError> {
-    exposed(projected, twist, Exposure::RollingShutter, margin)
+    exposed(projected, twist, OpticsEffect::RollingShutter, margin)
 }
 
-fn exposed(projected: &Projected, twist: &Tensor<1>, exposure: Exposure, margin: f64) -> Result<Projected, SplatError> {
+fn exposed(
+    projected: &Projected,
+    twist: &Tensor<1>,
+    exposure: OpticsEffect,
+    margin: f64,
+) -> Result<Projected, SplatError> {
     let intrinsics = *projected.intrinsics();
     if intrinsics.model != CameraModel::Pinhole {
         return Err(SplatError::Value {

@@ -3,7 +3,7 @@
 
 use burn::tensor::Tensor;
 
-use super::{Exposure, LARGEST_SHARE, OpticsSpec, PARAMETERS};
+use super::{LARGEST_SHARE, OpticsEffect, OpticsSpec, PARAMETERS};
 use crate::backend::custom_grad::{constant, plain};
 use crate::error::SplatError;
 use crate::{Ellipses, Projected};
@@ -20,8 +20,8 @@ pub(super) fn exposed(of: &Projected, twist: &Tensor<1>, spec: &OpticsSpec) -> R
     let e = Ellipses { sigma_u, sigma_v, depth, ..old.clone() };
     let velocity = velocity(&e, &twist, spec);
     let new = match spec.exposure {
-        Exposure::MotionBlur => widened(e, velocity.map(|v| v * (1.0 / 12.0_f64).sqrt())),
-        Exposure::RollingShutter => rolled(e, velocity, spec.intrinsics.height as f64),
+        OpticsEffect::MotionBlur => widened(e, velocity.map(|v| v * (1.0 / 12.0_f64).sqrt())),
+        OpticsEffect::RollingShutter => rolled(e, velocity, spec.intrinsics.height as f64),
     };
     let kept = |new: Tensor<1>, old: Tensor<1>| new.mask_where(culled.clone(), old);
     let both = culled.clone().unsqueeze_dim::<2>(1).expand(old.mean2d.dims());

@@ -20,7 +20,7 @@ const MARGIN: f64 = 0.3;
 pub(super) const TWIST: [f64; PARAMETERS] = [0.125, -0.09375, 0.1875, 0.375, -0.3125, 0.125];
 
 pub(super) fn exposures() -> [OpticsSpec; 2] {
-    [Exposure::MotionBlur, Exposure::RollingShutter].map(|exposure| OpticsSpec {
+    [OpticsEffect::MotionBlur, OpticsEffect::RollingShutter].map(|exposure| OpticsSpec {
         intrinsics: CAMERA,
         exposure,
         margin: MARGIN,
@@ -114,7 +114,7 @@ fn rolled_by<S: Simd, F: Real>(simd: S, row: &[f64], velocity: [f64; 2], height:
 fn velocity_by<S: Simd>(simd: S, row: [f64; COLUMNS], twist: [f64; PARAMETERS], axes: [[f64; 4]; 2]) -> [f64; 2] {
     let lanes = |value: f64| lanes::<S, f64>(simd, value);
     let change = Change {
-        exposure: Exposure::MotionBlur,
+        exposure: OpticsEffect::MotionBlur,
         axes: axes.map(|axis| axis.map(lanes)),
         height: lanes(1.0),
         twist: twist.map(lanes),

@@ -97,7 +97,7 @@ struct TilePass<'a, S: Simd, F: Real> {
 }
 
 /// What a Gaussian did to a tile.
-struct Passed {
+struct TilePassed {
     /// A bit for each block that it reaches.
     reached: u16,
     /// Number of pixels that it finishes.
@@ -114,14 +114,14 @@ impl<S: Simd, F: Real> TilePass<'_, S, F> {
         colour: &[F],
         transmittance: &mut Transmittances<F>,
         sums: &mut [Plane<F>],
-    ) -> Passed {
+    ) -> TilePassed {
         let Self { thresholds, pixels, blocks, .. } = self;
         let (simd, channels) = (thresholds.zero.token(), if C == 0 { colour.len() } else { C });
         let splat = footprint.lanes(simd, self.top);
         let [middle, half] = footprint.bounds();
         let window = TileWindow::around(blocks.met(simd, middle, half));
         let colour_lanes = colour_lanes::<S, F, C>(simd, colour);
-        let mut passed = Passed { reached: 0, finished: 0 };
+        let mut passed = TilePassed { reached: 0, finished: 0 };
         for part in (window.first_column * SIMD_BLOCK..window.end_column * SIMD_BLOCK).step_by(len::<S, F>()) {
             let column = splat.column(pixels.x(simd, part));
             for row in (window.first_row..window.end_row).step_by(SIMD_ROWS) {
@@ -187,7 +187,7 @@ pub(super) fn rasterize_tile<S: Simd, F: Real, P: Footprint<F>, const C: usize, 
         }
         let footprint = &near.footprints[i % CHECKPOINT_EVERY];
         let colour = if C == 0 { view.colour(gaussian) } else { &near.colours[i % CHECKPOINT_EVERY] };
-        let Passed { reached, finished } = if view.finite || is_finite(colour) {
+        let TilePassed { reached, finished } = if view.finite || is_finite(colour) {
             tile.add::<P, C, LONG, true>(footprint, colour, &mut transmittance, sums)
         } else {
             tile.add::<P, C, LONG, false>(footprint, colour, &mut transmittance, sums)

@@ -52,9 +52,9 @@ impl Operation for RaySpace {
 
 /// Bounds as rows `[N, 7]` for the intersection, from packed ellipses `[N, 7]` and their rows in ray space. Not differentiable.
 #[derive(Clone, Debug)]
-pub(crate) struct Bounds(pub RasterizeSpec);
+pub(crate) struct BoundRows(pub RasterizeSpec);
 
-impl Operation for Bounds {
+impl Operation for BoundRows {
     fn run<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {
         float_outputs([bounds_cpu::<F>(&args.floats(0), &args.floats(1), &self.0)])
     }

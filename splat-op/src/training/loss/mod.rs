@@ -76,7 +76,7 @@ pub fn photometric<const D: usize>(
 /// If the float type has no kernel.
 pub fn moments<const D: usize>(photograph: &Tensor<D>) -> Result<[Tensor<D>; 2], SplatError> {
     checked("photograph", photograph)?;
-    let mut found = apply(operation::Moments, [photograph.into()]);
+    let mut found = apply(operation::PhotographMoments, [photograph.into()]);
     Ok([0, 1].map(|i| found.float(i)))
 }
 

@@ -53,9 +53,9 @@ impl Operation for Photometric {
 
 /// What the loss needs of a photograph besides its planes, each of their shape: `μy` and `σy² + C2`.
 #[derive(Clone, Debug)]
-pub(super) struct Moments;
+pub(super) struct PhotographMoments;
 
-impl Operation for Moments {
+impl Operation for PhotographMoments {
     fn outputs(&self, inputs: &[Option<Spec>]) -> Vec<Option<Spec>> {
         vec![inputs[0].clone(); 2]
     }
