@@ -3,7 +3,6 @@
 use fearless_simd::prelude::*;
 
 use crate::linalg::dot;
-use crate::simd::number::LaneNumber;
 use crate::simd::real::{LANES, Real};
 
 /// A vector of Gaussians.
@@ -74,12 +73,6 @@ impl<F: Real, const C: usize> Columns<F, C> {
             *lanes = self.lanes(simd, column, first);
         }
         all
-    }
-
-    /// Returns [`Self::all_lanes`] as numbers.
-    #[inline(always)]
-    pub fn numbers<S: Simd>(&self, simd: S, first: usize) -> [LaneNumber<S, F>; C] {
-        LaneNumber::row(self.all_lanes(simd, first))
     }
 
     #[inline(always)]

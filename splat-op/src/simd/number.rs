@@ -4,7 +4,7 @@ use std::ops::{Add, Div, Mul, Neg, Sub};
 
 use fearless_simd::prelude::*;
 
-use super::lanes::{Lanes, MaskOf, norm, width};
+use super::lanes::{Columns, Lanes, MaskOf, norm, width};
 use super::real::{LANES, Real};
 use super::{each, is_f32};
 use crate::linalg::Number;
@@ -30,6 +30,14 @@ impl<S: Simd, F: Real> LaneNumber<S, F> {
     #[inline(always)]
     pub fn lanes<const C: usize>(row: [Self; C]) -> [Lanes<S, F>; C] {
         each!(row, |number| number.0)
+    }
+}
+
+impl<F: Real, const C: usize> Columns<F, C> {
+    /// Returns [`Self::all_lanes`] as numbers.
+    #[inline(always)]
+    pub fn numbers<S: Simd>(&self, simd: S, first: usize) -> [LaneNumber<S, F>; C] {
+        LaneNumber::row(self.all_lanes(simd, first))
     }
 }
 

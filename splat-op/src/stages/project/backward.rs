@@ -92,7 +92,9 @@ pub(crate) fn seen_backward(
     grad: &PackedEllipse,
 ) -> SeenGrad {
     if comptime!(camera.distortion.is_some()) {
-        bent_backward(p.mean_cam, p.cam_from_gaussian, camera, grad_j, grad)
+        let lens = camera.distortion.unwrap();
+        let grad = Vec3::new(grad.x, grad.y, grad.depth);
+        bent_backward(p.mean_cam, p.cam_from_gaussian, &camera.x, &camera.y, &lens, grad_j, grad)
     } else {
         let x = row_backward(p, &p.x, &camera.x, grad_j.0, grad.x);
         let y = row_backward(p, &p.y, &camera.y, grad_j.1, grad.y);

@@ -4,7 +4,6 @@
 use cubecl::prelude::*;
 
 use super::axis::{CameraAxis, CameraAxisExpand, JacobianRow};
-use super::forward::{PackedEllipse, ProjectCamera};
 use super::lens_formulas::{Distortion, LensProjection, LensProjectionGrad};
 use crate::camera::{CameraModel, Intrinsics};
 use crate::gpu::math::{Mat3, Mat3Expand, Vec2, Vec2Expand, Vec2Launch, Vec3, Vec3Expand};
@@ -132,17 +131,18 @@ fn lens_backward(
     })
 }
 
-/// Gradients of `W R` and of the centre from those of the rows of `J W R` and of the ellipse.
+/// Gradients of `W R` and of the centre from those of the rows of `J W R` and of the projected centre: its place, px, and its depth.
 #[cube]
 pub(crate) fn bent_backward(
     mean_cam: Vec3,
     rows: Mat3,
-    camera: &ProjectCamera,
+    x: &CameraAxis,
+    y: &CameraAxis,
+    lens: &DistortionArg,
     grad_j: (Vec3, Vec3),
-    grad: &PackedEllipse,
+    grad: Vec3,
 ) -> SeenGrad {
-    let lens = camera.distortion.unwrap();
-    let grad_at = Vec2::new(grad.x * camera.x.focal, grad.y * camera.y.focal);
-    let out = lens_backward(mean_cam, rows, &camera.x, &camera.y, &lens, grad_j, grad_at);
-    SeenGrad { turned: out.turned, centre: Vec3::new(out.centre.x, out.centre.y, out.centre.z + grad.depth) }
+    let grad_at = Vec2::new(grad.x * x.focal, grad.y * y.focal);
+    let out = lens_backward(mean_cam, rows, x, y, lens, grad_j, grad_at);
+    SeenGrad { turned: out.turned, centre: Vec3::new(out.centre.x, out.centre.y, out.centre.z + grad.z) }
 }

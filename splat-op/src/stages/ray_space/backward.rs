@@ -9,7 +9,7 @@ use super::{LENS_COLUMNS, RAY_SPACE};
 use crate::gpu::math::{Mat3Expand, Vec2, Vec3};
 use crate::gpu::number::{KernelNumber, load_row, vec3};
 use crate::project::backward::{GeometryGradMask, no_gradient, store_pose, world_backward};
-use crate::project::forward::{Gaussian, GeometryInputs, PackedEllipse, ProjectCamera, ProjectionTerms, project_one};
+use crate::project::forward::{Gaussian, GeometryInputs, ProjectCamera, ProjectionTerms, project_one};
 use crate::project::lens_kernel::{DistortionArg, SeenGrad, SeenGradExpand, bent_backward};
 
 /// Whether any number is not zero, by its bits, so that NaN counts.
@@ -59,9 +59,8 @@ fn map_backward(mean: Vec3, blur: Vec3, camera: &ProjectCamera, distortion: &Dis
     let (map, jacobian) = lens_map(mean, camera, distortion);
     let (of_x, of_y, of_z) = jacobian_backward(&map, mean.z, jacobian, blur);
     let zero = 0.0f32.runtime();
-    let none =
-        PackedEllipse { x: zero, y: zero, sigma_u: zero, shear: zero, sigma_v: zero, depth: of_z, opacity: zero };
-    bent_backward(mean, not_rotated(), camera, (of_x, of_y), &none).centre
+    let grad = Vec3::new(zero, zero, of_z);
+    bent_backward(mean, not_rotated(), &camera.x, &camera.y, distortion, (of_x, of_y), grad).centre
 }
 
 /// Returns the linear map at a Gaussian.

@@ -1,6 +1,6 @@
 //! Bounds of a Gaussian in the picture, for the kernels and the CPU twin.
 
-use super::lens_bounds::{LensFrame, LensLimits};
+use super::lens_bounds::{Bounded, LensFrame, LensLimits};
 use super::{DEPTH_SLOPE, EXTENT, LEAST_REMAINDER, ROUNDING, SLACK};
 use crate::linalg::{Number, cross, dot, scale, sub};
 use crate::project::Ellipse;
@@ -14,13 +14,6 @@ pub(super) struct BoundsRules<N> {
     pub alpha_min: N,
     /// `None` for a pinhole.
     pub limits: Option<LensLimits<N>>,
-}
-
-/// A row for `intersect`, whether it is known to hold all that shows, and whether nothing shows.
-pub(super) struct Bounded<N: Number> {
-    pub row: Ellipse<N>,
-    pub known: N::Mask,
-    pub hidden: N::Mask,
 }
 
 #[inline(always)]

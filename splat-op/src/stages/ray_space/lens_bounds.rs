@@ -2,13 +2,19 @@
 
 use std::f64::consts::FRAC_PI_2;
 
-use super::bounds::Bounded;
 use super::{EXTENT, RAY_SPACE, ROUNDING};
 use crate::camera::{Intrinsics, PictureRays};
 use crate::linalg::{Number, dot2};
 use crate::project::Ellipse;
 use crate::simd::each;
 use crate::simd::real::Real;
+
+/// A row for `intersect`, whether it is known to hold all that shows, and whether nothing shows.
+pub(super) struct Bounded<N: Number> {
+    pub row: Ellipse<N>,
+    pub known: N::Mask,
+    pub hidden: N::Mask,
+}
 
 /// Columns of a lens in a row.
 #[derive(Clone, Copy, Debug, Default)]
