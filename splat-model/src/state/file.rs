@@ -40,7 +40,10 @@ impl State {
             let temporary = replace::begin(path)?;
             let metadata = [(FORMAT_KEY, FORMAT), (CHECKSUM_KEY, &self.checksum())];
             let metadata = HashMap::from(metadata.map(|(key, value)| (key.to_owned(), value.to_owned())));
+            let permissions = temporary.as_file().metadata()?.permissions();
             safetensors::serialize_to_file(self.views(), Some(metadata), temporary.path()).map_err(io::Error::other)?;
+            // It has put a file of its own there, which its owner alone may read.
+            fs::set_permissions(temporary.path(), permissions)?;
             replace::finish(temporary, path)?;
             // Writes the folder's entry to the disk, so that the new name survives a power loss. Some systems do not support it.
             if let Some(Ok(folder)) = path.parent().map(File::open) {

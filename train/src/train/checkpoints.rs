@@ -108,7 +108,8 @@ impl Checkpoints {
         // What killed processes were writing.
         for entry in fs::read_dir(&folder).into_iter().flatten().flatten() {
             let name = entry.file_name();
-            if name.to_str().and_then(name_of_temporary).and_then(step_of).is_some() {
+            let is_left = |name: &str| name_of_temporary(name).and_then(step_of).is_some() || is_of_safetensors(name);
+            if name.to_str().is_some_and(is_left) {
                 // A leftover file only takes up space.
                 let _ = fs::remove_file(entry.path());
             }
@@ -258,6 +259,12 @@ fn other_in(folder: &Path) -> Option<PathBuf> {
     let entries = fs::read_dir(folder).into_iter().flatten().flatten().filter(|entry| !steps.contains(&entry.path()));
     let names = entries.map(|entry| PathBuf::from(entry.file_name()));
     names.filter(|name| !name.to_string_lossy().starts_with('.')).min()
+}
+
+/// Whether the crate `safetensors` gives such a name to a file that it has not completed.
+fn is_of_safetensors(name: &str) -> bool {
+    let is_random = |random: &str| random.len() == 6 && random.chars().all(|c| c.is_ascii_alphanumeric());
+    name.strip_prefix(".tmp").is_some_and(is_random)
 }
 
 fn name_of(step: usize) -> String {

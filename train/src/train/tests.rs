@@ -1,3 +1,5 @@
+use std::fs;
+
 use clap::Parser;
 
 use splat_model::density::{AdaptiveConfig, McmcConfig};
@@ -100,4 +102,18 @@ fn impossible_options_are_refused() {
     assert!(config(&["--steps", "0"]).unwrap_err().to_string().contains("--steps"));
     assert!(config(&["--sh-degree", "5"]).unwrap_err().to_string().contains("sh_degree"));
     assert!(config(&["--coarsest", "3"]).unwrap_err().to_string().contains("--coarsest"));
+}
+
+#[test]
+fn what_a_killed_process_was_writing_goes() {
+    let out = tempfile::tempdir().unwrap();
+    let folder = out.path().join(checkpoints::FOLDER);
+    fs::create_dir(&folder).unwrap();
+    for name in [".step-00000010.safetensors.tmp-aB3dE9", ".tmpaB3dE9", ".tmp-mine", "mine"] {
+        fs::write(folder.join(name), "").unwrap();
+    }
+    let _open = checkpoints::Checkpoints::open(out.path()).unwrap();
+    let mut left: Vec<_> = fs::read_dir(&folder).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+    left.sort();
+    assert_eq!(left, [".tmp-mine", "mine"]);
 }

@@ -20,6 +20,10 @@ fn what_is_written_is_read() {
     state().write(&path).unwrap();
     assert_eq!(State::read(&path).unwrap(), state());
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "a temporary file is left");
+    let other = folder.path().join("other");
+    fs::write(&other, "").unwrap();
+    let [written, other] = [path, other].map(|path| fs::metadata(path).unwrap().permissions());
+    assert_eq!(written, other);
 }
 
 #[test]
