@@ -1,5 +1,5 @@
-//! Lenses in the kernels of `project`. The backward pass projects through the lens once more: CubeCL removes what a kernel computes
-//! twice.
+//! Lenses in the kernels of `project`. The backward pass projects through the lens a second time. CubeCL removes the repeated
+//! operations.
 
 use cubecl::prelude::*;
 
@@ -140,9 +140,9 @@ pub(crate) fn bent_backward(
     y: &CameraAxis,
     lens: &DistortionArg,
     grad_j: (Vec3, Vec3),
-    grad: Vec3,
+    grad_centre: Vec3,
 ) -> SeenGrad {
-    let grad_at = Vec2::new(grad.x * x.focal, grad.y * y.focal);
+    let grad_at = Vec2::new(grad_centre.x * x.focal, grad_centre.y * y.focal);
     let out = lens_backward(mean_cam, rows, x, y, lens, grad_j, grad_at);
-    SeenGrad { turned: out.turned, centre: Vec3::new(out.centre.x, out.centre.y, out.centre.z + grad.z) }
+    SeenGrad { turned: out.turned, centre: Vec3::new(out.centre.x, out.centre.y, out.centre.z + grad_centre.z) }
 }
