@@ -41,6 +41,9 @@ counters! {
     REPEATED_LISTS:
     /// Returns the number of views whose lists were written twice, because they were longer than expected.
     repeated_lists, count_repeated_lists;
+    TRUNCATED:
+    /// Returns the number of views whose lists are known to have been too short.
+    truncated, count_truncated;
     TWIN_CALLS:
     /// Returns the number of stages that this process has computed on the CPU so far, forward and backward.
     twin_calls, count_twin_calls;

@@ -2,16 +2,20 @@
 //! expectation changes a bit of a run, and the device has work whenever the host waits for it. A process of its own, because
 //! the hooks are global.
 
-use burn::tensor::Device;
+use std::sync::Mutex;
+
+use burn::tensor::{DType, Device};
 use glam::{DAffine3, DVec3};
 use splat_model::accuracy::Setting;
 use splat_model::capture::{Photo, PointCloud};
 use splat_model::density::AdaptiveConfig;
 use splat_model::gaussians::GaussianRows;
 use splat_model::trainer::{TrainConfig, Trainer};
-use splat_op::Intrinsics;
-use splat_op::test_hooks::{expect_intersections, idle_waits, repeated_lists};
+use splat_op::test_hooks::{expect_intersections, idle_waits, read_bytes, repeated_lists};
+use splat_op::{Accumulation, Extras, Intrinsics, ListLength, RenderOptions, render, truncated_views};
 use splat_tests::gpu;
+use splat_tests::random::Random;
+use splat_tests::scene::{Scene, SceneTensors, host};
 
 const STEPS: u64 = 24;
 
@@ -32,6 +36,9 @@ fn photos() -> Vec<Photo> {
     };
     (0..4).map(photo).collect()
 }
+
+/// Expectations and counts are the process's.
+static ALONE: Mutex<()> = Mutex::new(());
 
 /// Trains with density control and ordered sums, so that the bits do not depend on the device's timing. Returns the rows, the
 /// losses, the number of idle waits, and the number of repeated lists.
@@ -65,6 +72,7 @@ fn run(device: &Device, expected: Option<u64>) -> (GaussianRows, Vec<u32>, [u64;
 #[test]
 fn a_step_waits_only_while_the_device_works_and_no_expected_length_changes_a_bit() {
     let Some(device) = gpu() else { return };
+    let _alone = ALONE.lock();
     // Without an expected length, the host waits in each view for a device with nothing to do.
     let (rows, losses, counts) = run(&device, Some(0));
     assert!(rows.len() > 320, "{} of 320 Gaussians, nothing was added", rows.len());
@@ -83,4 +91,64 @@ fn a_step_waits_only_while_the_device_works_and_no_expected_length_changes_a_bit
         assert_eq!(found.1, losses, "the losses if the expected length is {what}");
         assert!(found.0 == rows, "the rows differ if the expected length is {what}");
     }
+}
+
+/// Renders a picture with depth. Returns colours, alphas, depths and the gradient of the means, and the bytes that the operations read.
+fn picture(device: &Device, options: &RenderOptions) -> ([Vec<f64>; 4], u64) {
+    let scene = Scene::random(&mut Random::new(5), 1_000, 1, Intrinsics::centred(190, 130, 150.0));
+    let SceneTensors { splats, camera, .. } = scene.tensors(&device.clone().autodiff(), DType::F32);
+    let before = read_bytes();
+    let out = render(&splats, &[camera], &Extras::default(), options).expect("a valid scene");
+    let depth = out.depth.expect("asked for");
+    let grads = (out.colour.clone().mean() + depth.clone().mean()).backward();
+    let means = splats.means.grad(&grads).expect("tracked");
+    let found = [host(out.colour), host(out.alpha), host(depth), host(means)];
+    (found, read_bytes() - before)
+}
+
+/// The largest difference, as a share of the largest number.
+fn difference(a: &[f64], b: &[f64]) -> f64 {
+    let largest = a.iter().fold(0.0f64, |largest, value| largest.max(value.abs()));
+    a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max) / largest
+}
+
+#[test]
+fn lists_of_expected_length_wait_for_nothing_and_say_which_were_too_short() {
+    let Some(device) = gpu() else { return };
+    let _alone = ALONE.lock();
+    let counted = RenderOptions::standard().with_depth(true);
+    let expected = counted.with_lists(ListLength::Expected);
+    // Before any view of so many tiles, the lists have room for a usual scene.
+    expect_intersections(None);
+    let before = truncated_views();
+    let (first, read) = picture(&device, &expected);
+    assert_eq!(read, 0);
+    let is_whole = truncated_views() == before;
+    let (whole, _) = picture(&device, &counted.with_accumulation(Accumulation::Ordered));
+    assert_eq!(first[1] == whole[1], is_whole);
+    for capacity in [None, Some(200_000)] {
+        expect_intersections(capacity);
+        let before = truncated_views();
+        let (found, read) = picture(&device, &expected);
+        assert_eq!((read, truncated_views() - before), (0, 0), "{capacity:?}");
+        assert_eq!(found[..3], whole[..3], "{capacity:?}: the picture");
+        // Atomic sums differ in their last digits.
+        assert!(difference(&found[3], &whole[3]) <= 1e-5, "{capacity:?}: the gradient");
+    }
+    let before = truncated_views();
+    expect_intersections(Some(1_000));
+    let (found, read) = picture(&device, &expected);
+    assert_eq!((read, truncated_views() - before), (0, 1));
+    assert!(difference(&found[1], &whole[1]) > 0.1, "some Gaussians are left out");
+    assert!(found.iter().flatten().all(|value| value.is_finite()));
+    // What was learned of the view serves the next.
+    expect_intersections(None);
+    let (found, read) = picture(&device, &expected);
+    assert_eq!((read, truncated_views() - before), (0, 1));
+    assert_eq!(found[..3], whole[..3]);
+    // Ordered sums are numbered by the true count.
+    let ordered = expected.with_accumulation(Accumulation::Ordered);
+    let (found, read) = picture(&device, &ordered);
+    assert!(read > 0);
+    assert_eq!(found, whole);
 }

@@ -59,6 +59,16 @@ pub fn intersect(projected: &Projected, options: &RenderOptions) -> Result<Inter
     Ok(listed(&checked, projected, None))
 }
 
+/// Returns how many views of this process with [`ListLength::Expected`](crate::ListLength::Expected) are known to lack Gaussians, because
+/// they needed longer lists than expected. Later views expect longer ones.
+///
+/// Never waits: a view counts as soon as the device's number has come in, at the latest once something of its picture has been read.
+pub fn truncated_views() -> u64 {
+    #[cfg(feature = "cube")]
+    crate::intersect::pending::settle();
+    crate::counters::truncated()
+}
+
 /// [`intersect`](fn@intersect) of inputs that have been checked, in the tiles of a mask, i32, or in all tiles.
 pub(super) fn listed(checked: &Checked, projected: &Projected, mask: Option<Tensor<2, Int>>) -> Intersections {
     let lists = Kept::default();

@@ -43,6 +43,8 @@ pub struct RenderOptions {
     pub transmittance_min: f64,
     /// Dial: how GPUs add the gradients of a Gaussian's intersections. CPU backends always add them in order.
     pub accumulation: Accumulation,
+    /// Dial: how long the lists of the Gaussians in each tile are on a GPU, and whether a render waits for their length.
+    pub lists: ListLength,
     /// Output: whether [`Rendered::depth`](crate::Rendered) is rendered.
     pub depth: bool,
     /// Output: whether [`Rendered::expected_depth`](crate::Rendered) is computed.
@@ -81,6 +83,19 @@ pub enum Accumulation {
     Ordered,
 }
 
+/// The length of the lists of the Gaussians in each tile, which depends on the view. CPU backends always count first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+#[non_exhaustive]
+pub enum ListLength {
+    /// As long as the view needs. Every render waits for the device to count.
+    #[default]
+    Counted,
+    /// As long as recent views of as many tiles needed, with headroom. No render waits, so that a program can queue whole steps, and
+    /// can render in a browser, which cannot wait. A view that needs longer lists lacks its farthest Gaussians, and
+    /// [`truncated_views`](crate::truncated_views) counts it. With [`Accumulation::Ordered`], renders wait all the same.
+    Expected,
+}
+
 /// Largest number of pairs of a Gaussian and a tile that a render with an `alpha_min` of zero lists: 2²⁶, which is 8,224
 /// Gaussians in a picture of 1920 × 1080 px. A CPU stores 16 bytes per pair for its lists and 36 for the gradients of three
 /// channels, together 3.3 GiB at this number.
@@ -108,6 +123,7 @@ impl RenderOptions {
             transmittance_min: 1e-4,
             sh_degree: None,
             accumulation: Accumulation::Atomic,
+            lists: ListLength::Counted,
             depth: false,
             expected_depth: false,
             normals: false,
@@ -132,6 +148,12 @@ impl RenderOptions {
     pub const fn exact() -> Self {
         // 2⁻²⁶: a thousand such contributions stay below half a level of a 16-bit picture.
         Self { alpha_min: 1.0 / 67_108_864.0, transmittance_min: 0.0, ..Self::standard() }
+    }
+
+    /// Whether `intersect` waits for a GPU to count the intersections. Ordered sums are numbered by that count.
+    #[cfg(feature = "cube")]
+    pub(crate) fn counts_first(&self) -> bool {
+        self.lists == ListLength::Counted || self.accumulation == Accumulation::Ordered
     }
 
     /// Whether Gaussians are seen along rays: by `ray_space` and the splat of `rasterize_rays`.
@@ -217,6 +239,7 @@ builders! {
     with_alpha_max(alpha_max: f64);
     with_transmittance_min(transmittance_min: f64);
     with_accumulation(accumulation: Accumulation);
+    with_lists(lists: ListLength);
     with_depth(depth: bool);
     with_expected_depth(expected_depth: bool);
     with_normals(normals: bool);

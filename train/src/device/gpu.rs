@@ -64,6 +64,10 @@ pub fn open(adapter: &Adapter) -> Result<String> {
     let name = adapter.name();
     let refused = |why: &str| anyhow!("cannot open `{name}`: {why}. Check its driver, or pass `--device cpu`");
     let DispatchDevice::Cube(device) = adapter.device.as_dispatch() else { return Err(refused("it is no adapter")) };
+    #[cfg(feature = "cuda")]
+    if adapter.runtime == "cuda" {
+        check_toolkit().map_err(|missing| anyhow!("cannot open `{name}`: {missing}, or pass `--device cpu`"))?;
+    }
     let mut interface = String::new();
     #[cfg(feature = "wgpu")]
     if let CubeDevice::Wgpu(device) = device {
@@ -81,4 +85,23 @@ pub fn open(adapter: &Adapter) -> Result<String> {
     let client = device.client();
     let (hardware, kind) = (&client.properties().identity.name, format!("{:?}", adapter.kind).to_lowercase());
     Ok(format!("{hardware}, {kind}, {interface}{}", client.name()))
+}
+
+/// Checks for the parts of the CUDA toolkit that compile kernels. CubeCL needs them at the first launch, and panics without them.
+#[cfg(feature = "cuda")]
+fn check_toolkit() -> Result<(), String> {
+    // SAFETY: the library has no requirements on who loads it.
+    if !unsafe { cudarc::nvrtc::sys::is_culib_present() } {
+        let variable = if cfg!(windows) { "PATH" } else { "LD_LIBRARY_PATH" };
+        return Err(format!(
+            "its kernels are compiled by NVRTC of the CUDA toolkit, whose library is not found. Install the toolkit, add its folder of \
+             libraries to `{variable}`"
+        ));
+    }
+    if cubecl::cuda::install::cuda_path().is_none() {
+        return Err(
+            "the folder of the CUDA toolkit is not known. Install the toolkit, set `CUDA_PATH` to its folder".into()
+        );
+    }
+    Ok(())
 }

@@ -5,10 +5,11 @@ use cubecl::prelude::CubeDim;
 use super::emit::{LIST_BLOCK, count_kernel, emit_kernel, emit_masked_kernel, number_kernel, ranges_kernel};
 use super::expected::{expected, remember};
 use super::forward::{COVER, TileListsLaunch, TileMaskLaunch, cover_kernel};
+use super::pending::{PendingView, Sizes, keep, settle};
 use super::sort::{Sorted, launch_sort};
 use super::{Cut, tile_grid};
 use crate::camera::Intrinsics;
-use crate::counters::{count_idle_waits, count_read, count_repeated_lists, forced_capacity};
+use crate::counters::{count_idle_waits, count_repeated_lists, forced_capacity};
 use crate::gpu::{Buffer, Gpu, UNITS, cubes, elementwise};
 use crate::limits::Need;
 
@@ -28,14 +29,20 @@ pub(crate) struct DeviceIntersections {
     pub order: Buffer<u32>,
     /// `[N]`: the first intersection of each Gaussian of `order`.
     pub first_intersection: Buffer<u32>,
-    /// Number of Gaussians that have intersections.
+    /// Number of Gaussians that have intersections; if they are not counted, of all.
     pub visible: usize,
-    /// Number of intersections.
+    /// Number of intersections; if they are not counted, the number that there is room for.
     pub intersections: usize,
+    /// Whether the host knows both.
+    pub counted: bool,
 }
 
 /// Largest number of cubes that count intersections. Each adds up the sums of those before it.
 const COUNTERS: usize = 1024;
+
+/// Numbers of intersections of a Gaussian and of a tile for which an uncounted view has room if no recent view is like it.
+const UNKNOWN_OF_GAUSSIAN: usize = 8;
+const UNKNOWN_OF_TILE: usize = 64;
 
 /// Hint in error messages: how to get fewer intersections.
 const FEWER_INTERSECTIONS: &str =
@@ -53,17 +60,29 @@ impl DeviceIntersections {
 ///
 /// The host learns the number of intersections from the device. If recent views tell how many to expect, the lists are
 /// written with room for so many while the host waits, so that the device has work. They are written once more if there
-/// are more.
+/// are more. Without `wait`, the lists have room for so many, and the host learns the number later.
 pub(crate) fn launch_intersect(
     gpu: &Gpu,
     projected: &Buffer<f32>,
     camera: &Intrinsics,
     cut: Cut<&Buffer<i32>>,
+    wait: bool,
 ) -> DeviceIntersections {
+    settle();
     let (tiles, count) = (tile_grid(camera.width, camera.height), projected.len / crate::project::COLUMNS);
     let capacity = forced_capacity().or_else(|| expected(tiles, count)).filter(|capacity| *capacity > 0);
-    let lists = launch_intersect_within(gpu, projected, camera, cut, capacity);
-    remember(tiles, count, lists.intersections as u64);
+    if wait {
+        let lists = launch_intersect_within(gpu, projected, camera, cut, capacity);
+        remember(tiles, count, lists.intersections as u64);
+        return lists;
+    }
+    let unknown = || (UNKNOWN_OF_GAUSSIAN * count + UNKNOWN_OF_TILE * tiles[0] * tiles[1]) as u64;
+    let capacity = capacity.unwrap_or_else(unknown).min(gpu.buffer_limit / 4) as usize;
+    let counted = Counted::launch(gpu, projected, camera, cut);
+    let sizes = counted.ask(gpu);
+    let lists = counted.lists(gpu, Room::new(gpu, capacity));
+    gpu.begin();
+    keep(PendingView { sizes, tiles, gaussians: count, capacity });
     lists
 }
 
@@ -76,18 +95,14 @@ pub(super) fn launch_intersect_within(
     capacity: Option<u64>,
 ) -> DeviceIntersections {
     let counted = Counted::launch(gpu, projected, camera, cut);
-    let sizes = gpu.client.read_async(vec![counted.by_depth.kept.handle.clone(), counted.sums.handle.clone()]);
+    let sizes = counted.ask(gpu);
     let capacity = capacity.map(|capacity| capacity.min(gpu.buffer_limit / 4) as usize);
     let early = capacity.map(|capacity| counted.lists(gpu, Room::new(gpu, capacity)));
     match early {
         Some(_) => gpu.begin(),
         None => count_idle_waits(1),
     }
-    let read = cubecl::future::block_on(sizes).unwrap_or_else(|error| panic!("{error}"));
-    count_read(read.iter().map(|part| part.len() as u64).sum());
-    let visible = bytemuck::pod_read_unaligned::<u32>(&read[0][..4]) as usize;
-    let sums: Vec<[u32; 2]> = bytemuck::pod_collect_to_vec(&read[1][..8 * counted.chunks]);
-    let intersections: u64 = sums.iter().map(|&[low, high]| u64::from(low) + (u64::from(high) << 16)).sum();
+    let (visible, intersections) = sizes.wait();
     let list = Need { what: "the list of intersections", bytes: 4 * intersections, hint: FEWER_INTERSECTIONS };
     list.assert_fits(gpu.buffer_limit);
     // The limit is below 2^32 elements.
@@ -104,6 +119,7 @@ pub(super) fn launch_intersect_within(
         gaussian_of_intersection: listed(lists.gaussian_of_intersection),
         visible,
         intersections,
+        counted: true,
         ..lists
     }
 }
@@ -175,6 +191,11 @@ impl Counted {
             );
         }
         Self { covers, by_depth, counts, sums, chunks, tiles, mask }
+    }
+
+    /// Asks the device for the numbers of Gaussians and of intersections.
+    fn ask(&self, gpu: &Gpu) -> Sizes {
+        Sizes::ask(gpu, &self.by_depth.kept, &self.sums, self.chunks)
     }
 
     /// Writes the tile and the Gaussian of each intersection that `room` holds. Returns the number of the first
@@ -266,6 +287,7 @@ impl Counted {
             first_intersection,
             visible: self.counts.len,
             intersections: room.capacity,
+            counted: false,
         }
     }
 }

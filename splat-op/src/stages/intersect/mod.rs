@@ -23,6 +23,8 @@ mod kernel_tests;
 pub(crate) mod launch;
 pub(crate) mod operation;
 #[cfg(feature = "cube")]
+pub(crate) mod pending;
+#[cfg(feature = "cube")]
 pub(crate) mod sort;
 #[cfg(all(test, feature = "cube"))]
 mod sort_kernel_tests;

@@ -34,7 +34,8 @@ impl Operation for Intersect {
     fn launch(&self, args: GpuArgs) -> Vec<GpuOutput> {
         let mask = args.optional(1);
         let cut = Cut { mask: mask.as_ref(), ..Cut::of(&self.spec.options) };
-        let lists = launch_intersect(&args.gpu(), &args.buffer(0), &self.spec.intrinsics, cut);
+        let wait = self.spec.options.counts_first();
+        let lists = launch_intersect(&args.gpu(), &args.buffer(0), &self.spec.intrinsics, cut, wait);
         let counts = lists.counts.handle.clone();
         self.lists.keep(lists);
         vec![Some(counts)]

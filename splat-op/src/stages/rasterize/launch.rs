@@ -138,7 +138,7 @@ fn launch_forward<S: Splat>(
         segment_count: Buffer::new(gpu, kept_tiles),
     };
     for slots in runs_of(gpu, lists, shape, keep) {
-        let run = TraceRun::new(gpu, slots, shape, keep);
+        let run = TraceRun::new(gpu, slots, shape, keep, lists.counted);
         // SAFETY: places, intersections and Gaussians come from the lists, which hold none out of range; pixels are
         // guarded; a run has the slots of all its tiles.
         unsafe {

@@ -65,8 +65,9 @@ pub(super) const FEWER_PLACES: &str =
     "train on smaller pictures, raise `alpha_min`, or render parts of the picture with several cameras";
 
 impl TraceRun {
-    /// Allocates the buffers of a run, or empty ones if nothing is kept.
-    pub fn new(gpu: &Gpu, slots: RunSlots, shape: KernelShape, keep: bool) -> Self {
+    /// Allocates the buffers of a run, or empty ones if nothing is kept. Lists that are not counted may have more slots than their tiles
+    /// write: these are of the first tile, which has no place in them.
+    pub fn new(gpu: &Gpu, slots: RunSlots, shape: KernelShape, keep: bool, counted: bool) -> Self {
         let count = if keep { slots.slots.len() } else { 0 };
         let kept = count * shape.kept() * TILE_PIXELS;
         Need { what: "the trace of a tile for the backward pass", bytes: 4 * kept as u64, hint: FEWER_PLACES }
@@ -74,7 +75,7 @@ impl TraceRun {
         Self {
             kept: Buffer::with_headroom(gpu, kept),
             words: Buffer::with_headroom(gpu, count * WORDS),
-            tile_of_slot: Buffer::with_headroom(gpu, count),
+            tile_of_slot: if counted { Buffer::with_headroom(gpu, count) } else { Buffer::zeros(gpu, count) },
             slots,
         }
     }
