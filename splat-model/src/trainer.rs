@@ -12,6 +12,7 @@ mod resolution;
 mod shared;
 mod start;
 mod state;
+mod surface_loss;
 mod views;
 
 use std::any::Any;
@@ -40,6 +41,7 @@ pub use self::guard::{Fault, Guard};
 pub use self::loss::{Loss, LossInputs};
 use self::ranks::{Alone, Ranks};
 pub use self::resolution::Resolution;
+pub use self::surface_loss::SurfaceLoss;
 use self::views::Views;
 
 /// The result of a step.

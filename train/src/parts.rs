@@ -11,7 +11,7 @@ use splat_model::capture::{self, CaptureFormat};
 use splat_model::density::{AdaptiveConfig, DensityConfig, GRADUAL_OPACITY_WEIGHT, McmcConfig, Strategy};
 use splat_model::effects::{Effect, EffectKind};
 use splat_model::loss::{l1, photometric};
-use splat_model::trainer::{Loss, LossInputs, TrainError, Trainer};
+use splat_model::trainer::{Loss, LossInputs, SurfaceLoss, TrainError, Trainer};
 
 /// Name of the loss of a run that asks for none.
 pub const USUAL_LOSS: &str = "l1-ssim";
@@ -63,7 +63,12 @@ impl Registry {
             Ok(trainer.with_loss(move |seen: &LossInputs| photometric(seen.image.clone(), seen.truth, lambda)))
         };
         let none = Self { parts: BTreeMap::new(), formats: Vec::new() };
+        let surfaces = |trainer: Trainer| {
+            let loss = SurfaceLoss::new(trainer.config().lambda, trainer.config().steps);
+            Ok(trainer.with_loss(loss))
+        };
         none.with(Part::Loss, USUAL_LOSS, usual)
+            .with(Part::Loss, "surfaces", surfaces)
             .loss("l1", || |seen: &LossInputs| l1(seen.image.clone(), seen.truth.image()))
             .loss("l2", || |seen: &LossInputs| (seen.image.clone() - seen.truth.image()).square().mean())
     }

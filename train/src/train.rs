@@ -108,7 +108,7 @@ pub struct TrainArgs {
     #[arg(long, value_name = "NAME", default_value_t, value_parser = strategies(), help_heading = DENSITY)]
     #[serde(with = "crate::as_text")]
     pub strategy: StrategyName,
-    /// Loss; `l1-ssim` is L1 + D-SSIM, `l2` the mean square
+    /// Loss; `l1-ssim` is L1 + D-SSIM, `l2` the mean square, and `surfaces` makes depth smooth for `splat mesh`
     #[arg(long, value_name = "NAME", default_value = USUAL_LOSS, value_parser = PossibleValuesParser::new(parts::names(Part::Loss)), help_heading = OPTIMISER)]
     #[serde(default = "usual_loss")]
     pub loss: String,
@@ -118,7 +118,7 @@ pub struct TrainArgs {
     pub grad_threshold: Option<f64>,
     #[command(flatten, next_help_heading = OPTIMISER)]
     pub lr: RateArgs,
-    /// Weight of D-SSIM in the loss `l1-ssim`, 0 to 1; the rest is that of L1
+    /// Weight of D-SSIM in the losses `l1-ssim` and `surfaces`, 0 to 1; the rest is that of L1
     #[arg(long, value_name = "W", value_parser = share, default_value_t = TrainConfig::default().lambda, help_heading = OPTIMISER)]
     pub ssim_weight: f64,
     /// Photographs per step. Learning rates grow with the square root of their number; divide `--steps` by it to use

@@ -6,6 +6,7 @@
 pub mod photometric;
 pub mod regularise;
 pub mod ssim;
+pub mod surface;
 
 pub use photometric::{DEFAULT_LAMBDA, d_ssim, l1, photometric};
 pub use ssim::{Truth, ssim, ssim_map};

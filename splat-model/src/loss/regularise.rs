@@ -31,7 +31,7 @@ pub fn needles(log_scales: Tensor<2>, largest_ratio: f64) -> Tensor<1> {
 }
 
 /// The mean, and of no values zero.
-fn mean<const D: usize>(values: Tensor<D>) -> Tensor<1> {
+pub(super) fn mean<const D: usize>(values: Tensor<D>) -> Tensor<1> {
     let count = values.shape().num_elements();
     if count == 0 {
         return values.sum();

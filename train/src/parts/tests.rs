@@ -3,7 +3,7 @@ use super::*;
 #[test]
 fn names_are_those_of_their_part() {
     let registry = Registry::new().loss("mine", || |seen: &LossInputs| seen.alpha.clone().mean());
-    assert_eq!(registry.names(Part::Loss), ["l1", "l1-ssim", "l2", "mine"]);
+    assert_eq!(registry.names(Part::Loss), ["l1", "l1-ssim", "l2", "mine", "surfaces"]);
     assert!(registry.names(Part::Strategy).is_empty() && registry.names(Part::Effect).is_empty());
 }
 
