@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
 use serde::{Deserialize, Serialize};
-use splat_model::capture::scale::{SCALE_FILE, Scale};
+use splat_model::capture::scale::SCALE_FILE;
 
 pub use crate::input::SPARSE;
 use crate::own::{self, OwnFiles};
@@ -41,7 +41,7 @@ pub const MASKS: &str = "masks";
 /// The database and what SQLite keeps beside it.
 pub const DATABASE_FILES: [&str; 4] = [DATABASE, "database.db-wal", "database.db-shm", "database.db-journal"];
 
-/// Everything else that a reconstruction writes into its folder, apart from the link to masks.
+/// Everything else that belongs to a reconstruction, apart from the link to masks. The user writes the scale, which another one does not have.
 const OTHERS: [&str; 7] = [IMAGES, SPARSE, LOG, IMAGES_PARTIAL, SPARSE_PARTIAL, LISTS, SCALE_FILE];
 
 /// The files of COLMAP's models, without extensions.
@@ -189,7 +189,7 @@ impl Workspace {
         let stem = file.file_stem().unwrap_or_default().to_string_lossy();
         match top {
             IMAGES if file.is_symlink() => self.stamp.ingredients.files.contains_key(below),
-            IMAGES | SPARSE | SCALE_FILE => self.stamp.files.hold(&self.folder, file),
+            IMAGES | SPARSE => self.stamp.files.hold(&self.folder, file),
             IMAGES_PARTIAL => own::begins_with(file, JPEG_START),
             SPARSE_PARTIAL => MODEL.contains(&stem.as_ref()),
             LISTS => stem.parse::<usize>().is_ok(),
@@ -249,23 +249,6 @@ impl Workspace {
         let text = serde_json::to_string_pretty(&self.stamp)?;
         output::write(&self.join(STAMP), |file| Ok(writeln!(file, "{text}")?))
     }
-}
-
-/// Keeps the size of a unit in the folder of a reconstruction. Elsewhere nothing is written, and a file that is there already stays unless
-/// this function wrote it.
-pub fn keep_scale(folder: &Path, scale: &Scale) -> Result<()> {
-    let Some(stamp) = stamp_in(folder) else { return Ok(()) };
-    let mut workspace = Workspace { folder: folder.to_owned(), stamp };
-    let file = workspace.join(SCALE_FILE);
-    if file.exists() && !workspace.is_own(&file) {
-        progress::note(&format!(
-            "{} is not as this program wrote it, and stays: only this run has the new scale",
-            file.display()
-        ));
-        return Ok(());
-    }
-    scale.save(folder)?;
-    workspace.keep_in_mind(SCALE_FILE)
 }
 
 /// The first of `parent/NAME`, `parent/NAME-2` and so on that is free or holds a reconstruction of `source`.

