@@ -44,7 +44,7 @@ impl FuzzTarget for Scenes {
             let scene = SceneFile { rows: rows(count, sh_degree), ..SceneFile::default() };
             let path = self.path();
             let written = || fs::read(&path).expect("written before");
-            for format in Format::READ.into_iter().filter(|format| !format.is_exact()) {
+            for format in [Format::Spz, Format::Sog] {
                 formats::write(&path, &scene, format).expect("the target folder can be written to");
                 seeds.push([&[PLAIN], &written()[..]].concat());
             }

@@ -333,10 +333,10 @@ fn a_scale_beside_the_capture_is_kept_in_the_scene_and_by_convert() {
     succeed(&mut alone.splat("ok", &[&TRAIN[..], &["found", "--out", "out"]].concat()));
     let metres = |name: &str| formats::read(&alone.path(name)).unwrap().0.metres_per_unit;
     assert_eq!(metres("out/scene.ply"), Some(2.5));
-    let said = succeed(&mut alone.splat("ok", &["convert", "out/scene.ply", "a.compressed.ply"])).stdout;
+    let said = succeed(&mut alone.splat("ok", &["convert", "out/scene.ply", "a.sog"])).stdout;
     assert!(said.contains("a scene unit is 2.5"), "{said}");
-    assert_eq!(metres("a.compressed.ply"), Some(2.5));
-    succeed(&mut alone.splat("ok", &["convert", "a.compressed.ply", "b.ply"]));
+    assert_eq!(metres("a.sog"), Some(2.5));
+    succeed(&mut alone.splat("ok", &["convert", "a.sog", "b.ply"]));
     assert_eq!(metres("b.ply"), Some(2.5));
     let said = succeed(&mut alone.splat("ok", &["inspect", "found"])).stdout;
     assert!(said.contains("a scene unit is 2.5000 m"), "{said}");
