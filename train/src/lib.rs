@@ -62,7 +62,6 @@ mod live;
 pub mod lpips;
 pub mod memory;
 pub mod output;
-pub mod own;
 pub mod parts;
 pub mod progress;
 pub mod ranks;

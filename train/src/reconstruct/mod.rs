@@ -153,8 +153,8 @@ pub fn reconstruct(source: &Path, folder: &Path, options: &CameraArgs) -> Result
     }
     let root = listed.as_ref().map_or(source, |listed| &listed.root);
     Inputs::of([source, root]).spare([folder.to_owned(), folder.join(cache::IMAGES)])?;
-    Workspace::check(folder)?;
     let ingredients = ingredients(source, listed.as_ref(), options)?;
+    Workspace::check(folder, &ingredients)?;
     let programs = match Workspace::is_finished(folder, &ingredients) {
         true => None,
         false => Some((ColmapProgram::find()?, is_video.then(Ffmpeg::find).transpose()?)),
@@ -175,12 +175,12 @@ pub fn reconstruct(source: &Path, folder: &Path, options: &CameraArgs) -> Result
                     ));
                 }
                 let photographs = photographs::look(listed)?;
-                photographs::link(&mut workspace, source, listed)?;
+                photographs::link(&workspace, source, listed)?;
                 photographs
             }
             None => {
                 if let Some(ffmpeg) = ffmpeg.filter(|_| !workspace.has(Stage::Frames)) {
-                    let frames = video::extract(&mut workspace, &ffmpeg, source, options.frames, &stop)?;
+                    let frames = video::extract(&workspace, &ffmpeg, source, options.frames, &stop)?;
                     progress::note(&format!("{frames} frames of {}", source.display()));
                     workspace.finish(Stage::Frames)?;
                 }
@@ -193,7 +193,7 @@ pub fn reconstruct(source: &Path, folder: &Path, options: &CameraArgs) -> Result
     }
     if let Some(listed) = &listed {
         // The photographs may have been moved since the links were made.
-        photographs::link(&mut workspace, source, listed)?;
+        photographs::link(&workspace, source, listed)?;
     }
     let capture = input::capture(folder)?;
     report(&workspace, &capture)?;

@@ -236,7 +236,7 @@ fn no_subcommand_replaces_its_input() {
         assert!(changed.is_empty(), "{:?} changed: {said}", changed[0].0);
         let new: Vec<_> = after.keys().filter(|path| !before.contains_key(*path)).collect();
         assert!(new.is_empty(), "{new:?} is new: {said}");
-        let name = match case.line.starts_with("reconstruct") {
+        let name = match case.line.starts_with("reconstruct") || case.line.starts_with("demo") {
             // All photographs are meant.
             true => text(&out),
             false => Path::new(case.input).file_name().unwrap().to_str().unwrap(),
