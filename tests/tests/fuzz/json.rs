@@ -4,14 +4,14 @@ use std::fs;
 use std::path::PathBuf;
 
 use splat_model::trainer::TrainConfig;
-use splat_train::{demo, report};
+use splat_train::demo;
 
 use super::engine::{FuzzTarget, folder};
 use super::seeds;
 use super::split;
-use super::targets::{bucket, shape};
+use super::targets::shape;
 
-/// JSON files that the program writes and reads: the mark of a demo capture, the metrics of an earlier run, a configuration.
+/// JSON files that the program writes and reads: the mark of a demo capture, and a configuration.
 pub struct Json {
     folder: PathBuf,
     text: Vec<u8>,
@@ -49,11 +49,6 @@ impl FuzzTarget for Json {
             "true",
             "1e999",
             "-0.0",
-            "\"test\"",
-            "\"views\"",
-            "\"name\"",
-            "\"../../x\"",
-            "\"/etc/passwd\"",
             "\"splat demo\"",
             "\"steps\"",
             "\"density\"",
@@ -69,20 +64,12 @@ impl FuzzTarget for Json {
     }
 
     fn place(&mut self, input: &[u8]) {
-        for name in [demo::MARK, report::METRICS] {
-            fs::write(self.folder.join(name), input).expect("the target folder can be written to");
-        }
+        fs::write(self.folder.join(demo::MARK), input).expect("the target folder can be written to");
         self.text = input.to_vec();
     }
 
     fn read(&mut self) -> Result<String, String> {
         let mark = demo::read_mark(&self.folder).is_some();
-        let views = report::metrics::views_of(&self.folder.join(report::METRICS));
-        let paths = report::pictures::names(views.iter().map(String::as_str), "png");
-        if paths.len() != views.len() {
-            return Err(format!("{} names for {} views", paths.len(), views.len()));
-        }
-        let inside = paths.iter().filter(|path| report::pictures::stays_inside(path)).count();
         let config = match serde_json::from_slice::<TrainConfig>(&self.text) {
             Ok(config) => {
                 let text = serde_json::to_string(&config).map_err(|error| error.to_string())?;
@@ -96,11 +83,11 @@ impl FuzzTarget for Json {
             Err(error) => shape(&error.to_string(), &self.folder),
         };
         let is_json = serde_json::from_slice::<serde_json::Value>(&self.text).is_ok();
-        if !is_json && (mark || !views.is_empty()) {
+        if !is_json && mark {
             return Err("a value was read from invalid JSON".into());
         }
         let accepted = if is_json { "accepted" } else { "refused" };
-        Ok(format!("{accepted}: mark {mark}, 2^{} views, 2^{} inside, {config}", bucket(views.len()), bucket(inside)))
+        Ok(format!("{accepted}: mark {mark}, {config}"))
     }
 }
 

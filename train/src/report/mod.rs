@@ -69,18 +69,8 @@ pub fn view_files<'a>(views: impl IntoIterator<Item = &'a str>) -> impl Iterator
     pictures::names(views, "png").into_iter().map(|name| Path::new(VIEWS).join(name))
 }
 
-/// Writes `metrics.json`, after removing pictures of an earlier run's test views that this run does not have.
+/// Writes `metrics.json`.
 pub fn finish(metrics: &Metrics, out: &OutputFolder) -> Result<()> {
-    let current = metrics.test.iter().flat_map(|scores| &scores.views).map(|view| view.name.as_str());
-    let current: Vec<PathBuf> = pictures::names(current, "png");
-    let earlier = metrics::views_of(&out.join(METRICS));
-    for name in pictures::names(earlier.iter().map(String::as_str), "png") {
-        let path = out.join(VIEWS).join(&name);
-        if !current.contains(&name) && pictures::stays_inside(&name) && pictures::is_comparison(&path) {
-            // A leftover picture only takes up space.
-            let _ = std::fs::remove_file(path);
-        }
-    }
     out.write(METRICS, |file| {
         serde_json::to_writer_pretty(&mut *file, metrics)?;
         Ok(file.write_all(b"\n")?)
