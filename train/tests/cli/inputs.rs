@@ -93,7 +93,7 @@ fn cases() -> Vec<Case> {
 }
 
 /// Subcommands that write no file, or read none beside the one that they renew.
-const OTHERS: [&str; 7] = ["view", "inspect", "hard-cases", "devices", "completions", "man", "help"];
+const OTHERS: [&str; 6] = ["view", "inspect", "hard-cases", "devices", "completions", "help"];
 
 /// The inputs of all commands, below one folder.
 fn inputs() -> TempDir {
