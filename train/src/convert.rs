@@ -86,7 +86,7 @@ pub fn run(args: &ConvertArgs) -> Result<()> {
             of.extension()
         );
     }
-    prepare_file(&args.out, &Inputs::default().and_scene(&args.scene))?;
+    prepare_file(&args.out, &Inputs::of([&args.scene]))?;
     if let Some(degree) = args.sh_degree.map(usize::from).filter(|degree| *degree < of_degree) {
         scene.rows = input::selected(&scene.rows, 0..splats, degree);
     }

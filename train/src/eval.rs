@@ -100,7 +100,7 @@ pub fn run(args: &EvalArgs) -> Result<Metrics> {
     let scene_name = scene_name(&args.scene)?;
     // A scene can be scored where it lies.
     let copied = Inputs::of([&args.scene]).find(&args.out.join(&scene_name)).is_none();
-    let inputs = Inputs::default().and_scene(&args.scene).and_capture(&capture);
+    let inputs = Inputs::of([&args.scene]).and_capture(&capture);
     let inputs = inputs.and(args.show.file()).and(&args.lpips.lpips);
     let views = report::view_files(photos.iter().map(|photo| photo.name.as_str()));
     let files = copied.then(|| PathBuf::from(&scene_name)).into_iter().chain([METRICS.into()]).chain(views);

@@ -34,7 +34,6 @@
 mod beginning;
 mod compressed;
 mod extras;
-mod files;
 mod frame;
 mod gltf;
 pub(crate) mod limits;
@@ -54,8 +53,7 @@ use std::path::Path;
 
 use glam::DVec3;
 
-use beginning::{Beginning, json};
-pub use files::files;
+use beginning::Beginning;
 pub use loss::{Deviation, QuantisationError};
 pub use sog::SogOptions;
 pub use spz::{SpzOptions, SpzVersion};
@@ -187,7 +185,7 @@ impl FileError {
     }
 }
 
-/// Detects the format of a file by its first bytes and, for PLY and JSON, by what follows them. The name has no influence.
+/// Detects the format of a file by its first bytes and, for PLY, by what follows them. The name has no influence.
 ///
 /// # Errors
 /// If the file cannot be opened or is not a scene.
@@ -195,7 +193,6 @@ pub fn detect(path: &Path) -> Result<Format, FileError> {
     Ok(match Beginning::of(path)? {
         Beginning::Spz => Format::Spz,
         Beginning::Zip => Format::Sog,
-        Beginning::Json => json(path).map(|_| Format::Sog)?,
         Beginning::Ply => match compressed::is_compressed(&PlyReader::open(path)?.1) {
             true => Format::CompressedPly,
             false => Format::Ply,
@@ -213,8 +210,7 @@ pub fn detect(path: &Path) -> Result<Format, FileError> {
 pub fn read(path: &Path) -> Result<(SceneFile, Format), FileError> {
     Ok(match Beginning::of(path)? {
         Beginning::Spz => (spz::read(path)?, Format::Spz),
-        Beginning::Zip => (sog::read_archive(path)?, Format::Sog),
-        Beginning::Json => (sog::read_folder(path, &json(path)?)?, Format::Sog),
+        Beginning::Zip => (sog::read(path)?, Format::Sog),
         Beginning::Ply => {
             let (input, header) = PlyReader::open(path)?;
             let is_compressed = compressed::is_compressed(&header);

@@ -68,7 +68,7 @@ pub fn run(args: &ParetoArgs) -> Result<()> {
     let views = spread(split.require_test()?, args.views);
     let (rows, trained) = input::rows("--scene", &args.scene, Some(&capture))?;
     let background = args.show.background(&args.scene, &trained)?;
-    let inputs = Inputs::default().and_scene(&args.scene).and_capture(&capture).and(args.show.file());
+    let inputs = Inputs::of([&args.scene]).and_capture(&capture).and(args.show.file());
     let out = OutputFolder::prepare(&args.out, inputs, [TABLE], &[])?;
     let photos = input::photographs(&capture, &views, args.photos.max_side, args.masks)?;
     let base = args.show.model.or(&trained).config().render_options(input::extent(&capture));

@@ -53,7 +53,7 @@ impl Setup {
         let mut inputs = Inputs::of(&args.capture).and_capture(&capture).and(&args.config).and(&args.lpips.lpips);
         // A resumed run has its own scene and does not read that of `--start`.
         if let Some(scene) = args.start.as_ref().filter(|_| is_new) {
-            inputs = inputs.and_scene(scene);
+            inputs = inputs.and([scene]);
         }
         // A run may be resumed from any working directory, and a video does not tell which folder its frames are in.
         if let Some(source) = args.capture.take() {
