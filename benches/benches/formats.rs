@@ -1,4 +1,4 @@
-//! Writes and reads a scene in every format, checks what comes back, and prints times, bytes a splat and errors.
+//! Writes and reads a scene in every format that is written and read, checks what comes back, and prints times, bytes a splat and errors.
 //!
 //! `cargo bench --workspace --bench formats -- scene.ply` takes a scene and repeats it, each time at another place and with other harmonics, until
 //! there are a million splats. Without one, the splats are random, which no format can compress as it compresses a trained scene.
@@ -40,7 +40,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     println!("{:16} {:>9} {:>9} {:>14} {:>20}", "format", "write, s", "read, s", "bytes a splat", "RMS of harmonics");
     let folder = std::env::temp_dir().join(format!("splat-formats-{}", std::process::id()));
     fs::create_dir_all(&folder)?;
-    for format in Format::ALL {
+    for format in [Format::Ply, Format::Spz, Format::Sog] {
         let path = folder.join(format!("scene{}", format.extension()));
         let start = Instant::now();
         let written = formats::write(&path, &scene, format)?;

@@ -173,7 +173,7 @@ pub fn run(args: &CleanArgs) -> Result<()> {
     let (mut scene, found) = formats::read(&args.scene).context("cannot read the scene")?;
     scene.rows.check()?;
     let capture = args.capture.as_deref().map(input::capture).transpose()?;
-    let inputs = Inputs::default().and_scene(&args.scene).and(args.show.file());
+    let inputs = Inputs::of([&args.scene]).and(args.show.file());
     prepare_file(&args.out, &capture.iter().fold(inputs, Inputs::and_capture))?;
     let judge = capture.as_ref().map(|capture| CleanupJudge::new(args, capture, &scene)).transpose()?;
     progress::say(&describe_file(&args.scene, found, scene.rows.len(), scene.rows.sh_degree)?);

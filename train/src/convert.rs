@@ -14,8 +14,7 @@ use crate::output::{prepare_file, short};
 use crate::{input, progress};
 
 /// Range of SPZ's standard deviations, in words: their logarithms are stored in 8 bits.
-const SPZ_SCALES: &str =
-    "SPZ holds standard deviations from 0.000045 to 379 scene units; compressed PLY has no such limits";
+const SPZ_SCALES: &str = "SPZ holds standard deviations from 0.000045 to 379 scene units; SOG has no such limits";
 
 /// Largest relative error of a scale that is in range, half a step of 1/16 of the logarithm; a larger error means out
 /// of range.
@@ -26,7 +25,7 @@ const SPZ_SCALE_ERROR: f64 = 0.033;
 pub struct ConvertArgs {
     /// Scene to convert: PLY, SuperSplat's compressed PLY, SPZ or SOG, recognized by its content
     pub scene: PathBuf,
-    /// File to write, replacing an existing one; its name gives the format: .ply, .compressed.ply, .spz, .glb or .sog
+    /// File to write, replacing an existing one; its name gives the format: .ply, .spz, .glb or .sog
     pub out: PathBuf,
     /// Format to write, if the name does not give it
     #[arg(long, value_parser = formats_by_name())]
@@ -50,9 +49,8 @@ pub struct ConvertArgs {
     pub antialias: bool,
 }
 
-const FORMATS: [(&str, &str, Format); 5] = [
+const FORMATS: [(&str, &str, Format); 4] = [
     ("ply", "all parameters, in 32-bit floats", Format::Ply),
-    ("compressed-ply", "SuperSplat's: 16 bytes a splat, and one for each higher coefficient", Format::CompressedPly),
     ("spz", "Niantic's: 20 bytes a splat and one for each higher coefficient, then zstd", Format::Spz),
     ("glb", "glTF: all parameters to degree 3, in 32-bit floats; written, not read", Format::Glb),
     ("sog", "PlayCanvas': pictures of 8 bits and a palette of harmonics, to degree 3", Format::Sog),
@@ -88,7 +86,7 @@ pub fn run(args: &ConvertArgs) -> Result<()> {
             of.extension()
         );
     }
-    prepare_file(&args.out, &Inputs::default().and_scene(&args.scene))?;
+    prepare_file(&args.out, &Inputs::of([&args.scene]))?;
     if let Some(degree) = args.sh_degree.map(usize::from).filter(|degree| *degree < of_degree) {
         scene.rows = input::selected(&scene.rows, 0..splats, degree);
     }
@@ -100,12 +98,6 @@ pub fn run(args: &ConvertArgs) -> Result<()> {
     progress::say(&describe_file(&args.out, format, count, sh_degree)?);
     if let Some(metres) = scene.metres_per_unit {
         progress::say(&format!("a scene unit is {metres} m"));
-    }
-    if written.added > 0 {
-        progress::say(&format!(
-            "added {} invisible splats: outliers have chunks of their own, and cost no other splat its place",
-            written.added
-        ));
     }
     let mut lost = dropped(&scene, format, &written, of_degree);
     // Numbers of glTF are those of the scene but for the rounding of f32.
@@ -124,11 +116,18 @@ pub fn run(args: &ConvertArgs) -> Result<()> {
 /// Returns the format that the name of a file gives.
 ///
 /// # Errors
-/// If it gives none.
+/// If it gives none that is written.
 pub fn format_of(path: &Path) -> Result<Format> {
-    let known = || Format::ALL.map(Format::extension).join(", ");
-    Format::of_name(path)
-        .with_context(|| format!("the name {} does not give a format: end it in one of {}", path.display(), known()))
+    let known = || Format::WRITTEN.map(Format::extension).join(", ");
+    let format = Format::of_name(path)
+        .with_context(|| format!("the name {} does not give a format: end it in one of {}", path.display(), known()))?;
+    ensure!(
+        Format::WRITTEN.contains(&format),
+        "{}: {format} is read, not written: end the name in one of {}",
+        path.display(),
+        known()
+    );
+    Ok(format)
 }
 
 fn options(args: &ConvertArgs) -> WriteOptions {

@@ -3,17 +3,15 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail};
-use serde::{Deserialize, Serialize};
+use anyhow::{Context, Result, ensure};
 use serde_json::{Value, json};
 use splat_demo::{self as demo, DemoOptions};
 use splat_model::capture::Capture;
 
-use crate::own::{self, OwnFiles};
 use crate::{output, progress};
 
 /// Marks a folder as a demo capture and records the options it was made with.
-pub const MARK: &str = "demo.json";
+const MARK: &str = "demo.json";
 
 /// Options of `splat demo`.
 #[derive(Clone, Debug, clap::Args)]
@@ -74,39 +72,33 @@ pub fn run(args: &DemoArgs) -> Result<()> {
 /// killed meanwhile, the hidden folder stays.
 ///
 /// # Errors
-/// If an option is out of range, two exclude each other, the folder holds files of anything else where the capture is to be, or it cannot
-/// be written.
+/// If an option is out of range, two exclude each other, the folder holds anything else where the capture is to be, or it cannot be written.
 pub fn ensure(folder: &Path, options: &DemoOptions) -> Result<bool> {
-    let found = read_mark(folder).unwrap_or_default();
-    if found.made_with == made_with(options) && is_complete(folder, options) {
+    if is_complete(folder, options) {
         return Ok(false);
     }
-    let earlier = earlier(folder, &found.files)?;
+    for taken in demo::PARTS.iter().chain(&[MARK]).map(|name| folder.join(name)) {
+        ensure!(
+            !taken.exists(),
+            "{} already exists, and is not of this demo capture: choose another folder with `--out`, or move it away",
+            taken.display()
+        );
+    }
     progress::note("making the demo capture");
     let shown = folder.display();
-    replace(folder, &earlier, options).with_context(|| {
+    make(folder, options).with_context(|| {
         format!("cannot make the demo capture in {shown}: fix the problem named below, or choose another `--out`")
     })?;
     Ok(true)
 }
 
-/// Makes the capture beside its place and moves it there, after removing the files of an earlier one. The model is removed first and moved
-/// last, so that the capture never looks complete while pictures are exchanged.
-fn replace(folder: &Path, earlier: &[PathBuf], options: &DemoOptions) -> Result<()> {
+/// Makes the capture beside its place and moves it there. The model is moved last, so that the capture never looks complete before.
+fn make(folder: &Path, options: &DemoOptions) -> Result<()> {
     fs::create_dir_all(folder)?;
     let temporary = tempfile::Builder::new().prefix(".demo.tmp-").tempdir_in(folder)?;
     let temporary = temporary.path();
     demo::write(temporary, options)?;
-    let mut mark = DemoMark { made_with: made_with(options), files: OwnFiles::default() };
-    for name in demo::PARTS {
-        mark.files.add(temporary, name, name)?;
-    }
-    for name in demo::PARTS.iter().rev() {
-        let root = folder.join(name);
-        let of_part: Vec<PathBuf> = earlier.iter().filter(|file| file.starts_with(&root)).cloned().collect();
-        own::remove(&root, &of_part).with_context(|| format!("cannot replace {}", root.display()))?;
-    }
-    output::write(&folder.join(MARK), |file| Ok(serde_json::to_writer_pretty(file, &mark)?))?;
+    output::write(&folder.join(MARK), |file| Ok(serde_json::to_writer_pretty(file, &made_with(options))?))?;
     for name in demo::PARTS {
         let (source, target) = (temporary.join(name), folder.join(name));
         if source.exists() {
@@ -116,51 +108,18 @@ fn replace(folder: &Path, earlier: &[PathBuf], options: &DemoOptions) -> Result<
     Ok(())
 }
 
-#[derive(Default, Serialize, Deserialize)]
-pub struct DemoMark {
-    /// The options, and the version of the program under `splat demo`.
-    #[serde(flatten)]
-    made_with: Value,
-    /// What was written.
-    #[serde(default)]
-    files: OwnFiles,
-}
-
-/// Everything that the content of a demo capture depends on.
+/// Everything that the content of a demo capture depends on: the options, and the version of the program under `splat demo`.
 fn made_with(options: &DemoOptions) -> Value {
     let mut made_with = json!(options);
     made_with["splat demo"] = env!("CARGO_PKG_VERSION").into();
     made_with
 }
 
-/// Reads the mark of the demo capture in `folder`. `None` also for any other file of that name.
-pub fn read_mark(folder: &Path) -> Option<DemoMark> {
-    let mark: DemoMark = serde_json::from_slice(&fs::read(folder.join(MARK)).ok()?).ok()?;
-    mark.made_with.get("splat demo").is_some().then_some(mark)
-}
-
 fn is_complete(folder: &Path, options: &DemoOptions) -> bool {
-    Capture::load(folder).is_ok_and(|capture| capture.views.len() == options.views)
+    let mark = fs::read(folder.join(MARK)).ok().and_then(|text| serde_json::from_slice::<Value>(&text).ok());
+    mark == Some(made_with(options))
+        && Capture::load(folder).is_ok_and(|capture| capture.views.len() == options.views)
         && demo::files(options).iter().all(|file| folder.join(file).is_file())
-}
-
-/// The files of an earlier demo capture where the new one is to be. Any other file there is refused, one of the demo that was changed too: it
-/// must not be replaced.
-fn earlier(folder: &Path, own: &OwnFiles) -> Result<Vec<PathBuf>> {
-    let mut found = Vec::new();
-    for root in demo::PARTS.map(|name| folder.join(name)) {
-        found.extend(own::files_below(&root).with_context(|| format!("cannot list {}", root.display()))?);
-    }
-    let mark = folder.join(MARK);
-    let other_mark = (mark.exists() && read_mark(folder).is_none()).then_some(&mark);
-    match other_mark.into_iter().chain(&found).find(|file| **file == mark || !own.hold(folder, file)) {
-        None => Ok(found),
-        Some(taken) => bail!(
-            "{} already exists and `splat demo` did not write it, or it was changed since: choose another folder with `--out`, or move it \
-             away",
-            taken.display()
-        ),
-    }
 }
 
 #[cfg(test)]

@@ -62,7 +62,7 @@ pub fn run(args: &ExportArgs) -> Result<()> {
             "the page shows a background of one colour: give `--background` a colour such as black or 0.5,0.5,0.5"
         ));
     };
-    let inputs = Inputs::default().and_scene(&args.scene).and(args.background.as_ref().and_then(ShownBackground::file));
+    let inputs = Inputs::of([&args.scene]).and(args.background.as_ref().and_then(ShownBackground::file));
     prepare_file(&args.html, &capture.iter().fold(inputs, Inputs::and_capture))?;
     let degree = rows.sh_degree.min(args.sh_degree.map_or(Format::Sog.sh_degree_max(), usize::from));
     let rows = input::selected(&rows, 0..rows.len(), degree);

@@ -10,7 +10,6 @@ use anyhow::{Result, bail};
 use file_id::{FileId, get_file_id};
 use splat_model::capture::Capture;
 use splat_model::effects::survey::input_files;
-use splat_model::formats;
 
 /// What a path leads to.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
@@ -64,11 +63,6 @@ impl Inputs {
     /// Takes all files of a capture as inputs too: its own, photographs, masks and depth maps.
     pub fn and_capture(self, capture: &Capture) -> Self {
         self.and(input_files(capture))
-    }
-
-    /// Takes a scene and the files that it names as inputs too.
-    pub fn and_scene(self, scene: &Path) -> Self {
-        self.and(formats::files(scene))
     }
 
     /// The input that a path leads to, if it is one.

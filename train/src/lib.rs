@@ -38,6 +38,7 @@ pub mod options;
 pub mod background;
 pub mod blocks;
 pub mod clean;
+pub mod completions;
 pub mod convert;
 pub mod demo;
 pub mod devices;
@@ -45,7 +46,6 @@ pub mod eval;
 pub mod export;
 pub mod hard_cases;
 pub mod inspect;
-pub mod manual;
 pub mod pareto;
 pub mod reconstruct;
 pub mod render;
@@ -62,7 +62,6 @@ mod live;
 pub mod lpips;
 pub mod memory;
 pub mod output;
-pub mod own;
 pub mod parts;
 pub mod progress;
 pub mod ranks;
@@ -104,8 +103,7 @@ pub fn run(command: &Command) -> Result<()> {
         Command::HardCases(args) => hard_cases::run(args),
         Command::Pareto(args) => pareto::run(args),
         Command::Devices => devices::run(),
-        Command::Completions(args) => manual::completions(args, options::command()),
-        Command::Man(args) => manual::man(args, options::command()),
+        Command::Completions(args) => completions::run(args, options::command()),
     }
 }
 

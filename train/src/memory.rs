@@ -1,8 +1,4 @@
-//! The program's allocator, and the memory that is held during a measurement.
-
-use std::alloc::{GlobalAlloc, Layout};
-use std::sync::atomic::{AtomicBool, AtomicI64, Ordering::Relaxed};
-use std::sync::{Mutex, PoisonError};
+//! The program's allocator.
 
 #[cfg(not(target_os = "linux"))]
 pub use mimalloc::MiMalloc as Fast;
@@ -15,7 +11,7 @@ pub use tikv_jemallocator::Jemalloc as Fast;
 #[cfg(target_os = "linux")]
 pub const OPTIONS: &[u8; 72] = b"narenas:1,oversize_threshold:67108864,calloc_madvise_threshold:67108864\0";
 
-/// Makes [`Fast`](crate::memory::Fast) the allocator of a program, alone or in a wrapper (`allocator!(CountingAllocator<Fast>, CountingAllocator(Fast))`). It keeps
+/// Makes [`Fast`](crate::memory::Fast) the allocator of a program, alone or in a wrapper (`allocator!(Wrapper<Fast>, Wrapper(Fast))`). It keeps
 /// freed blocks for a while. A step allocates and frees tensors of megabytes; the system's allocator returns such blocks to the kernel
 /// each time and has them cleared on the next use.
 #[macro_export]
@@ -33,72 +29,3 @@ macro_rules! allocator {
         static JEMALLOC_OPTIONS: &[u8; $crate::memory::OPTIONS.len()] = $crate::memory::OPTIONS;
     };
 }
-
-/// Whether bytes are counted. Otherwise the counter costs an allocation one load of this flag.
-static COUNTS: AtomicBool = AtomicBool::new(false);
-/// Bytes held beyond those at the start of the count; negative after older blocks were freed.
-static LIVE: AtomicI64 = AtomicI64::new(0);
-static PEAK: AtomicI64 = AtomicI64::new(0);
-
-/// An allocator that counts while [`peak_mib`] runs.
-pub struct CountingAllocator<A>(pub A);
-
-fn changed(bytes: i64) {
-    let live = LIVE.fetch_add(bytes, Relaxed) + bytes;
-    PEAK.fetch_max(live, Relaxed);
-}
-
-// SAFETY: every call is forwarded unchanged.
-unsafe impl<A: GlobalAlloc> GlobalAlloc for CountingAllocator<A> {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        if COUNTS.load(Relaxed) {
-            changed(layout.size() as i64);
-        }
-        unsafe { self.0.alloc(layout) }
-    }
-
-    unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
-        if COUNTS.load(Relaxed) {
-            changed(layout.size() as i64);
-        }
-        unsafe { self.0.alloc_zeroed(layout) }
-    }
-
-    unsafe fn dealloc(&self, block: *mut u8, layout: Layout) {
-        if COUNTS.load(Relaxed) {
-            changed(-(layout.size() as i64));
-        }
-        unsafe { self.0.dealloc(block, layout) }
-    }
-
-    unsafe fn realloc(&self, block: *mut u8, layout: Layout, size: usize) -> *mut u8 {
-        let counts = COUNTS.load(Relaxed);
-        if counts {
-            // Both blocks may exist at once while the contents move.
-            changed(size as i64);
-        }
-        let moved = unsafe { self.0.realloc(block, layout, size) };
-        if counts {
-            changed(-(layout.size() as i64));
-        }
-        moved
-    }
-}
-
-/// Runs `work` and returns its result and the peak memory of the program, on all threads, beyond the memory held
-/// before, MiB. `None` in a program whose allocator is not [`CountingAllocator`]. Concurrent calls wait for each other. GPU
-/// memory is not counted.
-pub fn peak_mib<T>(work: impl FnOnce() -> T) -> (T, Option<f64>) {
-    static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
-    let _held = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
-    LIVE.store(0, Relaxed);
-    PEAK.store(0, Relaxed);
-    COUNTS.store(true, Relaxed);
-    let result = work();
-    COUNTS.store(false, Relaxed);
-    let peak = PEAK.load(Relaxed);
-    (result, (peak > 0).then(|| peak as f64 / f64::from(1 << 20)))
-}
-
-#[cfg(test)]
-mod tests;

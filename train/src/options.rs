@@ -8,13 +8,13 @@ use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 
 use crate::blocks::BlocksArgs;
 use crate::clean::CleanArgs;
+use crate::completions::CompletionsArgs;
 use crate::convert::ConvertArgs;
 use crate::demo::DemoArgs;
 use crate::eval::EvalArgs;
 use crate::export::ExportArgs;
 use crate::hard_cases::HardCasesArgs;
 use crate::inspect::InspectArgs;
-use crate::manual::{CompletionsArgs, ManArgs};
 use crate::pareto::ParetoArgs;
 use crate::reconstruct::ReconstructArgs;
 use crate::render::RenderArgs;
@@ -78,9 +78,6 @@ pub enum Command {
     /// Write completions of the command line for a shell
     #[command(hide = true)]
     Completions(CompletionsArgs),
-    /// Write the manual pages
-    #[command(hide = true)]
-    Man(ManArgs),
 }
 
 /// The first subcommand of each group in the help, and the group's title.

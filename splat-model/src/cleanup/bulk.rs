@@ -40,11 +40,7 @@ impl Bulk {
 
     /// Whether a value is no outlier: at most 16 times the width of the bulk outside it.
     pub fn holds(&self, value: &[f32; 3]) -> bool {
-        self.holds_with(FAR * self.width, value)
-    }
-
-    /// Whether a value is at most `room` outside the bulk.
-    pub fn holds_with(&self, room: f64, value: &[f32; 3]) -> bool {
+        let room = FAR * self.width;
         (0..3).all(|axis| {
             let value = f64::from(value[axis]);
             value >= self.low[axis] - room && value <= self.high[axis] + room

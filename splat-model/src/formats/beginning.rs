@@ -1,6 +1,6 @@
 //! Which format a file has, by its first bytes.
 
-use std::fs::{self, File};
+use std::fs::File;
 use std::io::{BufReader, Read};
 use std::path::Path;
 
@@ -15,7 +15,6 @@ pub(super) enum Beginning {
     Ply,
     Spz,
     Zip,
-    Json,
 }
 
 impl Beginning {
@@ -27,6 +26,9 @@ impl Beginning {
             .read_to_end(&mut first)
             .map_err(FileError::io(path, "read the scene (is the path right?)"))?;
         let line = first.split(|byte| *byte == b'\n').next().unwrap_or_default().trim_ascii();
+        let is_json = first.trim_ascii_start().starts_with(b"{");
+        let name = path.file_name().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
+        let ends = |end: &str| name.ends_with(end);
         Ok(match () {
             () if spz::is_spz(&first) => match gunzipped(path).and_then(|inner| FileKind::of_bytes(&inner)) {
                 Some(inner) => {
@@ -35,9 +37,13 @@ impl Beginning {
                 }
                 None => Self::Spz,
             },
-            () if first.starts_with(b"glTF") => return Err(gltf(path)),
+            () if first.starts_with(b"glTF") || is_json && ends(".gltf") => return Err(gltf(path)),
             () if first.starts_with(&sog::MAGIC) => Self::Zip,
-            () if first.trim_ascii_start().starts_with(b"{") => Self::Json,
+            () if is_json && ends(sog::META) => {
+                let what = "the document of an unpacked SOG scene".into();
+                let remedy = format!("pack it with its pictures (`zip -0 scene.sog {} *.webp`)", sog::META);
+                return Err(FileError::foreign(path, what, remedy));
+            }
             () if line == b"ply" => Self::Ply,
             () => return Err(unknown(path, &first)),
         })
@@ -72,14 +78,4 @@ fn unknown(path: &Path, first: &[u8]) -> FileError {
 fn gltf(path: &Path) -> FileError {
     let what = "a scene in glTF, which is written here and not read".into();
     FileError::foreign(path, what, "convert it to PLY with `npx @playcanvas/splat-transform IN OUT.ply`")
-}
-
-/// The document of a scene in SOG.
-pub(super) fn json(path: &Path) -> Result<Vec<u8>, FileError> {
-    let json = fs::read(path).map_err(FileError::io(path, "read the scene (is the path right?)"))?;
-    match () {
-        () if sog::is_meta(&json) => Ok(json),
-        () if path.extension().is_some_and(|kind| kind.eq_ignore_ascii_case("gltf")) => Err(gltf(path)),
-        () => Err(unknown(path, &json[..json.len().min(16)])),
-    }
 }

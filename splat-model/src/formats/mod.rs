@@ -3,7 +3,7 @@
 //! | [`Format`] | names | holds |
 //! |---|---|---|
 //! | [`Ply`](Format::Ply) | `.ply` | everything, in f32: the layout of the original implementation, see [`crate::ply`] |
-//! | [`CompressedPly`](Format::CompressedPly) | `.compressed.ply` | 16 bytes per Gaussian and one per higher coefficient, to degree 3: SuperSplat's |
+//! | [`CompressedPly`](Format::CompressedPly) | `.compressed.ply` | 16 bytes per Gaussian and one per higher coefficient, to degree 3: SuperSplat's; read, not written |
 //! | [`Spz`](Format::Spz) | `.spz` | 20 bytes per Gaussian and one per higher coefficient, then zstd: Niantic's |
 //! | [`Glb`](Format::Glb) | `.glb` | 60 bytes per Gaussian and 12 per higher coefficient, in f32, to degree 3: glTF with `KHR_gaussian_splatting`; written, not read |
 //! | [`Sog`](Format::Sog) | `.sog` | 8-bit pictures in WebP and a palette of harmonics, to degree 3: PlayCanvas' |
@@ -34,7 +34,6 @@
 mod beginning;
 mod compressed;
 mod extras;
-mod files;
 mod frame;
 mod gltf;
 pub(crate) mod limits;
@@ -54,8 +53,7 @@ use std::path::Path;
 
 use glam::DVec3;
 
-use beginning::{Beginning, json};
-pub use files::files;
+use beginning::Beginning;
 pub use loss::{Deviation, QuantisationError};
 pub use sog::SogOptions;
 pub use spz::{SpzOptions, SpzVersion};
@@ -84,8 +82,11 @@ impl Format {
     /// All formats.
     pub const ALL: [Self; 5] = [Self::Ply, Self::CompressedPly, Self::Spz, Self::Glb, Self::Sog];
 
-    /// The formats that are read; all are written.
+    /// The formats that are read.
     pub const READ: [Self; 4] = [Self::Ply, Self::CompressedPly, Self::Spz, Self::Sog];
+
+    /// The formats that are written.
+    pub const WRITTEN: [Self; 4] = [Self::Ply, Self::Spz, Self::Glb, Self::Sog];
 
     /// The format that a file name indicates.
     pub fn of_name(path: &Path) -> Option<Self> {
@@ -159,15 +160,13 @@ impl SceneFile {
     }
 }
 
-/// The part of a scene that was written.
+/// The part of a scene that was written. PLY holds all rows unchanged.
 #[derive(Clone, Debug)]
 pub struct Written<'a> {
     /// The rows of the file before rounding, in its order and of its degree.
     pub rows: Cow<'a, GaussianRows>,
     /// Number of Gaussians that were left out, because they cannot be rendered and the format cannot represent them.
     pub left_out: usize,
-    /// Number of invisible Gaussians that were added, so that no chunk of a compressed PLY holds both ordinary Gaussians and outliers.
-    pub added: usize,
     /// Number of Gaussians that were moved nearer and shrunk accordingly, because they are beyond the reach of SPZ's grid.
     pub moved: usize,
 }
@@ -178,28 +177,12 @@ impl FileError {
     }
 
     fn foreign(path: &Path, what: String, remedy: impl fmt::Display) -> Self {
-        const SCENES: &str = "Scenes are PLY files (original layout or SuperSplat's compressed one), SPZ, glTF and SOG";
+        const SCENES: &str = "Scenes are PLY files (original layout or SuperSplat's compressed one), SPZ and SOG";
         Self::new(
             path,
             format!("not a scene that is read: it is {what}. {SCENES}: {remedy}, or export it as one of these"),
         )
     }
-}
-
-/// Detects the format of a file by its first bytes and, for PLY and JSON, by what follows them. The name has no influence.
-///
-/// # Errors
-/// If the file cannot be opened or is not a scene.
-pub fn detect(path: &Path) -> Result<Format, FileError> {
-    Ok(match Beginning::of(path)? {
-        Beginning::Spz => Format::Spz,
-        Beginning::Zip => Format::Sog,
-        Beginning::Json => json(path).map(|_| Format::Sog)?,
-        Beginning::Ply => match compressed::is_compressed(&PlyReader::open(path)?.1) {
-            true => Format::CompressedPly,
-            false => Format::Ply,
-        },
-    })
 }
 
 /// Reads a scene of any format but glTF.
@@ -212,8 +195,7 @@ pub fn detect(path: &Path) -> Result<Format, FileError> {
 pub fn read(path: &Path) -> Result<(SceneFile, Format), FileError> {
     Ok(match Beginning::of(path)? {
         Beginning::Spz => (spz::read(path)?, Format::Spz),
-        Beginning::Zip => (sog::read_archive(path)?, Format::Sog),
-        Beginning::Json => (sog::read_folder(path, &json(path)?)?, Format::Sog),
+        Beginning::Zip => (sog::read(path)?, Format::Sog),
         Beginning::Ply => {
             let (input, header) = PlyReader::open(path)?;
             let is_compressed = compressed::is_compressed(&header);
@@ -227,13 +209,13 @@ pub fn read(path: &Path) -> Result<(SceneFile, Format), FileError> {
     })
 }
 
-/// Writes the part of a scene that the format can hold ([`fit`]).
+/// Writes the part of a scene that the format can hold: the Gaussians that can be rendered, with harmonics up to its degree ([`Written`]).
 ///
 /// The file appears under its name only when it is complete; a file that was there before is replaced.
 ///
 /// # Errors
-/// If the rows' fields differ in length, the degree is above 4, the origin is not finite, the size of a unit is not positive, no Gaussian
-/// can be rendered, or the file cannot be written. No temporary file is left behind.
+/// If the format is compressed PLY, the rows' fields differ in length, the degree is above 4, the origin is not finite, the size of a unit is
+/// not positive, no Gaussian can be rendered, or the file cannot be written. No temporary file is left behind.
 pub fn write<'a>(path: &Path, scene: &'a SceneFile, format: Format) -> Result<Written<'a>, FileError> {
     write_with(path, scene, format, WriteOptions::default())
 }
@@ -258,13 +240,18 @@ pub fn write_with<'a>(
     options: WriteOptions,
 ) -> Result<Written<'a>, FileError> {
     ply::check(path, &scene.rows, scene.world())?;
-    let written = fitted(&scene.rows, format);
+    let written = fit(&scene.rows, format);
     // A file with nothing in it is refused; PLY, which holds all rows, counts its own.
     ply::check_left(path, scene.rows.len() - written.left_out, scene.rows.len())?;
     let rows = &written.rows;
     match format {
         Format::Ply => ply::write(path, rows, scene.world())?,
-        Format::CompressedPly => compressed::write(path, rows, scene.world())?,
+        Format::CompressedPly => {
+            return Err(FileError::new(
+                path,
+                "compressed PLY is read, not written: write SOG or SPZ, which are smaller",
+            ));
+        }
         Format::Spz => spz::write(path, rows, scene.trained.antialias, options.spz)?,
         Format::Glb => gltf::write(path, rows, scene)?,
         Format::Sog => sog::write(path, rows, scene, options.sog)?,
@@ -273,34 +260,18 @@ pub fn write_with<'a>(
 }
 
 /// The rows that a file of the format holds before rounding: the Gaussians that can be rendered ([`GaussianRows::is_usable`]),
-/// with harmonics up to the format's degree. In SOG neighbours are near each other. In compressed PLY they are in an order in which
-/// neighbours share the box of a chunk and outliers do not; in SPZ those beyond the grid's reach are moved to its border. [`Written`]
-/// counts the differences. PLY holds all rows unchanged.
-///
-/// # Panics
-/// If the rows do not fit together ([`GaussianRows::check`]).
-pub fn fit(rows: &GaussianRows, format: Format) -> Cow<'_, GaussianRows> {
-    fitted(rows, format).rows
-}
-
-fn fitted(rows: &GaussianRows, format: Format) -> Written<'_> {
+/// with harmonics up to the format's degree. In SOG neighbours are near each other; in SPZ those beyond the grid's reach are moved to its
+/// border. [`Written`] counts the differences. PLY holds all rows unchanged.
+fn fit(rows: &GaussianRows, format: Format) -> Written<'_> {
     if format.is_exact() {
-        return Written { rows: Cow::Borrowed(rows), left_out: 0, added: 0, moved: 0 };
+        return Written { rows: Cow::Borrowed(rows), left_out: 0, moved: 0 };
     }
-    let usable: Vec<u32> = (0..rows.len() as u32).filter(|&row| rows.is_usable(row as usize)).collect();
-    let count = usable.len();
     let mut fitted = GaussianRows { sh_degree: rows.sh_degree.min(format.sh_degree_max()), ..GaussianRows::default() };
-    let mut moved = 0;
-    if format == Format::CompressedPly {
-        compressed::fill_chunks(&mut fitted, rows, &compressed::arranged(&rows.means, &rows.sh_dc, usable));
-    } else {
-        let order = if format == Format::Sog { morton_order(&rows.means) } else { usable };
-        let rows_of = order.into_iter().map(|row| row as usize).filter(|&row| rows.is_usable(row));
-        rows_of.for_each(|row| fitted.push(rows, row));
-    }
-    if format == Format::Spz {
-        moved = spz::bring_within_reach(&mut fitted);
-    }
-    let (left_out, added) = (rows.len() - count, fitted.len() - count);
-    Written { rows: Cow::Owned(fitted), left_out, added, moved }
+    let order =
+        if format == Format::Sog { morton_order(&rows.means) } else { (0..rows.len() as u32).collect::<Vec<_>>() };
+    let usable = order.into_iter().map(|row| row as usize).filter(|&row| rows.is_usable(row));
+    usable.for_each(|row| fitted.push(rows, row));
+    let left_out = rows.len() - fitted.len();
+    let moved = if format == Format::Spz { spz::bring_within_reach(&mut fitted) } else { 0 };
+    Written { rows: Cow::Owned(fitted), left_out, moved }
 }

@@ -34,7 +34,7 @@ pub(crate) use frame::world_frame;
 pub(crate) use read::{PlyReader, brief, require, vertex};
 pub(crate) use row::{degree_of_rest, rest_names};
 pub(crate) use rows::read_rows;
-pub(crate) use write::{check, check_left, element, file_header};
+pub(crate) use write::{check, check_left};
 
 /// The element that holds the Gaussians.
 pub(crate) const VERTEX: &str = "vertex";

@@ -44,7 +44,7 @@ impl FuzzTarget for Scenes {
             let scene = SceneFile { rows: rows(count, sh_degree), ..SceneFile::default() };
             let path = self.path();
             let written = || fs::read(&path).expect("written before");
-            for format in Format::READ.into_iter().filter(|format| !format.is_exact()) {
+            for format in [Format::Spz, Format::Sog] {
                 formats::write(&path, &scene, format).expect("the target folder can be written to");
                 seeds.push([&[PLAIN], &written()[..]].concat());
             }
@@ -137,10 +137,7 @@ impl FuzzTarget for Scenes {
             Ok((SceneFile { rows, origin, metres_per_unit, trained, .. }, format)) => {
                 rows.check().map_err(|error| error.to_string())?;
                 let sized = metres_per_unit.is_none_or(|metres| metres.is_finite() && metres > 0.0);
-                if !sized
-                    || !origin.is_finite()
-                    || Ok(format) != formats::detect(&self.path()).map_err(|error| error.to_string())
-                {
+                if !sized || !origin.is_finite() {
                     return Err(format!("origin {origin}, {metres_per_unit:?} m, {format}"));
                 }
                 let (count, unusable) = (bucket(rows.len()), rows.unusable() > 0);

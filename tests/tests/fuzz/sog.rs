@@ -1,6 +1,9 @@
-//! The document of a SOG scene and one of its pictures, side by side in a folder: mutations of an archive would fail at its checksums.
+//! The document of a SOG scene and one of its pictures, which are packed after they are mutated: mutations of an archive would fail at its
+//! checksums.
 
+use std::collections::BTreeMap;
 use std::fs;
+use std::io::{Cursor, Read, Write};
 use std::path::PathBuf;
 
 use splat_model::formats::{self, Format, SceneFile};
@@ -14,22 +17,32 @@ use super::targets::{bucket, judge_message, shape};
 /// An input is the document, a zero, and the picture of the low bytes of positions. All other pictures are those of a valid scene.
 pub struct Sog {
     folder: PathBuf,
+    /// The files of the archive, by name.
+    files: BTreeMap<String, Vec<u8>>,
 }
 
+const DOCUMENT: &str = "meta.json";
 const PICTURE: &str = "means_l.webp";
 
 impl Sog {
     pub fn new(name: &str) -> Self {
-        let folder = folder(name);
-        let path = folder.join("scene.sog");
+        let target = Self { folder: folder(name), files: BTreeMap::new() };
         let trained = TrainedAs { antialias: true, ..TrainedAs::default() };
         let scene = SceneFile { rows: rows(3, 3), origin: [1.0, 2.0, 3.0].into(), trained, ..SceneFile::default() };
-        formats::write(&path, &scene, Format::Sog).expect("the folder can be written to");
-        let file = fs::File::open(&path).expect("written above");
-        let mut archive = zip::ZipArchive::new(file).expect("written above");
-        archive.extract(&folder).expect("the folder can be written to");
-        fs::remove_file(path).expect("written above");
-        Self { folder }
+        formats::write(&target.path(), &scene, Format::Sog).expect("the folder can be written to");
+        let bytes = fs::read(target.path()).expect("written above");
+        let mut archive = zip::ZipArchive::new(Cursor::new(bytes)).expect("written above");
+        let names: Vec<String> = archive.file_names().map(|name| name.expect("ASCII").into_owned()).collect();
+        let files = names.into_iter().map(|name| {
+            let mut bytes = Vec::new();
+            archive.by_name(&name).expect("listed").read_to_end(&mut bytes).expect("written above");
+            (name, bytes)
+        });
+        Self { files: files.collect(), ..target }
+    }
+
+    fn path(&self) -> PathBuf {
+        self.folder.join("scene.sog")
     }
 }
 
@@ -39,8 +52,7 @@ impl FuzzTarget for Sog {
     }
 
     fn seeds(&self) -> Vec<Vec<u8>> {
-        let read = |name: &str| fs::read(self.folder.join(name)).expect("extracted before");
-        vec![[read("meta.json"), vec![0], read(PICTURE)].concat()]
+        vec![[&self.files[DOCUMENT][..], &[0], &self.files[PICTURE]].concat()]
     }
 
     fn words(&self) -> &'static [&'static str] {
@@ -71,13 +83,20 @@ impl FuzzTarget for Sog {
 
     fn place(&mut self, input: &[u8]) {
         let end = input.iter().position(|byte| *byte == 0).unwrap_or(input.len());
-        for (name, bytes) in [("meta.json", &input[..end]), (PICTURE, input.get(end + 1..).unwrap_or_default())] {
-            fs::write(self.folder.join(name), bytes).expect("the target folder can be written to");
+        self.files.insert(DOCUMENT.into(), input[..end].to_vec());
+        self.files.insert(PICTURE.into(), input.get(end + 1..).unwrap_or_default().to_vec());
+        let mut archive = zip::ZipWriter::new(Cursor::new(Vec::new()));
+        let stored = zip::write::SimpleFileOptions::default().compression_method(zip::CompressionMethod::Stored);
+        for (name, bytes) in &self.files {
+            archive.start_file(name.as_str(), stored).expect("memory can be written to");
+            archive.write_all(bytes).expect("memory can be written to");
         }
+        let bytes = archive.finish().expect("memory can be written to").into_inner();
+        fs::write(self.path(), bytes).expect("the target folder can be written to");
     }
 
     fn read(&mut self) -> Result<String, String> {
-        match formats::read(&self.folder.join("meta.json")) {
+        match formats::read(&self.path()) {
             Ok((scene, format)) => {
                 scene.rows.check().map_err(|error| error.to_string())?;
                 if format != Format::Sog || !scene.origin.is_finite() {

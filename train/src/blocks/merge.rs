@@ -2,15 +2,16 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Result, bail, ensure};
 use splat_model::capture::Capture;
 use splat_model::capture::blocks::{BlockFile, keep};
-use splat_model::formats::{self, Format, SceneFile};
+use splat_model::formats::{self, SceneFile};
 use splat_model::gaussians::GaussianRows;
 use splat_model::ply::TrainedAs;
 
 use super::planned::PlanFolder;
 use super::seams::Seams;
+use crate::convert::format_of;
 use crate::device::DeviceName;
 use crate::inputs::Inputs;
 use crate::output::prepare_file;
@@ -24,7 +25,7 @@ pub struct MergeArgs {
     /// Folder of the plan
     #[arg(value_name = "DIR")]
     pub plan: PathBuf,
-    /// Scene to write: .ply, .compressed.ply or .spz
+    /// Scene to write: .ply, .spz, .glb or .sog
     #[arg(long, value_name = "FILE")]
     pub out: PathBuf,
     /// Held-out photographs of each block on which the merged scene is compared with the block; 0 for none
@@ -41,8 +42,7 @@ pub struct MergeArgs {
 /// If a block is not finished, the blocks do not fit together, or the scene is one of the files that are read or cannot be written.
 pub fn merge(args: &MergeArgs) -> Result<()> {
     let folder = PlanFolder::open(&args.plan)?;
-    let format = Format::of_name(&args.out)
-        .with_context(|| format!("{}: expected a name that ends in .ply or .spz", args.out.display()))?;
+    let format = format_of(&args.out)?;
     let waiting: Vec<&str> = (folder.plan.blocks.iter())
         .filter(|name| state_of(&folder.run(name)) != RunState::Finished)
         .map(String::as_str)

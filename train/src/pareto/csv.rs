@@ -8,7 +8,7 @@ use super::quartiles::Quartiles;
 
 const HEADER: &str = "name,role,judged_by,turned,error_db,rms_error,max_error,psnr_db,ssim,gradient_error,\
     gradient_error_of,gradient_cosine,forward_ms_lower,forward_ms,forward_ms_upper,backward_ms_lower,backward_ms,\
-    backward_ms_upper,step_ms_lower,step_ms,step_ms_upper,memory_mib,on_frontier\r\n";
+    backward_ms_upper,step_ms_lower,step_ms,step_ms_upper,on_frontier\r\n";
 
 /// Returns the file's text. `members` are the rows on the frontier of renders.
 pub fn text(rows: &[SettingMeasurements], members: &[usize]) -> String {
@@ -28,7 +28,7 @@ fn line(row: &SettingMeasurements, on_frontier: bool) -> String {
         Role::Dial(name) => format!("dial {name}"),
         Role::Combination => "combination".into(),
     };
-    let judge = if candidate.judge() == Judge::Exact { "exact" } else { "photographs" };
+    let judge = if candidate.setting.judge() == Judge::Exact { "exact" } else { "photographs" };
     let accuracy = row.accuracy.as_ref();
     let mut fields = vec![candidate.name.clone(), role, judge.into(), candidate.setting.to_string()];
     fields.extend([row.error_db(), accuracy.map(|a| a.rms), accuracy.map(|a| a.max)].map(number));
@@ -39,7 +39,6 @@ fn line(row: &SettingMeasurements, on_frontier: bool) -> String {
     for Quartiles { lower, median, upper } in [row.times.forward, row.times.backward, row.times.step] {
         fields.extend([lower, median, upper].map(|ms| number(Some(ms))));
     }
-    fields.push(number(row.memory_mib));
     fields.push(if on_frontier { "1" } else { "0" }.into());
     fields.iter().map(|field| quoted(field)).collect::<Vec<_>>().join(",")
 }

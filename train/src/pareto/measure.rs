@@ -14,7 +14,6 @@ use super::errors::{MeasuredError, compare_gradients};
 use super::quartiles::{Quartiles, decibels};
 use super::reference::ReferenceRender;
 use super::subject::{DeviceScene, GradientSums, PARAMETERS, host, off_the_clamp};
-use crate::memory::peak_mib;
 use crate::progress;
 
 /// Minimum number of rounds: fewer have no spread.
@@ -36,8 +35,6 @@ pub struct SettingMeasurements {
     /// Scores against the photographs.
     pub psnr_db: f64,
     pub ssim: f64,
-    /// Peak memory of a render with its backward pass, MiB; `None` where it is unknown.
-    pub memory_mib: Option<f64>,
     /// Zero until all settings are checked.
     pub times: FrameTimes,
 }
@@ -122,9 +119,9 @@ impl<'a> Bench<'a> {
         score: &impl Fn(&RenderOptions) -> Result<(f64, f64)>,
     ) -> Result<SettingMeasurements> {
         let options = &candidate.options;
-        let judged = candidate.judge() == Judge::Exact;
+        let judged = candidate.setting.judge() == Judge::Exact;
         let truth = self.truth(truths, if judged { options } else { &self.base })?;
-        let (found, memory_mib) = self.compare(options, truth)?;
+        let found = self.compare(options, truth)?;
         let bound = Dial::rms_bound(options);
         ensure!(
             !judged || found.rms <= bound,
@@ -133,25 +130,18 @@ impl<'a> Bench<'a> {
         );
         let (accuracy, (psnr_db, ssim)) = (judged.then_some(found), score(options)?);
         let (candidate, times) = (candidate.clone(), FrameTimes::default());
-        Ok(SettingMeasurements { candidate, accuracy, psnr_db, ssim, memory_mib, times })
+        Ok(SettingMeasurements { candidate, accuracy, psnr_db, ssim, times })
     }
 
-    /// Renders and differentiates every view. Returns the deviations and the peak memory, MiB.
-    fn compare(&self, options: &RenderOptions, truth: &ReferenceRender) -> Result<(MeasuredError, Option<f64>)> {
+    /// Renders and differentiates every view. Returns the deviations.
+    fn compare(&self, options: &RenderOptions, truth: &ReferenceRender) -> Result<MeasuredError> {
         let (mut squares, mut count, mut max) = (0.0, 0, 0.0_f64);
         let mut sums = GradientSums::default();
-        let mut memory = None;
         for view in 0..self.photos.len() {
             let cotangent = self.place.picture(view, &truth.cotangents[view]);
-            let (done, peak) = peak_mib(|| -> Result<_> {
-                let picture = self.place.tracked(view, options)?;
-                let colour = picture.colour.clone().inner();
-                let gradients = self.place.backward(picture, cotangent);
-                self.place.device.sync()?;
-                Ok((colour, gradients))
-            });
-            let (colour, gradients) = done?;
-            memory = peak.into_iter().chain(memory).reduce(f64::max);
+            let picture = self.place.tracked(view, options)?;
+            let colour = picture.colour.clone().inner();
+            let gradients = self.place.backward(picture, cotangent);
             self.place.add_gradients(&gradients, &mut sums);
             let found = host(colour);
             if let Some(at) = found.iter().position(|value| !value.is_finite()) {
@@ -168,10 +158,8 @@ impl<'a> Bench<'a> {
             bail!("a gradient of {} is not finite", PARAMETERS[kind]);
         }
         let (gradient_error, worst, gradient_cosine) = compare_gradients(&sums, &truth.gradients);
-        // The memory of the program says nothing about that of a GPU.
-        let memory = memory.filter(|_| !splat_op::is_gpu(&self.place.device));
         let rms = (squares / count as f64).sqrt();
-        Ok((MeasuredError { rms, max, gradient_error, worst, gradient_cosine }, memory))
+        Ok(MeasuredError { rms, max, gradient_error, worst, gradient_cosine })
     }
 
     /// Times all settings on all views in turns, so that other load on the machine affects all alike. Every setting has

@@ -41,7 +41,6 @@ fn steps(ranks: &Rc<dyn Ranks>) -> Result<()> {
             Some(Order::Step(config)) => {
                 if let Some(config) = config {
                     trainer.reschedule(&config)?;
-                    trainer.turn(&config.dials);
                 }
                 trainer.step()?;
             }
@@ -53,8 +52,7 @@ fn prepare(ranks: &Rc<dyn Ranks>, setup: RunSetup) -> Result<Trainer> {
     let RunSetup { args, config, effects, checkpoint } = setup;
     let (device, _) = args.device.resolve()?;
     let folder = args.capture.as_ref().ok_or_else(|| anyhow!("rank 0 named no capture"))?;
-    let mut capture = input::capture(folder)?;
-    args.cameras.scale(&mut capture)?;
+    let capture = input::capture(folder)?;
     let (split, _) = args.photos.split(&capture);
     let seen = split.require_train()?;
     super::agree_on_files(&**ranks, &capture, seen)?;

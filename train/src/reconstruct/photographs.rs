@@ -109,7 +109,7 @@ pub fn extractions(photographs: &[Unposed], model: Option<CameraModelName>) -> V
 
 /// Makes `images/` in the workspace: links to the photographs, which are neither changed nor moved, or copies where the system has no
 /// links. Masks beside the photographs are linked too. Files that are there stay.
-pub fn link(workspace: &mut Workspace, source: &Path, folder: &PhotographFolder) -> Result<()> {
+pub fn link(workspace: &Workspace, source: &Path, folder: &PhotographFolder) -> Result<()> {
     let images = workspace.join(IMAGES);
     let root = std::path::absolute(&folder.root)?;
     for name in &folder.names {
@@ -126,9 +126,6 @@ pub fn link(workspace: &mut Workspace, source: &Path, folder: &PhotographFolder)
         ready
             .and_then(|()| make_link(&from, &to).or_else(|_| fs::copy(&from, &to).map(drop)))
             .with_context(|| format!("cannot make a link or a copy of {} in {}", from.display(), parent.display()))?;
-        if !to.is_symlink() {
-            workspace.keep_in_mind(&format!("{IMAGES}/{name}"))?;
-        }
     }
     let to = workspace.join(MASKS);
     if to.exists() {

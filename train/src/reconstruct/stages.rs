@@ -156,11 +156,12 @@ impl Stages<'_> {
     }
 
     /// Makes models in `sparse/`.
-    fn models(&self, workspace: &mut Workspace, photographs: &[Unposed]) -> Result<()> {
+    fn models(&self, workspace: &Workspace, photographs: &[Unposed]) -> Result<()> {
         let error = largest_error(photographs).to_string();
         let photographs = photographs.len();
         let global = self.colmap.has("global_mapper");
-        let mut most = 0;
+        let (mut most, mut best) = (0, None);
+        workspace.clear(&[SPARSE_PARTIAL])?;
         for mapper in if global { &["global_mapper", "mapper"][..] } else { &["mapper"] } {
             if most as f64 >= ENOUGH * photographs as f64 {
                 break;
@@ -170,8 +171,7 @@ impl Stages<'_> {
                     "the global mapper placed {most} of {photographs} photographs: trying the incremental one"
                 ));
             }
-            let partial = workspace.join(SPARSE_PARTIAL);
-            workspace.clear(&[SPARSE_PARTIAL])?;
+            let partial = workspace.join(SPARSE_PARTIAL).join(mapper);
             fs::create_dir_all(&partial).with_context(|| format!("cannot make {}", partial.display()))?;
             let mut command = with_paths(ColmapProgram::command(mapper), workspace, true);
             command.arg("--output_path").arg(&partial);
@@ -194,15 +194,14 @@ impl Stages<'_> {
                 return Err(failure::ended("COLMAP", "placing photographs", &ended, &workspace.join(LOG)));
             }
             if placed > most {
-                most = placed;
-                workspace.complete(SPARSE_PARTIAL, SPARSE)?;
+                (most, best) = (placed, Some(partial));
             }
         }
-        workspace.clear(&[SPARSE_PARTIAL, LISTS])?;
-        match most {
-            0 => Err(failure::no_model(photographs, workspace.features(), &workspace.join(LOG))),
-            _ => Ok(()),
-        }
+        let Some(best) = best else {
+            return Err(failure::no_model(photographs, workspace.features(), &workspace.join(LOG)));
+        };
+        workspace.complete(&best, SPARSE)?;
+        workspace.clear(&[SPARSE_PARTIAL, LISTS])
     }
 }
 

@@ -33,7 +33,7 @@ const MAX_SIDE: usize = 16_384;
 /// Writes the sharpest frame of each of `frames` equal intervals of a video to `images/` of the workspace, as JPEG, named by its number in
 /// the video. Returns the number of frames written.
 pub fn extract(
-    workspace: &mut Workspace,
+    workspace: &Workspace,
     ffmpeg: &Ffmpeg,
     video: &Path,
     frames: Option<usize>,
@@ -43,7 +43,7 @@ pub fn extract(
     let wanted = frames.unwrap_or((sharpness.len() / USUAL_INTERVAL).clamp(USUAL[0], USUAL[1]));
     let chosen = sharpest(&sharpness, wanted);
     let partial = workspace.join(IMAGES_PARTIAL);
-    workspace.clear(&[IMAGES, IMAGES_PARTIAL])?;
+    workspace.clear(&[IMAGES_PARTIAL])?;
     fs::create_dir_all(&partial).with_context(|| format!("cannot make {}", partial.display()))?;
     let select: Vec<String> = chosen.iter().map(|frame| format!("eq(n\\,{frame})")).collect();
     let mut command = Ffmpeg::reading(video);
@@ -59,7 +59,7 @@ pub fn extract(
         fs::rename(&from, &to)
             .with_context(|| format!("ffmpeg decoded the frame {frame} of {} once and not again", video.display()))?;
     }
-    workspace.complete(IMAGES_PARTIAL, IMAGES)?;
+    workspace.complete(&partial, IMAGES)?;
     Ok(chosen.len())
 }
 

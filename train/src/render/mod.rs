@@ -91,7 +91,7 @@ pub fn run(args: &RenderArgs) -> Result<Vec<PathBuf>> {
     let format = args.format.to_possible_value();
     let extension = format.as_ref().map_or("", |format| format.get_name());
     let names = pictures::names(views.iter().map(|view| view.name.as_str()), extension);
-    let inputs = Inputs::default().and_scene(&args.scene).and_capture(&capture);
+    let inputs = Inputs::of([&args.scene]).and_capture(&capture);
     let inputs = inputs.and(args.show.file());
     let mut video = match &args.video {
         Some(path) => {

@@ -78,12 +78,5 @@ pub fn is_in(path: &Path) -> bool {
     ["test", "culled_non_finite", "options", "version"].iter().all(|key| metrics.get(key).is_some())
 }
 
-/// Returns the names of the test views in a `metrics.json`; none if the file is missing or not ours.
-pub fn views_of(path: &Path) -> Vec<String> {
-    let metrics = read(path);
-    let views = metrics["test"]["views"].as_array();
-    views.into_iter().flatten().filter_map(|view| Some(view["name"].as_str()?.to_owned())).collect()
-}
-
 #[cfg(test)]
 mod tests;

@@ -69,26 +69,16 @@ pub fn view_files<'a>(views: impl IntoIterator<Item = &'a str>) -> impl Iterator
     pictures::names(views, "png").into_iter().map(|name| Path::new(VIEWS).join(name))
 }
 
-/// Writes `metrics.json`, after removing pictures of an earlier run's test views that this run does not have.
+/// Writes `metrics.json`.
 pub fn finish(metrics: &Metrics, out: &OutputFolder) -> Result<()> {
-    let current = metrics.test.iter().flat_map(|scores| &scores.views).map(|view| view.name.as_str());
-    let current: Vec<PathBuf> = pictures::names(current, "png");
-    let earlier = metrics::views_of(&out.join(METRICS));
-    for name in pictures::names(earlier.iter().map(String::as_str), "png") {
-        let path = out.join(VIEWS).join(&name);
-        if !current.contains(&name) && pictures::stays_inside(&name) && pictures::is_comparison(&path) {
-            // A leftover picture only takes up space.
-            let _ = std::fs::remove_file(path);
-        }
-    }
     out.write(METRICS, |file| {
         serde_json::to_writer_pretty(&mut *file, metrics)?;
         Ok(file.write_all(b"\n")?)
     })
 }
 
-/// Prints the scores and the location of all files; `scene` is the name of the scene's file.
-pub fn say(metrics: &Metrics, scene: &str, out: &OutputFolder) {
+/// Prints the scores and the location of all files.
+pub fn say(metrics: &Metrics, scene: &Path, out: &OutputFolder) {
     match &metrics.test {
         Some(test) => {
             let (count, s) = (test.views.len(), if test.views.len() == 1 { "" } else { "s" });
@@ -102,7 +92,7 @@ pub fn say(metrics: &Metrics, scene: &str, out: &OutputFolder) {
     let seconds = &metrics.seconds;
     let train = seconds.train.map(|train| format!("training {train:.1} s, ")).unwrap_or_default();
     progress::say(&format!("time: loading {:.1} s, {train}measuring {:.1} s", seconds.load, seconds.eval));
-    progress::say(&format!("scene: {} ({} splats)", out.join(scene).display(), metrics.splats));
+    progress::say(&format!("scene: {} ({} splats)", scene.display(), metrics.splats));
     progress::say(&format!("metrics: {}", out.join(METRICS).display()));
     if metrics.steps.is_some() {
         progress::say(&format!("report: {}", out.join(REPORT).display()));

@@ -1,7 +1,7 @@
 //! Pictures: comparisons of a render with its photograph, and plain renders.
 
 use std::collections::HashSet;
-use std::path::{Component, Path, PathBuf};
+use std::path::{Path, PathBuf};
 
 use image::RgbImage;
 use splat_model::evaluate::Comparison;
@@ -29,11 +29,6 @@ pub fn names<'a>(views: impl IntoIterator<Item = &'a str>, extension: &str) -> V
     views.into_iter().map(&mut name).collect()
 }
 
-/// Whether a path stays below the folder that it is joined to. Names of a capture do; names in any other file may not.
-pub fn stays_inside(path: &Path) -> bool {
-    path.components().all(|part| matches!(part, Component::Normal(_) | Component::CurDir))
-}
-
 /// Returns ground truth | render | error side by side. The error is the absolute difference of each channel, magnified by
 /// [`ERROR_GAIN`].
 pub fn comparison(comparison: &Comparison) -> RgbImage {
@@ -56,21 +51,6 @@ fn side_by_side(truth: &[f32], render: &[f32], width: usize, height: usize) -> R
             _ => [0, 1, 2].map(|channel| level(ERROR_GAIN * (truth[channel] - render[channel]).abs())),
         })
     })
-}
-
-/// Whether a file is a picture of [`comparison`]: its third panel is the difference of the others, to the level that they are
-/// rounded to.
-pub fn is_comparison(path: &Path) -> bool {
-    let Ok(picture) = image::open(path).map(|picture| picture.into_rgb8()) else { return false };
-    let (width, height) = (picture.width() / 3, picture.height());
-    let matches = |(x, y): (u32, u32)| {
-        let [truth, render, error] = [0, 1, 2].map(|panel| picture.get_pixel(panel * width + x, y).0);
-        (0..3).all(|channel| {
-            let expected = ERROR_GAIN * f32::from(truth[channel].abs_diff(render[channel]));
-            (expected.min(255.0) - f32::from(error[channel])).abs() <= ERROR_GAIN + 1.0
-        })
-    };
-    picture.width() == 3 * width && (0..height).all(|y| (0..width).all(|x| matches((x, y))))
 }
 
 /// Converts a value in 0..1 to one of 256 levels. The conversion saturates, and NaN becomes 0.

@@ -111,8 +111,9 @@ fn a_scene_is_shown_as_it_was_trained() {
     assert!(header.contains(stated), "{header}");
     let said = succeed(&mut splat(&["inspect", text(&scene)])).stdout;
     assert!(said.contains(r#""background":[0.5,0.1,1.0]"#), "{said}");
-    let other = folder.path().join("scene.compressed.ply");
-    succeed(&mut splat(&["convert", text(&scene), text(&other)]));
+    let (sog, other) = (folder.path().join("scene.sog"), folder.path().join("other.ply"));
+    succeed(&mut splat(&["convert", text(&scene), text(&sog)]));
+    succeed(&mut splat(&["convert", text(&sog), text(&other)]));
     assert!(String::from_utf8_lossy(&fs::read(&other).unwrap()[..600]).contains(stated));
     // What no run wrote is named.
     let broken = folder.path().join("broken.ply");

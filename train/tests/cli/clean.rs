@@ -103,7 +103,7 @@ fn a_box_needs_no_capture_and_the_origin_stays() {
     let cut = middle(&copy_of(&TRAINED.join("scene.ply")))[0];
     let corners = format!("{cut},-inf,-inf,inf,inf,inf");
     let inside = scene.rows.means[1..].iter().filter(|mean| mean[0] >= cut).count();
-    for name in ["b.ply", "b.compressed.ply"] {
+    for name in ["b.ply", "b.sog"] {
         let out = folder.path().join(name);
         let said = succeed(&mut splat(&["clean", text(&path), text(&out), "--box", &corners])).stdout;
         let (read, _) = formats::read(&out).unwrap();

@@ -21,7 +21,7 @@ fn a_scene_is_described_in_every_format() {
     let (mut scene, _) = formats::read(&TRAINED.join("scene.ply")).unwrap();
     scene.origin = [4e6, -2.5, 1.0].into();
     let splats = scene.rows.len();
-    for format in Format::READ {
+    for format in [Format::Ply, Format::Spz, Format::Sog] {
         let path = folder.path().join(format!("scene{}", format.extension()));
         formats::write(&path, &scene, format).unwrap();
         let (said, json) = info(&path);

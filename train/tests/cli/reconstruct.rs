@@ -12,7 +12,7 @@ use splat_model::capture::{Capture, View};
 use splat_model::formats;
 use tempfile::TempDir;
 
-use crate::run::{DEMO, TRAIN, TRAINED, end, refuse, splat, succeed};
+use crate::run::{DEMO, TRAIN, TRAINED, refuse, splat, succeed};
 use crate::{files, json, text};
 
 /// Photographs without cameras, and a script in COLMAP's place.
@@ -123,8 +123,10 @@ fn without_out_later_runs_share_one_reconstruction() {
     assert!(made("photos") && made("photos-2") && made("photos-reconstruction") && !made("photos-reconstruction-2"));
     // Another photograph changes what the reconstruction is made of.
     fs::copy(alone.path("photos/0000.png"), alone.path("photos/more.png")).unwrap();
-    let said = succeed(&mut alone.splat("ok", &["reconstruct", "photos"])).stderr;
-    assert!(said.contains("have changed") && said.contains("8 of 9") && said.contains("Not used: more.png"), "{said}");
+    refuse(&mut alone.splat("ok", &["reconstruct", "photos"]), &["photos-reconstruction", "move it away", "--out"]);
+    assert_eq!(alone.called(), ALL);
+    let said = succeed(&mut alone.splat("ok", &["reconstruct", "photos", "--out", "again"])).stderr;
+    assert!(said.contains("8 of 9") && said.contains("Not used: more.png"), "{said}");
     assert_eq!(alone.called(), [ALL, ALL].concat());
 }
 
@@ -141,13 +143,10 @@ fn what_a_user_put_into_a_reconstruction_stays() {
     }
     succeed(&mut alone.reconstruct("ok"));
     assert!(kept() && alone.called() == ALL, "the finished one is used as it is");
-    // Other photographs make it anew, for which the pictures are in the way.
+    // Other photographs need another folder.
     fs::copy(alone.path("photos/0000.png"), alone.path("photos/0008.png")).unwrap();
-    refuse(&mut alone.reconstruct("ok"), &["made/images/0000.png", "--out"]);
+    refuse(&mut alone.reconstruct("ok"), &["made holds a reconstruction of other photographs", "--out"]);
     assert!(kept() && alone.path("made/sparse/0/cameras.bin").exists() && alone.called() == ALL);
-    mine[1..3].iter().for_each(|name| fs::remove_file(alone.path(name)).unwrap());
-    succeed(&mut alone.reconstruct("ok"));
-    assert!(alone.path("made/masks/0000.png").exists() && alone.called() == [ALL, ALL].concat());
     // The photographs themselves are no place for it.
     let before = files(&alone.path("photos"));
     refuse(&mut alone.splat("ok", &["reconstruct", "photos", "--out", "photos"]), &["photos is an input", "choose"]);
@@ -333,23 +332,11 @@ fn a_scale_beside_the_capture_is_kept_in_the_scene_and_by_convert() {
     succeed(&mut alone.splat("ok", &[&TRAIN[..], &["found", "--out", "out"]].concat()));
     let metres = |name: &str| formats::read(&alone.path(name)).unwrap().0.metres_per_unit;
     assert_eq!(metres("out/scene.ply"), Some(2.5));
-    let said = succeed(&mut alone.splat("ok", &["convert", "out/scene.ply", "a.compressed.ply"])).stdout;
+    let said = succeed(&mut alone.splat("ok", &["convert", "out/scene.ply", "a.sog"])).stdout;
     assert!(said.contains("a scene unit is 2.5"), "{said}");
-    assert_eq!(metres("a.compressed.ply"), Some(2.5));
-    succeed(&mut alone.splat("ok", &["convert", "a.compressed.ply", "b.ply"]));
+    assert_eq!(metres("a.sog"), Some(2.5));
+    succeed(&mut alone.splat("ok", &["convert", "a.sog", "b.ply"]));
     assert_eq!(metres("b.ply"), Some(2.5));
     let said = succeed(&mut alone.splat("ok", &["inspect", "found"])).stdout;
     assert!(said.contains("a scene unit is 2.5000 m"), "{said}");
-}
-
-#[test]
-fn a_scale_that_cannot_be_measured_is_refused() {
-    let alone = Alone::new();
-    let with = |from: &str| {
-        let mut command = alone.reconstruct("ok");
-        command.args(["--scale-from", from]);
-        command
-    };
-    refuse(&mut with("gps"), &["0 of 8 placed photographs", "location", "scale.json"]);
-    assert_eq!(end(&mut with("left,right=1")).code, Some(2), "marked points went");
 }

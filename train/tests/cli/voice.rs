@@ -1,4 +1,4 @@
-//! Output for programs: lines of JSON, silence, completions and the manual.
+//! Output for programs: lines of JSON, silence, and completions.
 
 use std::fs;
 
@@ -81,24 +81,6 @@ fn shells_get_completions() {
         }
     }
     assert_eq!(end(&mut splat(&["completions", "csh"])).code, Some(2));
-}
-
-#[test]
-fn the_manual_has_a_page_for_each_subcommand() {
-    let folder = tempfile::tempdir().unwrap();
-    let said = succeed(&mut splat(&["man", "--out", text(folder.path())])).stdout;
-    let pages = files(folder.path());
-    for page in ["splat.1", "splat-train.1", "splat-view.1", "splat-convert.1", "splat-hard-cases.1", "splat-man.1"] {
-        assert!(pages.contains(page) && said.contains(page), "{pages:?}");
-    }
-    let page = fs::read_to_string(folder.path().join("splat-train.1")).unwrap();
-    for part in [".TH splat-train 1", ".SH SYNOPSIS", "\\-\\-eval\\-during", "Training steps"] {
-        assert!(page.contains(part), "{part}");
-    }
-    let page = fs::read_to_string(folder.path().join("splat.1")).unwrap();
-    assert!(page.contains("130") && page.contains("Exit codes"), "{page}");
-    let file = folder.path().join("splat.1");
-    refuse(&mut splat(&["man", "--out", text(&file)]), &[text(&file), "--out"]);
 }
 
 #[test]

@@ -1,11 +1,11 @@
-//! SuperSplat's compressed PLY, as PlayCanvas' engine, SuperSplat and `splat-transform` read and write it (from the sources of
-//! `splat-transform` 2.7.1, `compressed-chunk.ts` and `decompress-ply.ts`). No crate was found that packs it.
+//! SuperSplat's compressed PLY, as PlayCanvas' engine, SuperSplat and `splat-transform` write it (from the sources of
+//! `splat-transform` 2.7.1, `decompress-ply.ts`). It is read, not written.
 //!
 //! Gaussians are stored in chunks of 256 neighbours in space. Each element has one row per Gaussian unless stated otherwise:
 //!
 //! | element | property | holds |
 //! |---|---|---|
-//! | `chunk`, a row for each 256 | `min_x` … `max_z`, `min_scale_x` … `max_scale_z`, `min_r` … `max_b` (`float`) | the chunk's smallest and largest centre, logarithm of the standard deviation, and colour `0.5 + 0.28209479 f_dc`; logarithms are written within ±20; in files without colours the range is 0 to 1 |
+//! | `chunk`, a row for each 256 | `min_x` … `max_z`, `min_scale_x` … `max_scale_z`, `min_r` … `max_b` (`float`) | the chunk's smallest and largest centre, logarithm of the standard deviation, and colour `0.5 + 0.28209479 f_dc`; in files without colours the range is 0 to 1 |
 //! | `vertex` | `packed_position` (`uint`) | `x` 11 bits, `y` 10, `z` 11, from the highest bit on: 0 is the chunk's smallest, all ones its largest |
 //! | | `packed_rotation` | 2 bits for the index of the largest of `w x y z`, then 10 bits for each other component from −√½ to √½ |
 //! | | `packed_scale` | as the position |
@@ -14,18 +14,14 @@
 //!
 //! Frames, axes, harmonics and the comment with the origin are as in the original layout ([`crate::ply`]).
 
-mod groups;
-mod pack;
 mod read;
 #[cfg(test)]
 mod tests;
-mod write;
+mod unpack;
 
 use ply_rs_bw::ply::Header;
 
-pub(super) use groups::{arranged, fill_chunks};
 pub(super) use read::read;
-pub(super) use write::write;
 
 use crate::ply::VERTEX;
 

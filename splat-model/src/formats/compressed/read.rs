@@ -4,7 +4,7 @@ use std::path::Path;
 
 use ply_rs_bw::ply::{ElementDef, Header, PropertyType, ScalarType};
 
-use super::pack::unpack_rest;
+use super::unpack::unpack_rest;
 use super::{CHUNK, CHUNKS, DEGREE_MAX, HARMONICS, PACKED, RANGES, Ranges};
 use crate::FileError;
 use crate::formats::Format;

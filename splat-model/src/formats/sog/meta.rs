@@ -1,6 +1,5 @@
 //! `meta.json`.
 
-use serde::de::IgnoredAny;
 use serde::{Deserialize, Deserializer, Serialize};
 use serde_json::{Map, Value};
 
@@ -67,14 +66,4 @@ fn any<'a, D: Deserializer<'a>>(input: D) -> Result<Map<String, Value>, D::Error
         Value::Object(object) => object,
         _ => Map::new(),
     })
-}
-
-/// Whether JSON is a scene's document rather than other JSON.
-pub fn is_meta(json: &[u8]) -> bool {
-    #[derive(Deserialize)]
-    struct Probe {
-        means: Option<IgnoredAny>,
-        sh0: Option<IgnoredAny>,
-    }
-    serde_json::from_slice::<Probe>(json).is_ok_and(|probe| probe.means.is_some() && probe.sh0.is_some())
 }

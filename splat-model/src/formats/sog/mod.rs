@@ -1,5 +1,5 @@
 //! PlayCanvas' SOG, version 2 (<https://developer.playcanvas.com/user-manual/gaussian-splatting/formats/sog>): pictures in lossless WebP, with a
-//! document `meta.json` that says how to read them, in one zip archive or side by side in a folder.
+//! document `meta.json` that says how to read them, in one zip archive.
 //!
 //! Each Gaussian has the same pixel, row by row, in all pictures but the palette. Channels have eight bits.
 //!
@@ -29,8 +29,7 @@ mod read;
 mod tests;
 mod write;
 
-pub(super) use meta::is_meta;
-pub(super) use read::{read_archive, read_folder};
+pub(super) use read::read;
 pub use write::SogOptions;
 pub(super) use write::write;
 
@@ -40,7 +39,7 @@ pub(super) const DEGREE_MAX: usize = 3;
 pub(super) const MAGIC: [u8; 4] = *b"PK\x03\x04";
 
 /// The document's name in an archive.
-const META: &str = "meta.json";
+pub(super) const META: &str = "meta.json";
 
 const LEVELS: usize = 256;
 

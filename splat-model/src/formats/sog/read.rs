@@ -1,7 +1,7 @@
-//! Reading of an archive or a folder.
+//! Reading of an archive.
 
 use std::f64::consts::FRAC_1_SQRT_2;
-use std::fs::{self, File};
+use std::fs::File;
 use std::io::{BufReader, Cursor, Read};
 use std::path::Path;
 
@@ -15,7 +15,7 @@ use crate::formats::{Format, SceneFile, extras, opacity, quaternion};
 use crate::gaussians::GaussianRows;
 use crate::ply::{TrainedAs, WorldFrame, brief};
 
-/// Largest number of Gaussians for each byte of a scene's files. Scenes have one for ten bytes; the limit keeps a small file from asking for any
+/// Largest number of Gaussians for each byte of an archive. Scenes have one for ten bytes; the limit keeps a small file from asking for any
 /// amount of memory.
 const GAUSSIANS_PER_BYTE: u64 = 16;
 
@@ -26,7 +26,7 @@ const EXPANSION_MAX: u64 = 16;
 const PIXELS_MORE: usize = 4_096;
 
 /// Reads an archive.
-pub fn read_archive(path: &Path) -> Result<SceneFile, FileError> {
+pub fn read(path: &Path) -> Result<SceneFile, FileError> {
     let file = File::open(path).map_err(FileError::io(path, "open the scene (is the path right?)"))?;
     let bytes = file.metadata().map_err(FileError::io(path, "read the size of the file"))?.len();
     let broken = |detail: String| FileError::broken(path, Format::Sog, detail);
@@ -51,34 +51,7 @@ pub fn read_archive(path: &Path) -> Result<SceneFile, FileError> {
     scene(&meta, bytes, &mut load).map_err(broken)
 }
 
-/// Reads a scene whose document `json` is the file `path`, with pictures beside it.
-pub fn read_folder(path: &Path, json: &[u8]) -> Result<SceneFile, FileError> {
-    let broken = |detail: String| FileError::broken(path, Format::Sog, detail);
-    let folder = path.with_file_name("");
-    let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { &folder };
-    let mut bytes = json.len() as u64;
-    let entries = fs::read_dir(folder).map_err(FileError::io(path, "read the folder of the scene"))?;
-    for entry in entries.flatten() {
-        bytes += entry.metadata().map_or(0, |metadata| metadata.len());
-    }
-    let mut load = |name: &str| {
-        if name.contains(['/', '\\']) || name.starts_with('.') {
-            return Err(format!(
-                "a picture `{}`, expected the name of a file in the folder of the document",
-                brief(name)
-            ));
-        }
-        let read = |file: &Path| match file.is_file() {
-            true => fs::read(file),
-            false => Err(std::io::Error::other("there is no such file")),
-        };
-        read(&folder.join(name))
-            .map_err(|error| format!("`{}` beside the document cannot be read: {error}", brief(name)))
-    };
-    scene(json, bytes, &mut load).map_err(broken)
-}
-
-/// Reads the scene of a document; `load` returns a file by its name, and `bytes` is the size of all of them.
+/// Reads the scene of a document; `load` returns a file by its name, and `bytes` is the size of the archive.
 fn scene(json: &[u8], bytes: u64, load: &mut dyn FnMut(&str) -> Result<Vec<u8>, String>) -> Result<SceneFile, String> {
     #[derive(serde::Deserialize)]
     struct Version {
