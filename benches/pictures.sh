@@ -1,7 +1,9 @@
 #!/usr/bin/env bash
 # Makes the pictures of the README and of docs/ again, on the CPU, in a quarter of an hour. Needs ImageMagick and chromium.
-# `benches/pictures.sh target/release/splat`. `cargo bench --bench scale` makes the plots of docs/scale.
+# `benches/pictures.sh target/release/splat`. The plots of docs/pareto are drawn of the tables beside them; `splat pareto` writes those tables
+# (docs/ACCURACY.md), and `cargo bench --bench scale` the tables and plots of docs/scale.
 set -euo pipefail
+SPLAT_PLOTS=accept cargo test --release -p splat-benches --test plots
 splat=$(realpath "$1")
 docs=$(realpath "$(dirname "$0")/../docs")
 work=$(mktemp -d)

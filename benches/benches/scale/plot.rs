@@ -6,7 +6,6 @@ use std::path::Path;
 
 use plotters::coord::combinators::IntoLogRange;
 use plotters::prelude::*;
-use plotters::style::register_font;
 
 use crate::point::ScaleWork;
 use crate::record::{ALLOWED_BYTES, ScaleAxis, ScaleRow};
@@ -46,9 +45,7 @@ pub fn draw(axis: ScaleAxis, rows: &[ScaleRow], to: &Path) -> Result<(), Box<dyn
             points: steps.iter().map(goal).collect(),
         });
     }
-    // The font is part of the bench, so that a plot is the same on every machine.
-    register_font("sans-serif", FontStyle::Normal, dejavu::sans::regular())
-        .map_err(|_| "the font for plots cannot be read")?;
+    splat_train::pareto::plot::register()?;
     let drawing = SVGBackend::new(to, SIZE).into_drawing_area();
     drawing.fill(&WHITE)?;
     let halves = drawing.split_evenly((1, 2));
