@@ -1,6 +1,7 @@
 //! EXIF of photographs: what a camera wrote down about itself.
 //!
-//! Tags: Exif 2.3 (CIPA DC-008-2012), sections 4.6.4 (`Make`, `Model`) and 4.6.5 (`FocalLength`, `FocalLengthIn35mmFilm`). EXIF's orientation turns no picture: COLMAP and [`image::load`](super::image::load) both use pixels as they are stored, so
+//! Tags: Exif 2.3 (CIPA DC-008-2012), sections 4.6.4 (`Make`, `Model`), 4.6.5 (`FocalLength`, `FocalLengthIn35mmFilm`)
+//! and 4.6.6 (GPS). EXIF's orientation turns no picture: COLMAP and [`image::load`](super::image::load) both use pixels as they are stored, so
 //! that photographs that a camera took upright and sideways share its lens.
 
 use std::path::Path;
@@ -23,6 +24,19 @@ pub struct Exif {
     pub focal_mm: Option<f64>,
     /// Focal length of the lens that shows as much on 35 mm film, mm.
     pub focal_35mm: Option<f64>,
+    /// Where the photograph was taken.
+    pub gps: Option<Gps>,
+}
+
+/// A position on WGS 84.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Gps {
+    /// Degrees north.
+    pub latitude_deg: f64,
+    /// Degrees east.
+    pub longitude_deg: f64,
+    /// Metres above the sea, or above the ellipsoid: cameras differ.
+    pub altitude_m: Option<f64>,
 }
 
 impl Exif {
@@ -51,6 +65,7 @@ impl Exif {
             camera: (!camera.is_empty()).then(|| camera.join(" ")),
             focal_mm: positive(Tag::FocalLength),
             focal_35mm: positive(Tag::FocalLengthIn35mmFilm),
+            gps: Gps::of(value),
         }
     }
 
@@ -60,12 +75,36 @@ impl Exif {
     }
 }
 
+impl Gps {
+    fn of<'a>(value: impl Fn(Tag) -> Option<&'a Value>) -> Option<Self> {
+        let angle = |tag, reference, negative: &str, most: f64| {
+            let parts: Vec<f64> = numbers(value(tag)?);
+            let &[degrees, minutes, seconds] = parts.as_slice() else { return None };
+            let angle = degrees + minutes / 60.0 + seconds / 3600.0;
+            let sign = if value(reference).and_then(text).as_deref() == Some(negative) { -1.0 } else { 1.0 };
+            (0.0..=most).contains(&angle).then_some(sign * angle)
+        };
+        let below_sea = value(Tag::GPSAltitudeRef).and_then(|value| value.get_uint(0)) == Some(1);
+        let altitude_m = value(Tag::GPSAltitude).and_then(number).filter(|metres| metres.abs() < 1e5);
+        let gps = Self {
+            latitude_deg: angle(Tag::GPSLatitude, Tag::GPSLatitudeRef, "S", 90.0)?,
+            longitude_deg: angle(Tag::GPSLongitude, Tag::GPSLongitudeRef, "W", 180.0)?,
+            altitude_m: altitude_m.map(|metres| if below_sea { -metres } else { metres }),
+        };
+        // Cameras without a fix write zeros.
+        (gps.latitude_deg != 0.0 || gps.longitude_deg != 0.0).then_some(gps)
+    }
+}
+
+fn numbers(value: &Value) -> Vec<f64> {
+    match value {
+        Value::Rational(parts) => parts.iter().map(exif::Rational::to_f64).collect(),
+        other => (0..).map_while(|i| other.get_uint(i)).map(f64::from).collect(),
+    }
+}
+
 fn number(value: &Value) -> Option<f64> {
-    let number = match value {
-        Value::Rational(parts) => parts.first()?.to_f64(),
-        other => f64::from(other.get_uint(0)?),
-    };
-    number.is_finite().then_some(number)
+    numbers(value).first().copied().filter(|number| number.is_finite())
 }
 
 fn text(value: &Value) -> Option<String> {

@@ -64,6 +64,8 @@ fn a_file_of_options_is_read_and_the_command_line_comes_first() {
         "--effects=auto,-masks",
         "--lr-means",
         "0.01",
+        "--scale-from",
+        "gps",
         "--for",
         "1h",
         "--strategy",

@@ -52,7 +52,8 @@ fn prepare(ranks: &Rc<dyn Ranks>, setup: RunSetup) -> Result<Trainer> {
     let RunSetup { args, config, effects, checkpoint } = setup;
     let (device, _) = args.device.resolve()?;
     let folder = args.capture.as_ref().ok_or_else(|| anyhow!("rank 0 named no capture"))?;
-    let capture = input::capture(folder)?;
+    let mut capture = input::capture(folder)?;
+    args.cameras.scale(&mut capture)?;
     let (split, _) = args.photos.split(&capture);
     let seen = split.require_train()?;
     super::agree_on_files(&**ranks, &capture, seen)?;

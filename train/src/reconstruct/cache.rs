@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use serde::{Deserialize, Serialize};
+use splat_model::capture::scale::{SCALE_FILE, Scale};
 
 pub use crate::input::SPARSE;
 use crate::{output, progress};
@@ -193,6 +194,25 @@ impl Workspace {
         let text = serde_json::to_string_pretty(&self.stamp)?;
         output::write(&self.join(STAMP), |file| Ok(writeln!(file, "{text}")?))
     }
+}
+
+/// Keeps the size of a unit in the folder of a reconstruction, unless it is stated there. Elsewhere nothing is written.
+///
+/// # Errors
+/// If the file cannot be read or written.
+pub fn keep_scale(folder: &Path, scale: &Scale) -> Result<()> {
+    if stamp_in(folder).is_none() {
+        return Ok(());
+    }
+    match Scale::load(folder)? {
+        None => scale.save(folder)?,
+        Some(stated) if stated == *scale => {}
+        Some(_) => progress::note(&format!(
+            "{} states another scale, and stays: only this run has the new one",
+            folder.join(SCALE_FILE).display()
+        )),
+    }
+    Ok(())
 }
 
 /// The first of `parent/NAME`, `parent/NAME-2` and so on that is free or holds a reconstruction of `source`.

@@ -17,8 +17,10 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
+use clap::ValueEnum;
 use clap::builder::RangedU64ValueParser;
 use serde::{Deserialize, Serialize};
+use splat_model::capture::scale::from_gps;
 use splat_model::capture::unposed::PhotographFolder;
 use splat_model::capture::{Capture, Scale};
 
@@ -51,7 +53,7 @@ pub struct ReconstructArgs {
     pub voice: VoiceArgs,
 }
 
-/// How cameras are found.
+/// How cameras are found, and the size of the scene.
 #[derive(Clone, Debug, Default, clap::Args, Serialize, Deserialize)]
 pub struct CameraArgs {
     /// Number of frames to use of a video: the sharpest of as many intervals [default: two for each second of 30 frames, 60 to 200]
@@ -61,6 +63,17 @@ pub struct CameraArgs {
     #[arg(long, value_name = "MODEL", value_enum)]
     #[serde(skip)]
     pub camera_model: Option<CameraModelName>,
+    /// Size of the scene, which its file states as the metres of a unit [default: scale.json in the capture's folder, if there is one]
+    #[arg(long, value_name = "WHAT", value_enum)]
+    pub scale_from: Option<ScaleFrom>,
+}
+
+/// What the size of a scene unit is measured from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ScaleFrom {
+    /// GPS positions in EXIF
+    Gps,
 }
 
 /// Describes the size of a scene unit.
@@ -72,6 +85,11 @@ pub fn scale_said(scale: &Scale) -> String {
 }
 
 impl CameraArgs {
+    /// What is left of these options once the cameras are known, for a run that may be resumed from another working directory.
+    pub fn from_anywhere(&self) -> Self {
+        Self { scale_from: self.scale_from, ..Self::default() }
+    }
+
     /// Refuses options about finding cameras for a capture that has them.
     ///
     /// # Errors
@@ -87,6 +105,20 @@ impl CameraArgs {
             folder.display()
         )
     }
+
+    /// Measures the size of a capture's unit, if that is asked for, and keeps it in a reconstruction of this program.
+    ///
+    /// # Errors
+    /// If it cannot be determined or written.
+    pub fn scale(&self, capture: &mut Capture) -> Result<()> {
+        if let Some(ScaleFrom::Gps) = self.scale_from {
+            let scale = from_gps(capture)?.context("`--scale-from gps` finds no scale")?;
+            progress::note(&scale_said(&scale));
+            cache::keep_scale(&capture.folder, &scale)?;
+            capture.scale = Some(scale);
+        }
+        Ok(())
+    }
 }
 
 /// Reconstructs photographs, and says what was found.
@@ -98,7 +130,8 @@ pub fn run(args: &ReconstructArgs) -> Result<()> {
         input::capture(source)?;
     }
     let folder = args.out.clone().unwrap_or_else(|| own_folder(source));
-    reconstruct(source, &folder, &args.cameras)?;
+    let mut capture = reconstruct(source, &folder, &args.cameras)?;
+    args.cameras.scale(&mut capture)?;
     progress::say(&format!("{}: train on it with `splat train {0}`", folder.display()));
     Ok(())
 }

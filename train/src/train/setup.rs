@@ -22,9 +22,8 @@ use crate::input::PhotoArgs;
 use crate::inputs::Inputs;
 use crate::output::{self, OUT, OutputFolder};
 use crate::ranks::{self, RunSetup};
-use crate::reconstruct::{self, CameraArgs};
 use crate::report::{self, METRICS, POSES, REPORT, SCENE, VIEWS};
-use crate::{demo, input, progress};
+use crate::{demo, input, progress, reconstruct};
 
 /// Folder of the demo capture, below the output folder.
 const DEMO_CAPTURE: &str = "demo-capture";
@@ -49,7 +48,7 @@ impl Setup {
     pub fn new(mut args: TrainArgs, mut config: TrainConfig, is_new: bool) -> Result<Self> {
         let (device, device_name) = args.device.resolve()?;
         let lpips = args.lpips.read(&device)?;
-        let (out, capture, start) = open(&args)?;
+        let (out, mut capture, start) = open(&args)?;
         let mut inputs = Inputs::of(&args.capture).and_capture(&capture).and(&args.config).and(&args.lpips.lpips);
         // A resumed run has its own scene and does not read that of `--start`.
         if let Some(scene) = args.start.as_ref().filter(|_| is_new) {
@@ -57,7 +56,7 @@ impl Setup {
         }
         // A run may be resumed from any working directory, and a video does not tell which folder its frames are in.
         if let Some(source) = args.capture.take() {
-            args.cameras = CameraArgs::default();
+            args.cameras = args.cameras.from_anywhere();
             let found = if input::lacks_cameras(&source) { &capture.folder } else { &source };
             args.capture = Some(std::path::absolute(found)?);
         }
@@ -78,6 +77,7 @@ impl Setup {
         let views = report::view_files(test.iter().map(|&view| capture.views[view].name.as_str()));
         let files = [CONFIG, SCENE, METRICS, REPORT, BACKGROUND, POSES].map(PathBuf::from).into_iter().chain(views);
         let out = OutputFolder::prepare(&out, inputs, files, &[VIEWS, checkpoints::FOLDER])?;
+        args.cameras.scale(&mut capture)?;
 
         let max_side = args.photos.max_side;
         let effects = args.effects.choose(&capture, &train, args.model.antialias.unwrap_or_default())?;

@@ -12,7 +12,7 @@ use splat_model::capture::{Capture, View};
 use splat_model::formats;
 use tempfile::TempDir;
 
-use crate::run::{DEMO, TRAIN, TRAINED, refuse, splat, succeed};
+use crate::run::{DEMO, TRAIN, TRAINED, end, refuse, splat, succeed};
 use crate::{files, json, text};
 
 /// Photographs without cameras, and a script in COLMAP's place.
@@ -339,4 +339,16 @@ fn a_scale_beside_the_capture_is_kept_in_the_scene_and_by_convert() {
     assert_eq!(metres("b.ply"), Some(2.5));
     let said = succeed(&mut alone.splat("ok", &["inspect", "found"])).stdout;
     assert!(said.contains("a scene unit is 2.5000 m"), "{said}");
+}
+
+#[test]
+fn a_scale_that_cannot_be_measured_is_refused() {
+    let alone = Alone::new();
+    let with = |from: &str| {
+        let mut command = alone.reconstruct("ok");
+        command.args(["--scale-from", from]);
+        command
+    };
+    refuse(&mut with("gps"), &["0 of 8 placed photographs", "location", "scale.json"]);
+    assert_eq!(end(&mut with("left,right=1")).code, Some(2), "marked points went");
 }

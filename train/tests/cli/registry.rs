@@ -16,5 +16,8 @@ fn the_losses_of_the_program_differ() {
     let scenes = ["l1-ssim", "l1", "l2", "surfaces"].map(run);
     assert!((0..4).all(|i| (0..i).all(|j| scenes[i] != scenes[j])));
     let refused = end(&mut splat(&["train", text(&DEMO), "--loss", "squares"]));
-    assert!(refused.code == Some(2) && refused.stderr.contains("[possible values: l1, l1-ssim, l2, surfaces]"), "{refused:?}");
+    assert!(
+        refused.code == Some(2) && refused.stderr.contains("[possible values: l1, l1-ssim, l2, surfaces]"),
+        "{refused:?}"
+    );
 }

@@ -40,23 +40,35 @@ pub(crate) fn turned() -> Field {
     field(Tag::Orientation, Value::Short(vec![6]))
 }
 
-fn phone() -> Vec<Field> {
+fn place(latitude: [f64; 3], south: bool, longitude: [f64; 3], west: bool) -> Vec<Field> {
     vec![
-        field(Tag::Make, ascii("Acme ")),
-        field(Tag::Model, ascii("Phone 3")),
-        field(Tag::FocalLength, rationals(&[4.25])),
-        field(Tag::FocalLengthIn35mmFilm, Value::Short(vec![26])),
+        field(Tag::GPSLatitude, rationals(&latitude)),
+        field(Tag::GPSLatitudeRef, ascii(if south { "S" } else { "N" })),
+        field(Tag::GPSLongitude, rationals(&longitude)),
+        field(Tag::GPSLongitudeRef, ascii(if west { "W" } else { "E" })),
     ]
 }
 
 #[test]
-fn a_photograph_says_what_took_it() {
+fn a_photograph_says_what_took_it_and_where() {
+    let mut fields = place([33.0, 51.0, 25.2], true, [151.0, 12.0, 54.0], false);
+    fields.extend([
+        field(Tag::Make, ascii("Acme ")),
+        field(Tag::Model, ascii("Phone 3")),
+        field(Tag::FocalLength, rationals(&[4.25])),
+        field(Tag::FocalLengthIn35mmFilm, Value::Short(vec![26])),
+        field(Tag::GPSAltitude, rationals(&[12.5])),
+        field(Tag::GPSAltitudeRef, Value::Byte(vec![1])),
+    ]);
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("a.jpg");
-    write_jpeg(&file, &RgbImage::new(40, 30), &phone());
+    write_jpeg(&file, &RgbImage::new(40, 30), &fields);
     let found = Exif::read(&file).unwrap();
     assert_eq!(found.camera.as_deref(), Some("Acme Phone 3"));
     assert_eq!((found.focal_mm, found.focal_35mm), (Some(4.25), Some(26.0)));
+    let gps = found.gps.unwrap();
+    assert!((gps.latitude_deg + 33.857).abs() < 1e-9 && (gps.longitude_deg - 151.215).abs() < 1e-9, "{gps:?}");
+    assert_eq!(gps.altitude_m, Some(-12.5));
     // A square of film's diagonal has that diagonal in px as its focal length at 43.27 mm.
     let focal_px = found.focal_px([3000, 4000]).unwrap();
     assert!((focal_px - 26.0 / 43.2666 * 5000.0).abs() < 0.01, "{focal_px}");
@@ -65,6 +77,9 @@ fn a_photograph_says_what_took_it() {
 #[test]
 fn what_makes_no_sense_is_left_out() {
     let cases = [
+        place([0.0; 3], false, [0.0; 3], false),
+        place([91.0, 0.0, 0.0], false, [10.0, 0.0, 0.0], true),
+        vec![field(Tag::GPSLatitude, rationals(&[1.0, 2.0]))],
         vec![field(Tag::FocalLengthIn35mmFilm, Value::Short(vec![0]))],
         vec![field(Tag::FocalLength, Value::Rational(vec![Rational { num: 1, denom: 0 }]))],
         vec![field(Tag::Make, ascii("  "))],
@@ -76,8 +91,8 @@ fn what_makes_no_sense_is_left_out() {
 
 #[test]
 fn damage_is_no_error() {
-    let good = raw(&phone());
-    assert!(Exif::parse(good.clone()).focal_mm.is_some());
+    let good = raw(&place([1.0, 2.0, 3.0], false, [4.0, 5.0, 6.0], true));
+    assert!(Exif::parse(good.clone()).gps.is_some());
     for length in 0..good.len() {
         Exif::parse(good[..length].to_vec());
     }

@@ -8,7 +8,7 @@ fn a_scale_is_kept_beside_the_capture() {
     let folder = tempfile::tempdir().unwrap();
     assert_eq!(Scale::load(folder.path()).unwrap(), None);
     let scale = Scale { metres_per_unit: 0.1 + 0.2, relative_deviation: None, source: "a ruler".into() };
-    fs::write(folder.path().join(SCALE_FILE), serde_json::to_string(&scale).unwrap()).unwrap();
+    scale.save(folder.path()).unwrap();
     assert_eq!(Scale::load(folder.path()).unwrap(), Some(scale));
     for (text, found) in
         [("{\"metres_per_unit\": -1}", "is -1"), ("{}", "missing field"), ("{\"metres_per_unit\": 1e999}", "range")]

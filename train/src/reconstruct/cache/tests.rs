@@ -61,3 +61,17 @@ fn photographs_of_the_same_name_have_folders_of_their_own() {
     fs::create_dir_all(root.path().join("photos-2/x")).unwrap();
     assert_eq!(folder("/b/photos"), root.path().join("photos-3"));
 }
+
+#[test]
+fn a_stated_scale_is_kept_and_only_a_reconstruction_gets_one() {
+    let root = tempfile::tempdir().unwrap();
+    let scale = |metres_per_unit| Scale { metres_per_unit, relative_deviation: None, source: "GPS".into() };
+    keep_scale(root.path(), &scale(2.0)).unwrap();
+    assert_eq!(Scale::load(root.path()).unwrap(), None);
+    drop(Workspace::open(&root.path().join("made"), of("photos", 7)).unwrap());
+    for measured in [2.0, 3.0] {
+        keep_scale(&root.path().join("made"), &scale(measured)).unwrap();
+        assert_eq!(Scale::load(&root.path().join("made")).unwrap(), Some(scale(2.0)));
+    }
+    Workspace::open(&root.path().join("made"), of("photos", 7)).unwrap();
+}

@@ -1,14 +1,21 @@
-//! Real scale: how many metres a scene unit is.
+//! Real scale: how many metres a scene unit is, from the GPS of EXIF or from a file.
 //!
 //! A reconstruction from photographs knows no size. [`Scale`] is kept beside it in `scale.json`, and
 //! [`Capture::load`](super::Capture::load) reads it.
 
+mod gps;
+
+use std::io::Write;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+pub use gps::from_gps;
 
 use super::CaptureError;
 use super::read::read;
+use crate::replace::replace;
 
 /// The file beside a reconstruction that holds its scale.
 pub const SCALE_FILE: &str = "scale.json";
@@ -26,6 +33,11 @@ pub struct Scale {
     #[serde(default)]
     pub source: String,
 }
+
+/// A scale that cannot be determined: what was found, and what helps.
+#[derive(Debug, Error)]
+#[error("{0}, or measure a distance and write {{\"metres_per_unit\": M}} to scale.json in the capture's folder")]
+pub struct ScaleError(String);
 
 impl Scale {
     /// Reads `scale.json` in a capture's folder, `None` if there is none.
@@ -48,6 +60,16 @@ impl Scale {
             true => Ok(Some(scale)),
             false => Err(damaged(format!("`metres_per_unit` is {}", scale.metres_per_unit))),
         }
+    }
+
+    /// Writes `scale.json` into a capture's folder.
+    ///
+    /// # Errors
+    /// A [`CaptureError`] if the file cannot be written.
+    pub fn save(&self, folder: &Path) -> Result<(), CaptureError> {
+        let file = folder.join(SCALE_FILE);
+        let text = serde_json::to_string_pretty(self).expect("numbers and text are JSON");
+        replace(&file, |out| writeln!(out, "{text}")).map_err(|reason| CaptureError::unwritable(&file, &reason))
     }
 }
 
