@@ -11,7 +11,6 @@ use crate::loss::surface::{PixelRays, thickness};
 const CAMERAS: usize = 8;
 
 /// L1 + D-SSIM with the losses of [`surface`](crate::loss::surface): a scene whose depth is smooth, for meshes.
-///
 #[derive(Clone, Debug)]
 pub struct SurfaceLoss {
     /// Share of D-SSIM in the photometric loss.
