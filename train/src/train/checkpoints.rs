@@ -20,9 +20,6 @@ use crate::report::history::History;
 
 pub const FOLDER: &str = "checkpoints";
 
-/// Folder to which a new run moves the checkpoints of an unfinished one.
-const BEFORE: &str = "checkpoints-before";
-
 /// Lock file, beside that folder while a process trains there.
 const LOCK: &str = ".splat-lock";
 
@@ -123,36 +120,28 @@ impl Checkpoints {
         Ok(Self { folder, _lock: lock, failing: false })
     }
 
-    /// Clears the folder of checkpoints for a new run: those of an unfinished one are moved aside, and all other files stay.
+    /// Clears the folder of checkpoints for a new run, whose only one can be that before the first step of a run which was killed then. All
+    /// other files stay.
+    ///
+    /// # Errors
+    /// If an unfinished run is there, or a file of another program with the name of a checkpoint.
     pub fn begin(&self) -> Result<()> {
-        let before = self.folder.with_file_name(BEFORE);
-        for folder in [&self.folder, &before] {
-            if let Some((_, path)) = steps_in(folder).into_iter().find(|(_, path)| !State::is_in(path)) {
-                bail!(
-                    "{} has the name of a checkpoint and is none of this program: move it away, or choose another `--out`",
-                    path.display()
-                );
-            }
-        }
         let steps = steps_in(&self.folder);
-        let Some(&(step, _)) = steps.last() else { return Ok(()) };
-        let cannot = || format!("cannot move checkpoints to {}: choose another `--out`", before.display());
-        if step == 0 {
-            return steps.iter().try_for_each(|(_, path)| fs::remove_file(path)).with_context(cannot);
+        if let Some((_, path)) = steps.iter().find(|(_, path)| !State::is_in(path)) {
+            bail!(
+                "{} has the name of a checkpoint and is none of this program: move it away, or choose another `--out`",
+                path.display()
+            );
         }
-        fs::create_dir_all(&before).with_context(cannot)?;
-        for (_, older) in steps_in(&before) {
-            fs::remove_file(older).with_context(cannot)?;
+        let folder = self.folder.display();
+        match steps.last() {
+            Some(&(step, _)) if step > 0 => bail!(
+                "{folder} holds an unfinished run, at step {step}: continue it with `splat resume`, move the folder away, or choose another \
+                 `--out`"
+            ),
+            _ => (steps.iter().try_for_each(|(_, path)| fs::remove_file(path)))
+                .with_context(|| format!("cannot write to {folder}: choose another `--out`")),
         }
-        for (step, path) in steps {
-            fs::rename(path, before.join(name_of(step))).with_context(cannot)?;
-        }
-        progress::note(&format!(
-            "an unfinished run was here, at step {step}; its checkpoints are in {} now: to resume it, move them to \
-             `{FOLDER}` below another folder and `splat resume` that",
-            before.display()
-        ));
-        Ok(())
     }
 
     /// Writes a checkpoint, and removes all that are older than its predecessor.
@@ -228,12 +217,9 @@ pub fn newest(out: &Path) -> Result<SavedRun> {
         if out.join(METRICS).is_file() {
             bail!("the run in {shown} is finished: there is nothing to resume");
         }
-        let before = folder.with_file_name(BEFORE);
-        let before = steps_in(&before).pop().map(|_| format!(", or rename {} to `{FOLDER}`", before.display()));
         bail!(
-            "there is no checkpoint in {}: start the run with `splat train CAPTURE --out {shown}`{}",
-            folder.display(),
-            before.unwrap_or_default()
+            "there is no checkpoint in {}: start the run with `splat train CAPTURE --out {shown}`",
+            folder.display()
         );
     };
     read(&path).with_context(|| {

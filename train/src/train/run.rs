@@ -128,6 +128,9 @@ impl Run {
 
         // All errors in the capture have been found by now: a run that does not begin leaves no files.
         let checkpoints = Checkpoints::open(out.path())?;
+        if kept.is_none() {
+            checkpoints.begin()?;
+        }
         out.sweep();
         // Without the file a run is as good.
         let kept_options = config::to_toml(&setup.resolved())
@@ -135,7 +138,7 @@ impl Run {
         if let Err(error) = kept_options {
             progress::note(&format!("{CONFIG} was not written: {error:#}"));
         }
-        let so_far = continued(&checkpoints, kept, &mut trainer)?;
+        let so_far = continued(kept, &mut trainer)?;
         progress::line(&LogLine::Start {
             steps: job.config.steps,
             train_views,
@@ -148,12 +151,9 @@ impl Run {
     }
 }
 
-/// Brings the checkpoints and the trainer to where the run goes on, and returns its progress.
-fn continued(checkpoints: &Checkpoints, kept: Option<SavedRun>, trainer: &mut Trainer) -> Result<SoFar> {
-    let Some(kept) = kept else {
-        checkpoints.begin()?;
-        return Ok(SoFar::default());
-    };
+/// Brings the trainer to where the run goes on, and returns its progress.
+fn continued(kept: Option<SavedRun>, trainer: &mut Trainer) -> Result<SoFar> {
+    let Some(kept) = kept else { return Ok(SoFar::default()) };
     trainer.resume(kept.trainer).with_context(|| format!("cannot resume from {}", kept.path.display()))?;
     progress::note(&format!("resuming from step {} of {}", trainer.steps_done(), trainer.config().steps));
     Ok(kept.so_far)

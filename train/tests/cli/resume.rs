@@ -253,14 +253,9 @@ fn a_capture_that_has_changed_is_refused() {
 }
 
 #[test]
-fn a_new_run_puts_an_unfinished_one_aside() {
+fn a_new_run_does_not_replace_an_unfinished_one() {
     let out = killed("aside", EVERY);
-    let ended = succeed(&mut training(&out));
-    assert!(ended.stderr.contains("checkpoints-before"), "{}", ended.stderr);
-    let aside = out.join("checkpoints-before");
-    assert!(fs::read_dir(&aside).unwrap().count() > 0);
-    // The moved run can still be resumed.
-    fs::rename(&aside, out.join("checkpoints")).unwrap();
+    refuse(&mut training(&out), &["unfinished run", "splat resume", "--out"]);
     succeed(&mut resuming(&out));
     assert_as_whole(&out);
 }
@@ -269,7 +264,7 @@ fn a_new_run_puts_an_unfinished_one_aside() {
 #[test]
 fn checkpoints_of_another_program_stay() {
     let out = fresh("another program's");
-    let kept = ["checkpoints/checkpoint.resume", "checkpoints/run1/model.ckpt", "checkpoints-before/notes"];
+    let kept = ["checkpoints/checkpoint.resume", "checkpoints/run1/model.ckpt"];
     let keep = || {
         for name in kept {
             fs::create_dir_all(out.join(name).parent().unwrap()).unwrap();
@@ -285,15 +280,6 @@ fn checkpoints_of_another_program_stay() {
     assert!(note < said.find("step ").unwrap(), "said before the first step: {said}");
     assert!(kept_all() && checkpoints(&out).is_empty(), "{:?}", files(&out));
     assert!(fs::read_dir(out.join("checkpoints")).unwrap().count() == 2);
-    // So do they where an unfinished run is put aside.
-    let unfinished = killed("unfinished beside others", EVERY);
-    fs::rename(unfinished.join("checkpoints"), out.join("unfinished")).unwrap();
-    let steps = fs::read_dir(out.join("unfinished")).unwrap().map(|entry| entry.unwrap());
-    let steps: Vec<_> = steps.filter(|entry| entry.file_name().to_str().unwrap().starts_with("step-")).collect();
-    steps.iter().for_each(|entry| fs::rename(entry.path(), out.join("checkpoints").join(entry.file_name())).unwrap());
-    succeed(&mut training(&out));
-    assert!(kept_all() && checkpoints(&out).is_empty());
-    assert!(steps.iter().all(|entry| out.join("checkpoints-before").join(entry.file_name()).is_file()));
     // A file with the name of a checkpoint would be replaced by one.
     let taken = out.join("checkpoints/step-00000000.safetensors");
     fs::write(&taken, "tensors of another program").unwrap();
