@@ -11,7 +11,7 @@ use splat_model::capture::Capture;
 use crate::{output, progress};
 
 /// Marks a folder as a demo capture and records the options it was made with.
-pub const MARK: &str = "demo.json";
+const MARK: &str = "demo.json";
 
 /// Options of `splat demo`.
 #[derive(Clone, Debug, clap::Args)]
@@ -74,7 +74,7 @@ pub fn run(args: &DemoArgs) -> Result<()> {
 /// # Errors
 /// If an option is out of range, two exclude each other, the folder holds anything else where the capture is to be, or it cannot be written.
 pub fn ensure(folder: &Path, options: &DemoOptions) -> Result<bool> {
-    if read_mark(folder) == Some(made_with(options)) && is_complete(folder, options) {
+    if is_complete(folder, options) {
         return Ok(false);
     }
     for taken in demo::PARTS.iter().chain(&[MARK]).map(|name| folder.join(name)) {
@@ -115,14 +115,10 @@ fn made_with(options: &DemoOptions) -> Value {
     made_with
 }
 
-/// Reads the mark of the demo capture in `folder`. `None` also for any other file of that name.
-pub fn read_mark(folder: &Path) -> Option<Value> {
-    let mark: Value = serde_json::from_slice(&fs::read(folder.join(MARK)).ok()?).ok()?;
-    mark.get("splat demo").is_some().then_some(mark)
-}
-
 fn is_complete(folder: &Path, options: &DemoOptions) -> bool {
-    Capture::load(folder).is_ok_and(|capture| capture.views.len() == options.views)
+    let mark = fs::read(folder.join(MARK)).ok().and_then(|text| serde_json::from_slice::<Value>(&text).ok());
+    mark == Some(made_with(options))
+        && Capture::load(folder).is_ok_and(|capture| capture.views.len() == options.views)
         && demo::files(options).iter().all(|file| folder.join(file).is_file())
 }
 

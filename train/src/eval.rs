@@ -1,7 +1,5 @@
 //! `splat eval`: scores a scene on the held-out photographs.
 
-use std::fs::File;
-use std::io;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -9,7 +7,6 @@ use anyhow::{Context, Result};
 use serde::Serialize;
 use splat_model::accuracy::Setting;
 use splat_model::capture::{Photo, Photograph};
-use splat_model::formats;
 use splat_model::gaussians::Gaussians;
 use splat_op::Intrinsics;
 
@@ -20,7 +17,7 @@ use crate::inputs::Inputs;
 use crate::lpips::LpipsArgs;
 use crate::output::OutputFolder;
 use crate::report::metrics::{Metrics, Seconds, peak_rss_mib, seconds_since};
-use crate::report::{self, METRICS, SCENE, VIEWS};
+use crate::report::{self, METRICS, VIEWS};
 
 /// Options of `splat eval`. The scores equal those of the training run if the photographs are split and sized alike.
 #[derive(Clone, Debug, clap::Args)]
@@ -30,7 +27,7 @@ pub struct EvalArgs {
     /// Scene file, in any format that `convert` reads
     #[arg(long, value_name = "FILE")]
     pub scene: PathBuf,
-    /// Folder for metrics.json, views/ and a copy of the scene
+    /// Folder for metrics.json and views/
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
     #[command(flatten)]
@@ -97,14 +94,10 @@ pub fn run(args: &EvalArgs) -> Result<Metrics> {
         };
         photos = photos.iter().map(small).collect::<Result<_>>()?;
     }
-    let scene_name = scene_name(&args.scene)?;
-    // A scene can be scored where it lies.
-    let copied = Inputs::of([&args.scene]).find(&args.out.join(&scene_name)).is_none();
     let inputs = Inputs::of([&args.scene]).and_capture(&capture);
     let inputs = inputs.and(args.show.file()).and(&args.lpips.lpips);
     let views = report::view_files(photos.iter().map(|photo| photo.name.as_str()));
-    let files = copied.then(|| PathBuf::from(&scene_name)).into_iter().chain([METRICS.into()]).chain(views);
-    let out = OutputFolder::prepare(&args.out, inputs, files, &[VIEWS])?;
+    let out = OutputFolder::prepare(&args.out, inputs, views.chain([METRICS.into()]), &[VIEWS])?;
     let culled_non_finite = rows.unusable();
     let load = seconds_since(start);
     let dials = args.accuracy.accuracy.setting();
@@ -116,12 +109,6 @@ pub fn run(args: &EvalArgs) -> Result<Metrics> {
     let start = Instant::now();
     let scores = report::measure(&splats, &photos, &background, &render_options, lpips.as_ref(), &out)?;
     let eval = seconds_since(start);
-    if copied {
-        out.write(&scene_name, |file| {
-            io::copy(&mut File::open(&args.scene)?, file)?;
-            Ok(())
-        })?;
-    }
     let options = EvalOptionsRecord {
         capture: &args.capture,
         scene: &args.scene,
@@ -148,12 +135,6 @@ pub fn run(args: &EvalArgs) -> Result<Metrics> {
         version: env!("CARGO_PKG_VERSION"),
     };
     report::finish(&metrics, &out)?;
-    report::say(&metrics, &scene_name, &out);
+    report::say(&metrics, &args.scene, &out);
     Ok(metrics)
-}
-
-/// Name of the scene's copy: that of a run's scene, with the extension of the copy's format.
-fn scene_name(scene: &Path) -> Result<String> {
-    let stem = SCENE.trim_end_matches(".ply");
-    Ok(format!("{stem}{}", formats::detect(scene)?.extension()))
 }

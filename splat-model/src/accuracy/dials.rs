@@ -3,8 +3,7 @@
 use splat_op::{Accumulation, Projection, RenderOptions};
 
 /// The reference that a dial's values are judged against. The two kinds are never mixed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-#[serde(rename_all = "kebab-case")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Judge {
     /// The exact render in f64 under the same model choices. Numerical dials approximate the function that the model choices
     /// define.
@@ -29,8 +28,6 @@ pub struct DialValue {
 pub struct Dial {
     /// Name in files and on command lines: the name of the field.
     pub name: &'static str,
-    /// Description of the dial, a phrase for headings.
-    pub what: &'static str,
     /// The reference that its values are judged against.
     pub judge: Judge,
     /// Whether the dial has no effect on a CPU.
@@ -52,14 +49,14 @@ const fn choice(name: &'static str, set: fn(RenderOptions) -> RenderOptions) -> 
 }
 
 /// A numerical dial of all devices and cameras. Its first value approximates nothing.
-const fn numerical(name: &'static str, what: &'static str, values: &'static [DialValue]) -> Dial {
+const fn numerical(name: &'static str, values: &'static [DialValue]) -> Dial {
     let (judge, exact) = (Judge::Exact, values[0].set);
-    Dial { name, what, judge, gpu_only: false, values, exact }
+    Dial { name, judge, gpu_only: false, values, exact }
 }
 
 /// A model choice of all devices and cameras.
-const fn model(name: &'static str, what: &'static str, values: &'static [DialValue]) -> Dial {
-    Dial { judge: Judge::Photographs, exact: |o| o, ..numerical(name, what, values) }
+const fn model(name: &'static str, values: &'static [DialValue]) -> Dial {
+    Dial { judge: Judge::Photographs, exact: |o| o, ..numerical(name, values) }
 }
 
 /// Root mean square error that f32 itself may cause, with every dial at its most accurate value.
@@ -80,7 +77,6 @@ pub const DIALS: &[Dial] = &[
         exact: |o| o.with_alpha_min(1e-12),
         ..numerical(
             "alpha_min",
-            "contributions with a smaller alpha are skipped",
             &[
                 value("2^-26", 1e-4, |o| o.with_alpha_min(RenderOptions::exact().alpha_min)),
                 value("1/4096", 0.003, |o| o.with_alpha_min(1.0 / 4096.0)),
@@ -94,7 +90,6 @@ pub const DIALS: &[Dial] = &[
     },
     numerical(
         "transmittance_min",
-        "compositing stops before the layer that would lower the transmittance below this value",
         &[
             value("0", 0.0, |o| o.with_transmittance_min(0.0)),
             value("1e-5", 1e-3, |o| o.with_transmittance_min(1e-5)),
@@ -107,7 +102,6 @@ pub const DIALS: &[Dial] = &[
         gpu_only: true,
         ..numerical(
             "accumulation",
-            "how the gradients of a Gaussian's intersections are summed",
             &[
                 value("ordered", 0.0, |o| o.with_accumulation(Accumulation::Ordered)),
                 value("atomic", 0.0, |o| o.with_accumulation(Accumulation::Atomic)),
@@ -116,7 +110,6 @@ pub const DIALS: &[Dial] = &[
     },
     model(
         "projection",
-        "how a Gaussian contributes to a pixel: by its projected ellipse, or by its maximum along the ray",
         &[
             choice("ray-max", |o| o.with_projection(Projection::RayMax)),
             choice("affine", |o| o.with_projection(Projection::Affine)),
@@ -124,7 +117,6 @@ pub const DIALS: &[Dial] = &[
     ),
     model(
         "sh_degree",
-        "spherical harmonics above this degree are left out",
         &[
             choice("all", |o| o.with_sh_degree(None)),
             choice("2", |o| o.with_sh_degree(Some(2))),
@@ -134,7 +126,6 @@ pub const DIALS: &[Dial] = &[
     ),
     model(
         "antialias",
-        "opacities are compensated for the blur",
         &[choice("on", |o| o.with_antialias(true)), choice("off", |o| o.with_antialias(false))],
     ),
 ];

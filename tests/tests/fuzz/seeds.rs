@@ -135,7 +135,6 @@ pub fn model(folder: &Path) -> SeedModel {
 pub fn json() -> Vec<Vec<u8>> {
     let config = serde_json::to_string_pretty(&splat_model::trainer::TrainConfig::default()).expect("plain data");
     [
-        r#"{"splat demo": "0.1.0", "width": 16, "height": 16, "views": 2, "points": 10, "glossy": false, "seed": 0}"#,
         &config,
         r#"{"steps": 5}"#,
         "{}",

@@ -92,28 +92,26 @@ fn stamp_in(folder: &Path) -> Option<Stamp> {
 
 impl Workspace {
     /// Whether a folder holds a finished reconstruction of these ingredients.
-    pub fn is_finished(folder: &Path, ingredients: &Ingredients) -> bool {
-        let is_finished = |stamp: &Stamp| stamp.finished.contains(&Stage::Model);
-        stamp_in(folder).is_some_and(|stamp| stamp.ingredients.give_the_same_as(ingredients) && is_finished(&stamp))
-    }
-
-    /// Refuses a folder that holds something else than a reconstruction of these ingredients.
-    pub fn check(folder: &Path, ingredients: &Ingredients) -> Result<()> {
-        let is_empty = fs::read_dir(folder).map_or(true, |mut entries| entries.next().is_none());
+    ///
+    /// # Errors
+    /// If it holds another reconstruction, or anything else.
+    pub fn is_finished(folder: &Path, ingredients: &Ingredients) -> Result<bool> {
         let shown = folder.display();
         match stamp_in(folder) {
-            Some(stamp) if stamp.ingredients.give_the_same_as(ingredients) => Ok(()),
+            Some(stamp) if stamp.ingredients.give_the_same_as(ingredients) => {
+                Ok(stamp.finished.contains(&Stage::Model))
+            }
             Some(_) => bail!(
                 "{shown} holds a reconstruction of other photographs, or with other options: move it away, or choose another `--out`"
             ),
-            None if is_empty => Ok(()),
+            None if fs::read_dir(folder).map_or(true, |mut entries| entries.next().is_none()) => Ok(false),
             None => {
                 bail!("{shown} is not empty and holds no reconstruction of this program: choose another `--out`")
             }
         }
     }
 
-    /// Opens a folder that [`check`](Self::check) accepts, and makes it if it is not there.
+    /// Opens a folder that [`is_finished`](Self::is_finished) accepts, and makes it if it is not there.
     ///
     /// # Errors
     /// If it cannot be written to.

@@ -154,8 +154,7 @@ pub fn reconstruct(source: &Path, folder: &Path, options: &CameraArgs) -> Result
     let root = listed.as_ref().map_or(source, |listed| &listed.root);
     Inputs::of([source, root]).spare([folder.to_owned(), folder.join(cache::IMAGES)])?;
     let ingredients = ingredients(source, listed.as_ref(), options)?;
-    Workspace::check(folder, &ingredients)?;
-    let programs = match Workspace::is_finished(folder, &ingredients) {
+    let programs = match Workspace::is_finished(folder, &ingredients)? {
         true => None,
         false => Some((ColmapProgram::find()?, is_video.then(Ffmpeg::find).transpose()?)),
     };

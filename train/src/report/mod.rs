@@ -77,8 +77,8 @@ pub fn finish(metrics: &Metrics, out: &OutputFolder) -> Result<()> {
     })
 }
 
-/// Prints the scores and the location of all files; `scene` is the name of the scene's file.
-pub fn say(metrics: &Metrics, scene: &str, out: &OutputFolder) {
+/// Prints the scores and the location of all files.
+pub fn say(metrics: &Metrics, scene: &Path, out: &OutputFolder) {
     match &metrics.test {
         Some(test) => {
             let (count, s) = (test.views.len(), if test.views.len() == 1 { "" } else { "s" });
@@ -92,7 +92,7 @@ pub fn say(metrics: &Metrics, scene: &str, out: &OutputFolder) {
     let seconds = &metrics.seconds;
     let train = seconds.train.map(|train| format!("training {train:.1} s, ")).unwrap_or_default();
     progress::say(&format!("time: loading {:.1} s, {train}measuring {:.1} s", seconds.load, seconds.eval));
-    progress::say(&format!("scene: {} ({} splats)", out.join(scene).display(), metrics.splats));
+    progress::say(&format!("scene: {} ({} splats)", scene.display(), metrics.splats));
     progress::say(&format!("metrics: {}", out.join(METRICS).display()));
     if metrics.steps.is_some() {
         progress::say(&format!("report: {}", out.join(REPORT).display()));

@@ -139,8 +139,10 @@ impl Checkpoints {
                 "{folder} holds an unfinished run, at step {step}: continue it with `splat resume`, move the folder away, or choose another \
                  `--out`"
             ),
-            _ => (steps.iter().try_for_each(|(_, path)| fs::remove_file(path)))
-                .with_context(|| format!("cannot write to {folder}: choose another `--out`")),
+            _ => {
+                let removed = steps.iter().try_for_each(|(_, path)| fs::remove_file(path));
+                removed.with_context(|| format!("cannot write to {folder}: choose another `--out`"))
+            }
         }
     }
 

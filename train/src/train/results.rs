@@ -124,7 +124,7 @@ pub fn write(setup: &Setup, trainer: Trainer, test: &[Photograph], load_s: f64, 
     if let Some((live, rows)) = last {
         live.finish(rows, &metrics, &done.history);
     }
-    report::say(&metrics, SCENE, out);
+    report::say(&metrics, &out.join(SCENE), out);
     progress::line(&LogLine::Done { out: out.path().display().to_string(), metrics: &metrics });
     Ok(metrics)
 }

@@ -194,16 +194,14 @@ fn every_command_takes_every_format() {
     let eval = |scene: &Path, name: &str| {
         let out = folder.path().join(name);
         let said = succeed(&mut splat(&["eval", text(&DEMO), "--scene", text(scene), "--out", text(&out)])).stdout;
-        let psnr = json(&out.join("metrics.json"))["test"]["psnr"].as_f64().unwrap();
-        (files(&out), psnr, said)
+        assert!(said.contains(text(scene)), "{said}");
+        json(&out.join("metrics.json"))["test"]["psnr"].as_f64().unwrap()
     };
-    let (_, before, _) = eval(&trained(), "before");
-    for (format, copy) in COMPRESSED.into_iter().zip(["scene.spz", "scene.sog"]) {
+    let before = eval(&trained(), "before");
+    for format in COMPRESSED {
         let (path, _) = converted(&folder, format);
-        let (found, after, said) = eval(&path, copy);
+        let after = eval(&path, format.extension());
         assert!((before - after).abs() < 0.3, "{format}: {before} dB became {after} dB");
-        assert!(found.contains(copy) && said.contains(copy) && !found.contains("scene.ply"), "{found:?}\n{said}");
-        assert_eq!(fs::read(folder.path().join(copy).join(copy)).unwrap(), fs::read(&path).unwrap());
         let pictures = folder.path().join("pictures");
         let render =
             ["render", "--scene", text(&path), "--capture", text(&DEMO), "--view", TEST_VIEW, "--device", "cpu"];

@@ -17,8 +17,8 @@ fn finished_stages_are_kept() {
     assert_eq!(again.features()["a.jpg"], 40);
     let moved = Workspace::open(&folder, of("elsewhere/photos", 7)).unwrap();
     assert!(moved.has(Stage::Features));
-    Workspace::check(&folder, &of("photos", 7)).unwrap();
-    let error = Workspace::check(&folder, &of("photos", 8)).unwrap_err().to_string();
+    assert!(!Workspace::is_finished(&folder, &of("photos", 7)).unwrap());
+    let error = Workspace::is_finished(&folder, &of("photos", 8)).unwrap_err().to_string();
     assert!(error.contains("other photographs") && error.contains("--out"), "{error}");
 }
 
@@ -26,12 +26,12 @@ fn finished_stages_are_kept() {
 fn a_folder_with_anything_else_is_left_alone() {
     let root = tempfile::tempdir().unwrap();
     fs::write(root.path().join("database.db"), "mine").unwrap();
-    let error = Workspace::check(root.path(), &of("photos", 7)).unwrap_err().to_string();
+    let error = Workspace::is_finished(root.path(), &of("photos", 7)).unwrap_err().to_string();
     assert!(error.contains("--out"), "{error}");
     assert_eq!(fs::read_to_string(root.path().join("database.db")).unwrap(), "mine");
     // A stamp of another program is none.
     fs::write(root.path().join(STAMP), "{\"views\": 3}").unwrap();
-    assert!(Workspace::check(root.path(), &of("photos", 7)).is_err());
+    assert!(Workspace::is_finished(root.path(), &of("photos", 7)).is_err());
     assert_eq!(fs::read_to_string(root.path().join("database.db")).unwrap(), "mine");
 }
 
