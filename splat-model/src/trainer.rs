@@ -24,7 +24,6 @@ use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use splat_op::{RenderOptions, in_tensor_code};
 
-use crate::accuracy::Setting;
 use crate::capture::{Photo, Photograph, PointCloud, PointsSeen};
 use crate::density::rows::{StepRates, Trained};
 use crate::density::{RefineReport, Strategy, StrategyContext};
@@ -209,12 +208,6 @@ impl Trainer {
     /// Render options of the run, which viewers of its scene should use too.
     pub fn render_options(&self) -> RenderOptions {
         self.options
-    }
-
-    /// Changes dials of the renders, from the next step on. Other dials stay unchanged.
-    pub fn turn(&mut self, dials: &Setting) {
-        self.options = dials.apply(self.options);
-        self.config.dials = mem::take(&mut self.config.dials).and(dials);
     }
 
     /// Changes the length of the run and what depends on it, from the next step on: `steps`, `sh_every`, `learning_rates` and

@@ -4,7 +4,6 @@ use rand_chacha::ChaCha8Rng;
 use serde_json::Value;
 
 use super::{TrainConfig, TrainError, Trainer};
-use crate::accuracy::Setting;
 use crate::density::rows::Trained;
 use crate::effects::Effect;
 use crate::gaussians::{BASE_GROUPS, Group};
@@ -37,7 +36,6 @@ impl Trainer {
     /// If the state belongs to a run with other options or photographs, or is incomplete. This run is then unusable.
     pub fn resume(&mut self, mut state: State) -> Result<(), TrainError> {
         let config: TrainConfig = state.told("config")?;
-        let dials = config.dials.clone();
         check_same(&config, &self.config)?;
         let photographs: Vec<(String, [usize; 2])> = state.told("photographs")?;
         let own = self.photographs();
@@ -71,7 +69,6 @@ impl Trainer {
         state.load_part("loss", |part| self.loss.load(part, &self.device))?;
         state.finish()?;
         (self.queue, self.rng, self.step) = (queue, rng, step);
-        self.turn(&dials);
         Ok(())
     }
 
@@ -88,13 +85,10 @@ fn groups_of<'a>(groups: impl Iterator<Item = &'a Group>) -> String {
     if words.is_empty() { "none".into() } else { words.join(", ") }
 }
 
-/// Returns an error for the first option that differs between the saved run and this one. Dials may differ, because they may
-/// change during a run.
+/// Returns an error for the first option that differs between the saved run and this one.
 fn check_same(kept: &TrainConfig, own: &TrainConfig) -> Result<(), TrainError> {
-    let fields = |config: &TrainConfig| {
-        let config = TrainConfig { dials: Setting::default(), ..config.clone() };
-        serde_json::to_value(config).map_err(|reason| StateError::fact("config", &reason))
-    };
+    let fields =
+        |config: &TrainConfig| serde_json::to_value(config).map_err(|reason| StateError::fact("config", &reason));
     let (kept, own) = (fields(kept)?, fields(own)?);
     let (Value::Object(kept), Value::Object(own)) = (kept, own) else { return Ok(()) };
     let differing = kept.iter().find(|(name, value)| own.get(*name) != Some(value));

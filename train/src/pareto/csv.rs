@@ -28,7 +28,7 @@ fn line(row: &SettingMeasurements, on_frontier: bool) -> String {
         Role::Dial(name) => format!("dial {name}"),
         Role::Combination => "combination".into(),
     };
-    let judge = if candidate.judge() == Judge::Exact { "exact" } else { "photographs" };
+    let judge = if candidate.setting.judge() == Judge::Exact { "exact" } else { "photographs" };
     let accuracy = row.accuracy.as_ref();
     let mut fields = vec![candidate.name.clone(), role, judge.into(), candidate.setting.to_string()];
     fields.extend([row.error_db(), accuracy.map(|a| a.rms), accuracy.map(|a| a.max)].map(number));

@@ -28,11 +28,6 @@ impl Candidate {
     fn new(name: impl Into<String>, role: Role, setting: Setting, base: &RenderOptions) -> Self {
         Self { name: name.into(), role, options: setting.apply(*base), setting }
     }
-
-    /// Reference that the setting is judged against.
-    pub fn judge(&self) -> Judge {
-        self.setting.judge()
-    }
 }
 
 /// Returns all settings around `base`, the standard with the scene's own model choices. `gpu`: with the dials

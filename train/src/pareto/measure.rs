@@ -119,7 +119,7 @@ impl<'a> Bench<'a> {
         score: &impl Fn(&RenderOptions) -> Result<(f64, f64)>,
     ) -> Result<SettingMeasurements> {
         let options = &candidate.options;
-        let judged = candidate.judge() == Judge::Exact;
+        let judged = candidate.setting.judge() == Judge::Exact;
         let truth = self.truth(truths, if judged { options } else { &self.base })?;
         let found = self.compare(options, truth)?;
         let bound = Dial::rms_bound(options);

@@ -41,7 +41,6 @@ fn steps(ranks: &Rc<dyn Ranks>) -> Result<()> {
             Some(Order::Step(config)) => {
                 if let Some(config) = config {
                     trainer.reschedule(&config)?;
-                    trainer.turn(&config.dials);
                 }
                 trainer.step()?;
             }

@@ -110,18 +110,6 @@ fn so_does_one_with_effects() {
 }
 
 #[test]
-fn dials_stay_turned() {
-    let config = eventful();
-    let mut first = trainer(&config);
-    let turned = Setting::between(&config.render_options(1.0), &splat_op::RenderOptions::fast());
-    first.turn(&turned);
-    let mut second = trainer(&config);
-    second.resume(first.save().unwrap()).unwrap();
-    assert_eq!(second.render_options(), first.render_options());
-    assert_ne!(second.render_options(), trainer(&config).render_options());
-}
-
-#[test]
 fn other_runs_are_refused() {
     let config = eventful();
     let state = || trainer(&config).save().unwrap();

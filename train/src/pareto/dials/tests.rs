@@ -22,7 +22,7 @@ fn what_changes_nothing_on_a_cpu_is_not_measured_there() {
     let base = RenderOptions::standard();
     let all = candidates(&base, false);
     assert!(!all.iter().any(|candidate| candidate.name.contains("accumulation")));
-    assert!(all.iter().any(|candidate| candidate.judge() == Judge::Photographs));
+    assert!(all.iter().any(|candidate| candidate.setting.judge() == Judge::Photographs));
 }
 
 #[test]
