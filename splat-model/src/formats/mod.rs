@@ -160,7 +160,7 @@ impl SceneFile {
     }
 }
 
-/// The part of a scene that was written.
+/// The part of a scene that was written. PLY holds all rows unchanged.
 #[derive(Clone, Debug)]
 pub struct Written<'a> {
     /// The rows of the file before rounding, in its order and of its degree.
@@ -177,27 +177,12 @@ impl FileError {
     }
 
     fn foreign(path: &Path, what: String, remedy: impl fmt::Display) -> Self {
-        const SCENES: &str = "Scenes are PLY files (original layout or SuperSplat's compressed one), SPZ, glTF and SOG";
+        const SCENES: &str = "Scenes are PLY files (original layout or SuperSplat's compressed one), SPZ and SOG";
         Self::new(
             path,
             format!("not a scene that is read: it is {what}. {SCENES}: {remedy}, or export it as one of these"),
         )
     }
-}
-
-/// Detects the format of a file by its first bytes and, for PLY, by what follows them. The name has no influence.
-///
-/// # Errors
-/// If the file cannot be opened or is not a scene.
-pub fn detect(path: &Path) -> Result<Format, FileError> {
-    Ok(match Beginning::of(path)? {
-        Beginning::Spz => Format::Spz,
-        Beginning::Zip => Format::Sog,
-        Beginning::Ply => match compressed::is_compressed(&PlyReader::open(path)?.1) {
-            true => Format::CompressedPly,
-            false => Format::Ply,
-        },
-    })
 }
 
 /// Reads a scene of any format but glTF.
@@ -224,7 +209,7 @@ pub fn read(path: &Path) -> Result<(SceneFile, Format), FileError> {
     })
 }
 
-/// Writes the part of a scene that the format can hold ([`fit`]).
+/// Writes the part of a scene that the format can hold: the Gaussians that can be rendered, with harmonics up to its degree ([`Written`]).
 ///
 /// The file appears under its name only when it is complete; a file that was there before is replaced.
 ///
@@ -255,7 +240,7 @@ pub fn write_with<'a>(
     options: WriteOptions,
 ) -> Result<Written<'a>, FileError> {
     ply::check(path, &scene.rows, scene.world())?;
-    let written = fitted(&scene.rows, format);
+    let written = fit(&scene.rows, format);
     // A file with nothing in it is refused; PLY, which holds all rows, counts its own.
     ply::check_left(path, scene.rows.len() - written.left_out, scene.rows.len())?;
     let rows = &written.rows;
@@ -274,14 +259,7 @@ pub fn write_with<'a>(
 /// The rows that a file of the format holds before rounding: the Gaussians that can be rendered ([`GaussianRows::is_usable`]),
 /// with harmonics up to the format's degree. In SOG neighbours are near each other; in SPZ those beyond the grid's reach are moved to its
 /// border. [`Written`] counts the differences. PLY holds all rows unchanged.
-///
-/// # Panics
-/// If the rows do not fit together ([`GaussianRows::check`]).
-pub fn fit(rows: &GaussianRows, format: Format) -> Cow<'_, GaussianRows> {
-    fitted(rows, format).rows
-}
-
-fn fitted(rows: &GaussianRows, format: Format) -> Written<'_> {
+fn fit(rows: &GaussianRows, format: Format) -> Written<'_> {
     if format.is_exact() {
         return Written { rows: Cow::Borrowed(rows), left_out: 0, moved: 0 };
     }

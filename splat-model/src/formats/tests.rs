@@ -54,7 +54,6 @@ fn contents_tell_formats_whatever_the_name() {
         let path = folder.path().join("scene.bin");
         let scene = scene(one());
         write(&path, &scene, format).unwrap();
-        assert_eq!(detect(&path).unwrap(), format);
         let (read, found) = read(&path).unwrap();
         assert_eq!((found, read.rows.len()), (format, 1));
     }
@@ -67,9 +66,8 @@ fn gltf_is_written_and_the_way_back_is_named() {
     let text = path.with_extension("gltf");
     fs::write(&text, "{\"asset\": {}}").unwrap();
     for path in [path, text] {
-        for message in [read(&path).unwrap_err().to_string(), detect(&path).unwrap_err().to_string()] {
-            assert!(message.contains("scene.gl") && message.contains("splat-transform"), "{message}");
-        }
+        let message = read(&path).unwrap_err().to_string();
+        assert!(message.contains("scene.gl") && message.contains("splat-transform"), "{message}");
     }
 }
 
@@ -84,7 +82,6 @@ fn what_is_no_scene_is_told_what_is_one() {
             assert!(message.contains(part), "{part}: {message}");
         }
         assert!(!message.contains(char::is_control), "{message:?}");
-        assert!(detect(&path).is_err());
     }
     let message = read(&folder.path().join("none.spz")).unwrap_err().to_string();
     assert!(message.contains("none.spz") && message.contains("is the path right"), "{message}");

@@ -167,7 +167,7 @@ fn scenes_in_archives_and_of_other_programs_are_named() {
     }
     // What a name says does not matter where the content is a scene.
     let path = packed("scene.jpg", &scene);
-    assert_eq!(formats::detect(&path).unwrap(), Format::Ply);
+    assert_eq!(formats::read(&path).unwrap().1, Format::Ply);
     assert!(FileKind::of(&path).is_some());
 }
 

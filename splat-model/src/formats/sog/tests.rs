@@ -102,9 +102,8 @@ fn an_unpacked_scene_is_told_how_to_be_packed() {
         fs::write(folder.path().join(name), bytes).unwrap();
     }
     let path = folder.path().join(META);
-    for message in [formats::read(&path).unwrap_err().to_string(), formats::detect(&path).unwrap_err().to_string()] {
-        assert!(message.contains("unpacked SOG scene") && message.contains("zip -0 scene.sog"), "{message}");
-    }
+    let message = formats::read(&path).unwrap_err().to_string();
+    assert!(message.contains("unpacked SOG scene") && message.contains("zip -0 scene.sog"), "{message}");
 }
 
 #[test]

@@ -322,7 +322,7 @@ fn versions_three_and_four_hold_the_same() {
     let trained = TrainedAs { antialias: true, ..TrainedAs::default() };
     for sh_degree in [0, 3] {
         let scene = SceneFile { rows: given.clone(), trained, ..SceneFile::default() };
-        let scene = SceneFile { rows: formats::fit(&scene.rows, Format::Spz).into_owned(), ..scene };
+        let scene = SceneFile { rows: formats::fit(&scene.rows, Format::Spz).rows.into_owned(), ..scene };
         let mut rows = GaussianRows { sh_degree, ..GaussianRows::default() };
         (0..scene.rows.len()).for_each(|row| rows.push(&scene.rows, row));
         let scene = SceneFile { rows, ..scene };
