@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Result, bail, ensure};
 use splat_model::capture::Capture;
 use splat_model::capture::blocks::{BlockFile, keep};
 use splat_model::formats::{self, SceneFile};
