@@ -124,10 +124,7 @@ pub const DIALS: &[Dial] = &[
             choice("0", |o| o.with_sh_degree(Some(0))),
         ],
     ),
-    model(
-        "antialias",
-        &[choice("on", |o| o.with_antialias(true)), choice("off", |o| o.with_antialias(false))],
-    ),
+    model("antialias", &[choice("on", |o| o.with_antialias(true)), choice("off", |o| o.with_antialias(false))]),
 ];
 
 impl Dial {

@@ -247,7 +247,10 @@ pub fn write_with<'a>(
     match format {
         Format::Ply => ply::write(path, rows, scene.world())?,
         Format::CompressedPly => {
-            return Err(FileError::new(path, "compressed PLY is read, not written: write SOG or SPZ, which are smaller"));
+            return Err(FileError::new(
+                path,
+                "compressed PLY is read, not written: write SOG or SPZ, which are smaller",
+            ));
         }
         Format::Spz => spz::write(path, rows, scene.trained.antialias, options.spz)?,
         Format::Glb => gltf::write(path, rows, scene)?,

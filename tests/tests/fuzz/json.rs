@@ -65,19 +65,18 @@ impl FuzzTarget for Json {
     }
 
     fn read(&mut self) -> Result<String, String> {
-        let config = match serde_json::from_slice::<TrainConfig>(&self.text) {
+        match serde_json::from_slice::<TrainConfig>(&self.text) {
             Ok(config) => {
                 let text = serde_json::to_string(&config).map_err(|error| error.to_string())?;
                 let again: TrainConfig = serde_json::from_str(&text).map_err(|error| format!("{error} in {text}"))?;
                 let value = |config| serde_json::to_value(config).map_err(|error| error.to_string());
-                if !same(&value(&config)?, &value(&again)?) {
-                    return Err(format!("{config:?} reads back as {again:?}"));
+                match same(&value(&config)?, &value(&again)?) {
+                    true => Ok("accepted".into()),
+                    false => Err(format!("{config:?} reads back as {again:?}")),
                 }
-                "accepted".into()
             }
-            Err(error) => shape(&error.to_string(), &self.folder),
-        };
-        Ok(config)
+            Err(error) => Ok(shape(&error.to_string(), &self.folder)),
+        }
     }
 }
 

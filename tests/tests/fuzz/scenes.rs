@@ -137,9 +137,7 @@ impl FuzzTarget for Scenes {
             Ok((SceneFile { rows, origin, metres_per_unit, trained, .. }, format)) => {
                 rows.check().map_err(|error| error.to_string())?;
                 let sized = metres_per_unit.is_none_or(|metres| metres.is_finite() && metres > 0.0);
-                if !sized
-                    || !origin.is_finite()
-                {
+                if !sized || !origin.is_finite() {
                     return Err(format!("origin {origin}, {metres_per_unit:?} m, {format}"));
                 }
                 let (count, unusable) = (bucket(rows.len()), rows.unusable() > 0);

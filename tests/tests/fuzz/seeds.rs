@@ -134,11 +134,5 @@ pub fn model(folder: &Path) -> SeedModel {
 /// Returns JSON files that the program writes and reads again.
 pub fn json() -> Vec<Vec<u8>> {
     let config = serde_json::to_string_pretty(&splat_model::trainer::TrainConfig::default()).expect("plain data");
-    [
-        &config,
-        r#"{"steps": 5}"#,
-        "{}",
-    ]
-    .map(|text| text.as_bytes().to_vec())
-    .to_vec()
+    [&config, r#"{"steps": 5}"#, "{}"].map(|text| text.as_bytes().to_vec()).to_vec()
 }

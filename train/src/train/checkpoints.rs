@@ -219,10 +219,7 @@ pub fn newest(out: &Path) -> Result<SavedRun> {
         if out.join(METRICS).is_file() {
             bail!("the run in {shown} is finished: there is nothing to resume");
         }
-        bail!(
-            "there is no checkpoint in {}: start the run with `splat train CAPTURE --out {shown}`",
-            folder.display()
-        );
+        bail!("there is no checkpoint in {}: start the run with `splat train CAPTURE --out {shown}`", folder.display());
     };
     read(&path).with_context(|| {
         let older =

@@ -163,7 +163,10 @@ fn names_tell_formats_and_an_option_does() {
     let names = ["ply", "spz", "glb", "sog"];
     for (name, format) in names.into_iter().zip(Format::WRITTEN) {
         succeed(&mut splat(&["convert", text(&scene), text(&odd), "--format", name]));
-        assert_eq!(formats::read(&odd).ok().map(|(_, format)| format), Some(format).filter(|format| Format::READ.contains(format)));
+        assert_eq!(
+            formats::read(&odd).ok().map(|(_, format)| format),
+            Some(format).filter(|format| Format::READ.contains(format))
+        );
     }
     assert_eq!(end(&mut splat(&["convert", text(&scene), text(&odd), "--format", "splat"])).code, Some(2));
     assert_eq!(end(&mut splat(&["convert", text(&scene), "a.spz", "--sh-degree", "5"])).code, Some(2));
