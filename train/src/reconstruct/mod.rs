@@ -158,6 +158,7 @@ pub fn reconstruct(source: &Path, folder: &Path, options: &CameraArgs) -> Result
         true => None,
         false => Some((ColmapProgram::find()?, is_video.then(Ffmpeg::find).transpose()?)),
     };
+    let looked = listed.as_ref().filter(|_| programs.is_some()).map(photographs::look).transpose()?;
     let mut workspace = Workspace::open(folder, ingredients)?;
     if let Some((colmap, ffmpeg)) = programs {
         progress::note(&format!(
@@ -166,18 +167,17 @@ pub fn reconstruct(source: &Path, folder: &Path, options: &CameraArgs) -> Result
             colmap.version,
             workspace.join(cache::LOG).display()
         ));
-        let photographs = match &listed {
-            Some(listed) => {
+        let photographs = match (&listed, looked) {
+            (Some(listed), Some(looked)) => {
                 if let Some(others) = failure::others(listed) {
                     progress::note(&format!(
                         "not used, because only JPEG and PNG are read: {others} (convert them first)"
                     ));
                 }
-                let photographs = photographs::look(listed)?;
                 photographs::link(&workspace, source, listed)?;
-                photographs
+                looked
             }
-            None => {
+            _ => {
                 if let Some(ffmpeg) = ffmpeg.filter(|_| !workspace.has(Stage::Frames)) {
                     let frames = video::extract(&workspace, &ffmpeg, source, options.frames, &stop)?;
                     progress::note(&format!("{frames} frames of {}", source.display()));

@@ -70,7 +70,6 @@ fn cases() -> Vec<Case> {
             "cap/views/0000.png",
             Some("cap"),
         ),
-        case("eval cap --scene given/scene.ply --out OUT --device cpu", "cap/views/0000.png", Some("cap")),
         case("eval colmap --scene given/scene.ply --out OUT --device cpu", "colmap/views/0000.png", Some("colmap")),
         case("eval colmap --scene given/metrics.json --out OUT --device cpu", "given/metrics.json", Some("given")),
         case("pareto colmap --scene given/pareto.csv --out OUT --device cpu", "given/pareto.csv", Some("given")),
