@@ -68,6 +68,7 @@ pub fn open(adapter: &Adapter) -> Result<String> {
     if adapter.runtime == "cuda" {
         check_toolkit().map_err(|missing| anyhow!("cannot open `{name}`: {missing}, or pass `--device cpu`"))?;
     }
+    #[cfg_attr(not(feature = "wgpu"), expect(unused_mut, reason = "only wgpu has several interfaces"))]
     let mut interface = String::new();
     #[cfg(feature = "wgpu")]
     if let CubeDevice::Wgpu(device) = device {

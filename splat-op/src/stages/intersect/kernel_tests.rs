@@ -270,7 +270,7 @@ fn check_lists(count: usize, [width, height]: [usize; 2], alpha_min: f64) {
     let tiles = tile_grid(width, height).iter().product::<usize>();
     if let Some(gpu) = gpu() {
         let name = format!("{count} splats, {width} × {height}, alpha_min {alpha_min}");
-        let lists = launch_intersect(&gpu, &Buffer::from_slice(&gpu, &projected), &camera, alpha_min.into(), true);
+        let lists = launch_intersect(&gpu, &Buffer::from_slice(&gpu, &projected), &camera, alpha_min.into());
         let start = lists.tile_start.read(&gpu);
         let (intersection_of_place, gaussian_of_intersection) =
             (lists.intersection_of_place.read(&gpu), lists.gaussian_of_intersection.read(&gpu));

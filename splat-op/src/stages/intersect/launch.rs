@@ -60,22 +60,27 @@ impl DeviceIntersections {
 ///
 /// The host learns the number of intersections from the device. If recent views tell how many to expect, the lists are
 /// written with room for so many while the host waits, so that the device has work. They are written once more if there
-/// are more. Without `wait`, the lists have room for so many, and the host learns the number later.
+/// are more.
 pub(crate) fn launch_intersect(
     gpu: &Gpu,
     projected: &Buffer<f32>,
     camera: &Intrinsics,
     cut: Cut<&Buffer<i32>>,
-    wait: bool,
 ) -> DeviceIntersections {
-    settle();
-    let (tiles, count) = (tile_grid(camera.width, camera.height), projected.len / crate::project::COLUMNS);
-    let capacity = forced_capacity().or_else(|| expected(tiles, count)).filter(|capacity| *capacity > 0);
-    if wait {
-        let lists = launch_intersect_within(gpu, projected, camera, cut, capacity);
-        remember(tiles, count, lists.intersections as u64);
-        return lists;
-    }
+    let (tiles, count, capacity) = expectation(projected, camera);
+    let lists = launch_intersect_within(gpu, projected, camera, cut, capacity);
+    remember(tiles, count, lists.intersections as u64);
+    lists
+}
+
+/// Lists the first intersections of `projected`, as many as views are expected to have. The host does not wait for their number.
+pub(super) fn launch_expected_intersect(
+    gpu: &Gpu,
+    projected: &Buffer<f32>,
+    camera: &Intrinsics,
+    cut: Cut<&Buffer<i32>>,
+) -> DeviceIntersections {
+    let (tiles, count, capacity) = expectation(projected, camera);
     let unknown = || (UNKNOWN_OF_GAUSSIAN * count + UNKNOWN_OF_TILE * tiles[0] * tiles[1]) as u64;
     let capacity = capacity.unwrap_or_else(unknown).min(gpu.buffer_limit / 4) as usize;
     let counted = Counted::launch(gpu, projected, camera, cut);
@@ -84,6 +89,14 @@ pub(crate) fn launch_intersect(
     gpu.begin();
     keep(PendingView { sizes, tiles, gaussians: count, capacity });
     lists
+}
+
+/// Returns the tiles of a view along x and y, its number of Gaussians, and the number of intersections to expect, if it is known.
+fn expectation(projected: &Buffer<f32>, camera: &Intrinsics) -> ([usize; 2], usize, Option<u64>) {
+    settle();
+    let (tiles, count) = (tile_grid(camera.width, camera.height), projected.len / crate::project::COLUMNS);
+    let capacity = forced_capacity().or_else(|| expected(tiles, count)).filter(|capacity| *capacity > 0);
+    (tiles, count, capacity)
 }
 
 /// [`launch_intersect`] with room for `capacity` intersections at first.

@@ -2,7 +2,7 @@
 
 use super::cpu::intersect_cpu;
 #[cfg(feature = "cube")]
-use super::launch::launch_intersect;
+use super::launch::{launch_expected_intersect, launch_intersect};
 use super::{Cut, Kept, tile_grid};
 use crate::backend::*;
 use crate::rasterize::RasterizeSpec;
@@ -34,8 +34,8 @@ impl Operation for Intersect {
     fn launch(&self, args: GpuArgs) -> Vec<GpuOutput> {
         let mask = args.optional(1);
         let cut = Cut { mask: mask.as_ref(), ..Cut::of(&self.spec.options) };
-        let wait = self.spec.options.counts_first();
-        let lists = launch_intersect(&args.gpu(), &args.buffer(0), &self.spec.intrinsics, cut, wait);
+        let launch = if self.spec.options.counts_first() { launch_intersect } else { launch_expected_intersect };
+        let lists = launch(&args.gpu(), &args.buffer(0), &self.spec.intrinsics, cut);
         let counts = lists.counts.handle.clone();
         self.lists.keep(lists);
         vec![Some(counts)]

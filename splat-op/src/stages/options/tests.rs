@@ -31,6 +31,7 @@ fn every_field_has_a_builder_that_sets_it_alone() {
         .with_alpha_max(0.9)
         .with_transmittance_min(0.02)
         .with_accumulation(Accumulation::Ordered)
+        .with_lists(ListLength::Expected)
         .with_depth(true)
         .with_expected_depth(true)
         .with_normals(true)
@@ -49,6 +50,7 @@ fn every_field_has_a_builder_that_sets_it_alone() {
         alpha_max: 0.9,
         transmittance_min: 0.02,
         accumulation: Accumulation::Ordered,
+        lists: ListLength::Expected,
         depth: true,
         expected_depth: true,
         normals: true,
