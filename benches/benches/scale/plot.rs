@@ -6,6 +6,7 @@ use std::path::Path;
 
 use plotters::coord::combinators::IntoLogRange;
 use plotters::prelude::*;
+use plotters::style::register_font;
 
 use crate::point::ScaleWork;
 use crate::record::{ALLOWED_BYTES, ScaleAxis, ScaleRow};
@@ -45,7 +46,9 @@ pub fn draw(axis: ScaleAxis, rows: &[ScaleRow], to: &Path) -> Result<(), Box<dyn
             points: steps.iter().map(goal).collect(),
         });
     }
-    splat_train::pareto::plot::register()?;
+    // The font is part of the bench, so that a plot is the same on every machine.
+    register_font("sans-serif", FontStyle::Normal, dejavu::sans::regular())
+        .map_err(|_| "the font for plots cannot be read")?;
     let drawing = SVGBackend::new(to, SIZE).into_drawing_area();
     drawing.fill(&WHITE)?;
     let halves = drawing.split_evenly((1, 2));

@@ -4,7 +4,6 @@ mod csv;
 mod dials;
 mod errors;
 mod measure;
-pub mod plot;
 mod quartiles;
 mod reference;
 mod subject;
@@ -19,18 +18,15 @@ use splat_model::evaluate::evaluate;
 
 use self::dials::candidates;
 use self::measure::{Bench, BenchOutcome, SettingMeasurements};
-use self::plot::{Chart, Dot};
 use self::quartiles::frontier;
 use crate::background::ShowArgs;
 use crate::input::PhotoArgs;
 use crate::inputs::Inputs;
-use crate::output::{OutputFolder, last_name};
+use crate::output::OutputFolder;
 use crate::{input, progress};
 
 /// The measurements, a line per setting.
 pub const TABLE: &str = "pareto.csv";
-/// Plot of time against error.
-pub const PLOT: &str = "pareto.svg";
 
 /// Quartiles of fewer rounds than this are unreliable.
 const FEW_ROUNDS: usize = 8;
@@ -43,7 +39,7 @@ pub struct ParetoArgs {
     /// Scene file, in any format that `convert` reads
     #[arg(long, value_name = "FILE")]
     pub scene: PathBuf,
-    /// Folder for pareto.csv and pareto.svg
+    /// Folder for pareto.csv
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
     /// Seconds to spend on timing; every setting is timed at least three times
@@ -61,19 +57,19 @@ pub struct ParetoArgs {
     pub masks: bool,
 }
 
-/// Measures all settings, writes the table and the plot, and prints the frontier.
+/// Measures all settings, writes the table, and prints the frontier.
 ///
 /// # Errors
 /// If the capture or the scene cannot be read, no photograph is held out, a setting is broken, or the results cannot be written.
 pub fn run(args: &ParetoArgs) -> Result<()> {
-    let (device, device_name) = args.show.device.resolve()?;
+    let (device, _) = args.show.device.resolve()?;
     let capture = input::capture(&args.capture)?;
     let (split, _) = args.photos.split(&capture);
     let views = spread(split.require_test()?, args.views);
     let (rows, trained) = input::rows("--scene", &args.scene, Some(&capture))?;
     let background = args.show.background(&args.scene, &trained)?;
     let inputs = Inputs::of([&args.scene]).and_capture(&capture).and(args.show.file());
-    let out = OutputFolder::prepare(&args.out, inputs, [TABLE, PLOT], &[])?;
+    let out = OutputFolder::prepare(&args.out, inputs, [TABLE], &[])?;
     let photos = input::photographs(&capture, &views, args.photos.max_side, args.masks)?;
     let base = args.show.model.or(&trained).config().render_options(input::extent(&capture));
     let bench = Bench::new(&rows, &photos, background.colour(), base, &device)?;
@@ -89,9 +85,6 @@ pub fn run(args: &ParetoArgs) -> Result<()> {
     let members = frontier(&outcome.rows.iter().map(point).collect::<Vec<_>>());
     let table = csv::text(&outcome.rows, &members);
     out.write(TABLE, |file| Ok(file.write_all(table.as_bytes())?))?;
-    let title = format!("{} ({} splats), {device_name}", last_name(&args.capture), rows.len());
-    let plot = plot::svg(&Chart { title, dots: dots(&outcome.rows, &members) })?;
-    out.write(PLOT, |file| Ok(file.write_all(plot.as_bytes())?))?;
     say(&out, &outcome, &members);
     Ok(())
 }
@@ -100,19 +93,6 @@ pub fn run(args: &ParetoArgs) -> Result<()> {
 fn spread(views: &[usize], count: usize) -> Vec<usize> {
     let count = count.min(views.len());
     (0..count).map(|i| views[i * views.len() / count]).collect()
-}
-
-fn dots(rows: &[SettingMeasurements], members: &[usize]) -> Vec<Dot> {
-    let dot = |(i, row): (usize, &SettingMeasurements)| {
-        Some(Dot {
-            name: row.candidate.name.clone(),
-            role: row.candidate.role,
-            x: row.times.forward,
-            y: row.error_db()?,
-            member: members.contains(&i),
-        })
-    };
-    rows.iter().enumerate().filter_map(dot).collect()
 }
 
 fn say(out: &OutputFolder, outcome: &BenchOutcome, members: &[usize]) {
@@ -125,9 +105,7 @@ fn say(out: &OutputFolder, outcome: &BenchOutcome, members: &[usize]) {
         let (db, ms) = (row.error_db().unwrap_or(f64::NAN), row.times.forward.median);
         progress::say(&format!("  {db:6.1} dB {ms:9.2} ms  {} ({})", row.candidate.name, row.candidate.setting));
     }
-    for name in [TABLE, PLOT] {
-        progress::say(&out.join(name).display().to_string());
-    }
+    progress::say(&out.join(TABLE).display().to_string());
 }
 
 #[cfg(test)]

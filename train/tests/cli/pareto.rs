@@ -13,7 +13,7 @@ static MEASURED: LazyLock<PathBuf> = LazyLock::new(|| {
     let scene = TRAINED.join("scene.ply");
     let arguments = ["pareto", text(&DEMO), "--scene", text(&scene), "--max-side", "64", "--budget", "0"];
     let ended = succeed(splat(&arguments).arg("--out").arg(&folder));
-    for part in ["measured every setting 3 times", "the frontier of renders", "pareto.csv", "pareto.svg"] {
+    for part in ["measured every setting 3 times", "the frontier of renders", "pareto.csv"] {
         assert!(ended.stdout.contains(part), "{part}: {}", ended.stdout);
     }
     folder
@@ -51,9 +51,9 @@ fn number(row: &std::collections::BTreeMap<String, String>, column: &str) -> f64
 }
 
 #[test]
-fn every_setting_is_measured_and_drawn() {
+fn every_setting_is_measured() {
     let out = MEASURED.as_path();
-    assert_eq!(files(out), ["pareto.csv", "pareto.svg"].map(String::from).into());
+    assert_eq!(files(out), ["pareto.csv".to_string()].into());
     let rows = rows(out);
     let named = |name: &str| rows.iter().find(|row| row["name"] == name).unwrap_or_else(|| panic!("no {name}"));
     for row in &rows {
@@ -72,9 +72,6 @@ fn every_setting_is_measured_and_drawn() {
     assert_eq!(named("fast")["turned"], "alpha_min 4/255, transmittance_min 1e-3");
     assert!(!rows.iter().any(|row| row["name"].contains("accumulation")), "it does nothing on a CPU");
     assert!(rows.iter().any(|row| row["on_frontier"] == "1") && rows.iter().any(|row| row["role"] == "dial sh_degree"));
-
-    let svg = fs::read_to_string(out.join("pareto.svg")).unwrap();
-    assert!(svg.contains("<circle") && svg.contains("standard") && svg.contains("ms (median and quartiles)"));
 }
 
 #[test]

@@ -7,11 +7,23 @@ use plotters::coord::Shift;
 use plotters::prelude::*;
 use plotters::style::register_font;
 
-pub use super::dials::Role;
-pub use super::quartiles::Quartiles;
-
 /// Width and height of a plot, px.
 const SIZE: (u32, u32) = (1000, 640);
+
+#[derive(Clone, Copy, Debug)]
+pub struct Quartiles {
+    pub lower: f64,
+    pub median: f64,
+    pub upper: f64,
+}
+
+/// Why a setting was measured.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Role {
+    Preset,
+    Dial,
+    Combination,
+}
 
 #[derive(Clone, Debug)]
 pub struct Dot {
@@ -33,12 +45,12 @@ pub struct Chart {
     pub dots: Vec<Dot>,
 }
 
-/// Registers the font with the plotting library, which otherwise draws no text. The font is part of the program, so
+/// Registers the font with the plotting library, which otherwise draws no text. The font is part of the test, so
 /// that a plot is the same on every machine.
 ///
 /// # Errors
 /// If the font cannot be read.
-pub fn register() -> Result<()> {
+fn register() -> Result<()> {
     static DONE: LazyLock<bool> =
         LazyLock::new(|| register_font("sans-serif", FontStyle::Normal, dejavu::sans::regular()).is_ok());
     (*DONE).then_some(()).context("the font for plots cannot be read")
@@ -105,7 +117,7 @@ fn draw<'a>(chart: &Chart, area: &Area<'a>) -> Result<(), DrawError<'a>> {
                 axes.draw_series([Circle::new(at, 4, colour.filled())])?;
                 axes.draw_series([Circle::new(at, 9, BLACK.stroke_width(2))])?;
             }
-            Role::Dial(_) => _ = axes.draw_series([Circle::new(at, 4, colour.filled())])?,
+            Role::Dial => _ = axes.draw_series([Circle::new(at, 4, colour.filled())])?,
             Role::Combination => _ = axes.draw_series([TriangleMarker::new(at, 6, colour.filled())])?,
         }
     }

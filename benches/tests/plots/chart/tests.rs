@@ -7,8 +7,8 @@ fn chart() -> Chart {
     };
     let dots = vec![
         dot("standard", Role::Preset, 10.0, 55.0, true),
-        dot("alpha_min 8/255", Role::Dial("alpha_min"), 6.0, 35.0, true),
-        dot("hidden", Role::Dial("alpha_min"), 11.0, 40.0, false),
+        dot("alpha_min 8/255", Role::Dial, 6.0, 35.0, true),
+        dot("hidden", Role::Dial, 11.0, 40.0, false),
         dot("both", Role::Combination, 5.0, 30.0, true),
     ];
     Chart { title: "time and error".into(), dots }

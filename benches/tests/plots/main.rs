@@ -1,10 +1,12 @@
-//! The plots of `docs/pareto/` are what `splat pareto` draws of the tables beside them. `SPLAT_PLOTS=accept cargo test --release -p
+//! The plots of `docs/pareto/` are those of the tables beside them, which `splat pareto` wrote. `SPLAT_PLOTS=accept cargo test --release -p
 //! splat-benches --test plots` draws them anew.
+
+mod chart;
 
 use std::fs;
 use std::path::Path;
 
-use splat_train::pareto::plot::{Chart, Dot, Quartiles, Role, svg};
+use chart::{Chart, Dot, Quartiles, Role, svg};
 
 /// The fields of a line, some of which are in quotation marks.
 fn fields(line: &str) -> Vec<String> {
@@ -31,7 +33,7 @@ fn dots(table: &str) -> Vec<Dot> {
         let role = match field("role") {
             "preset" => Role::Preset,
             "combination" => Role::Combination,
-            _ => Role::Dial("any"),
+            _ => Role::Dial,
         };
         let (name, member) = (field("name").to_owned(), field("on_frontier") == "1");
         Some(Dot { name, role, x: Quartiles { lower, median, upper }, y: number("error_db").ok()?, member })
