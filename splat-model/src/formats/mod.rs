@@ -56,6 +56,7 @@ use glam::DVec3;
 
 use beginning::{Beginning, json};
 pub use files::files;
+pub use gltf::mesh::write_mesh;
 pub use loss::{Deviation, QuantisationError};
 pub use sog::SogOptions;
 pub use spz::{SpzOptions, SpzVersion};
