@@ -49,7 +49,7 @@ fn a_trained_scene_has_nearly_the_true_surface() {
     assert!(error.distance <= 0.03 && error.completeness >= 0.85 && error.normal_deg <= 27.0, "{error:?}");
 }
 
-/// The figures of the book: the demo capture of `splat train`, 2,000 steps. Two minutes.
+/// The demo capture of `splat train`, 2,000 steps.
 #[test]
 #[ignore = "as long as a run"]
 fn the_demo_capture_has_its_surface() {
