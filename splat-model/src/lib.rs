@@ -81,6 +81,7 @@ pub mod gaussians;
 pub mod init;
 mod json;
 pub mod loss;
+pub mod mesh;
 pub mod metrics;
 pub mod optim;
 pub mod ply;

@@ -14,7 +14,7 @@ const TEMPORARY: &str = ".tmp-";
 const RANDOM: usize = 6;
 
 /// What [`replace`] does, with the remedy, for errors.
-pub(crate) const WRITE: &str = "write the scene (is the folder there, writable, and not full?)";
+pub(crate) const WRITE: &str = "write it (is the folder there, writable, and not full?)";
 
 /// Writes a file by calling `fill`. It replaces an existing file once it is complete and on the disk; nothing at all replaces none. No
 /// temporary file is left behind unless the process is killed.

@@ -46,6 +46,7 @@ pub mod eval;
 pub mod export;
 pub mod hard_cases;
 pub mod inspect;
+pub mod mesh;
 pub mod pareto;
 pub mod reconstruct;
 pub mod render;
@@ -99,6 +100,7 @@ pub fn run(command: &Command) -> Result<()> {
         Command::Convert(args) => convert::run(args),
         Command::Export(args) => export::run(args),
         Command::Clean(args) => clean::run(args),
+        Command::Mesh(args) => mesh::run(args),
         Command::Inspect(args) => inspect::run(args),
         Command::HardCases(args) => hard_cases::run(args),
         Command::Pareto(args) => pareto::run(args),

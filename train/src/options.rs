@@ -15,6 +15,7 @@ use crate::eval::EvalArgs;
 use crate::export::ExportArgs;
 use crate::hard_cases::HardCasesArgs;
 use crate::inspect::InspectArgs;
+use crate::mesh::MeshArgs;
 use crate::pareto::ParetoArgs;
 use crate::reconstruct::ReconstructArgs;
 use crate::render::RenderArgs;
@@ -55,6 +56,8 @@ pub enum Command {
     Convert(ConvertArgs),
     /// Remove floaters and what no view shows, and report the cost
     Clean(CleanArgs),
+    /// Extract the surface of a scene as a triangle mesh with colours
+    Mesh(MeshArgs),
     /// Describe a scene or a capture, and the effects that it calls for
     #[command(alias = "info")]
     Inspect(InspectArgs),

@@ -54,6 +54,7 @@ use std::path::Path;
 use glam::DVec3;
 
 use beginning::Beginning;
+pub use gltf::mesh::write_mesh;
 pub use loss::{Deviation, QuantisationError};
 pub use sog::SogOptions;
 pub use spz::{SpzOptions, SpzVersion};

@@ -127,6 +127,26 @@ impl Shape {
         }
     }
 
+    /// Signed distance to the surface, negative within the solid; below a disc's plane and beyond a dome it is negative too.
+    pub fn distance(&self, point: DVec3) -> f64 {
+        // Of a box in as many dimensions, from how far the point is beyond each of its sides.
+        let boxed = |beyond: DVec3| beyond.max(DVec3::ZERO).length() + beyond.max_element().min(0.0);
+        match *self {
+            Shape::Sphere { radius } => point.length() - radius,
+            Shape::Cuboid { half } => boxed(point.abs() - half),
+            Shape::Cylinder { radius, half_height } => {
+                let (across, along) = (point.truncate().length() - radius, point.z.abs() - half_height);
+                boxed(DVec3::new(across, along, f64::NEG_INFINITY))
+            }
+            Shape::Torus { major, minor } => torus::distance_to(point, major, minor),
+            Shape::Disc { radius } => {
+                let beyond = (point.truncate().length() - radius).max(0.0);
+                beyond.hypot(point.z) * point.z.signum()
+            }
+            Shape::Dome { radius } => radius - point.length(),
+        }
+    }
+
     /// Radius of a sphere around zero that holds the shape.
     pub fn bounding_radius(&self) -> f64 {
         match *self {
@@ -266,6 +286,22 @@ mod tests {
         for shape in SOLIDS {
             assert!(hit(shape, [3.0, 0.0, 0.0], [1.0, 0.0, 0.0]).is_none(), "{shape:?}");
             assert!(hit(shape, [-3.0, 2.0, 0.0], [1.0, 0.0, 0.0]).is_none(), "{shape:?}");
+        }
+    }
+
+    /// At a hit the distance is zero, and outside it grows along the normal.
+    #[test]
+    fn distances_are_those_of_hits() {
+        let open = [Shape::Disc { radius: 1.0 }, Shape::Dome { radius: 5.0 }];
+        for shape in SOLIDS.into_iter().chain(open) {
+            for (origin, direction) in [([0.45, 0.1, 2.0], [0.0, 0.05, -1.0]), ([2.0, 1.0, 1.5], [-1.0, -0.4, -0.8])] {
+                let Some(Hit { distance, normal }) = hit(shape, origin, direction) else { continue };
+                let at = DVec3::from(origin) + distance * DVec3::from(direction).normalize();
+                for (step, expected) in [(0.0, 0.0), (0.01, 0.01), (-0.01, -0.01)] {
+                    let found = shape.distance(at + step * normal);
+                    assert!((found - expected).abs() <= 1e-9, "{shape:?} {step}: {found}");
+                }
+            }
         }
     }
 

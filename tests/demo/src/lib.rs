@@ -18,6 +18,7 @@ mod points;
 mod pose;
 mod scene;
 mod shot;
+mod surfaces;
 #[cfg(test)]
 mod tests;
 mod texture;
@@ -38,6 +39,7 @@ pub use self::moving::moving;
 pub use self::options::DemoOptions;
 use self::scene::DemoScene;
 pub use self::shot::gains;
+pub use self::surfaces::{MeshError, SurfaceSample, Surfaces};
 
 /// A demo capture that cannot be made.
 #[derive(Debug, Error)]

@@ -66,6 +66,11 @@ impl SceneObject {
         Some((hit.distance, self.world_from_local.transform_vector3(hit.normal)))
     }
 
+    /// Signed distance to the surface from a point of the world frame; see [`Shape::distance`].
+    pub fn distance(&self, point_world: DVec3) -> f64 {
+        self.shape.distance(self.local_from_world.transform_point3(point_world))
+    }
+
     /// The share of a cone around a ray of the world frame that the object blocks; see [`Shape::cover`].
     pub fn cover(&self, ray: &Ray, spread: f64) -> Occlusion {
         self.shape.cover(&self.local(ray), spread)

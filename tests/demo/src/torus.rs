@@ -6,7 +6,7 @@ use glam::{DVec2, DVec3};
 use super::geometry::{Hit, Occlusion, Ray, slab, tube};
 
 /// Signed distance to the torus.
-fn distance_to(point: DVec3, major: f64, minor: f64) -> f64 {
+pub(super) fn distance_to(point: DVec3, major: f64, minor: f64) -> f64 {
     DVec2::new(point.truncate().length() - major, point.z).length() - minor
 }
 

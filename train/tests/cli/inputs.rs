@@ -77,6 +77,7 @@ fn cases() -> Vec<Case> {
         case("convert given/scene.ply OUT --format spz", "given/scene.ply", None),
         case("clean given/scene.ply OUT --box=-1,-1,-1,1,1,1", "given/scene.ply", None),
         case("clean given/scene.ply OUT --capture cap --device cpu", "cap/scene.ply", None),
+        case("mesh given/scene.glb --capture cap --out OUT", "given/scene.glb", None),
         case("export given/scene.ply --html OUT", "given/scene.ply", None),
         case("export given/scene.ply --views colmap --html OUT", "colmap/sparse/0/cameras.bin", None),
         case("reconstruct plain/views --out OUT", "plain/views/0000.png", Some("plain/views")),
@@ -111,7 +112,7 @@ fn inputs() -> TempDir {
         write_json(&path(folder), &demo);
     }
     fs::create_dir(path("given")).unwrap();
-    for name in ["scene.ply", "metrics.json", "pareto.csv"] {
+    for name in ["scene.ply", "scene.glb", "metrics.json", "pareto.csv"] {
         fs::copy(TRAINED.join("scene.ply"), path("given").join(name)).unwrap();
     }
     fs::write(path("given/run.toml"), "steps = 2").unwrap();

@@ -18,6 +18,7 @@ mod installed;
 mod live;
 mod lpips;
 mod memory;
+mod mesh;
 mod non_finite;
 mod origin;
 mod pareto;

@@ -10,7 +10,7 @@ use splat_model::formats::{self, Format, QuantisationError, SceneFile};
 use splat_model::gaussians::GaussianRows;
 use splat_model::ply::TrainedAs;
 
-use crate::run::{TRAINED, splat, succeed};
+use crate::run::{DEMO, TRAINED, splat, succeed};
 use crate::text;
 
 /// The folder of the readers, if they can run.
@@ -113,4 +113,16 @@ fn three_and_the_validator_of_khronos_accept_our_gltf() {
             near(11 + k, signs[k / 3] * f64::from(rows.sh_rest[45 * i + k - 3]));
         }
     }
+}
+
+/// Khronos' validator finds nothing wrong with a mesh, and three.js reads its triangles.
+#[test]
+fn three_and_the_validator_of_khronos_accept_our_meshes() {
+    let Some(folder) = readers() else { return };
+    let scratch = tempfile::tempdir().unwrap();
+    let (scene, path) = (TRAINED.join("scene.ply"), scratch.path().join("mesh.glb"));
+    succeed(&mut splat(&["mesh", text(&scene), "--capture", text(&DEMO), "--out", text(&path)]));
+    let found: Value = serde_json::from_str(&node(&folder, &["glb.mjs", text(&path)])).unwrap();
+    assert_eq!(found["problems"], Value::Array(Vec::new()));
+    assert!(found["triangles"].as_u64().is_some_and(|triangles| triangles > 500), "{}", found["triangles"]);
 }

@@ -46,7 +46,9 @@ pub struct Ended {
 pub fn splat(arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_splat"));
     command.args(arguments);
-    if matches!(arguments, ["train" | "eval" | "render" | "pareto" | "clean", ..]) && !arguments.contains(&"--device") {
+    if matches!(arguments, ["train" | "eval" | "render" | "pareto" | "clean" | "mesh", ..])
+        && !arguments.contains(&"--device")
+    {
         command.args(["--device", "cpu"]);
     }
     command

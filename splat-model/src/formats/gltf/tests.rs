@@ -1,6 +1,7 @@
 use std::fs;
 use std::path::Path;
 
+use glam::DVec3;
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
@@ -8,6 +9,8 @@ use super::EXTENSION;
 use crate::formats::testing::fixture;
 use crate::formats::{self, Format, SceneFile};
 use crate::gaussians::GaussianRows;
+use crate::mesh::Mesh;
+use crate::ply::WorldFrame;
 
 fn write(path: &Path, rows: &GaussianRows) {
     let scene = SceneFile { rows: rows.clone(), ..SceneFile::default() };
@@ -64,4 +67,44 @@ fn files_are_as_the_extension_says() {
     // The container's lengths.
     let length = |at: usize| u32::from_le_bytes(fs::read(&path).unwrap()[at..at + 4].try_into().unwrap()) as usize;
     assert_eq!((length(8), length(20 + length(12))), (fs::read(&path).unwrap().len(), data.len()));
+}
+
+/// A triangle as glTF has it: turned, wound as before, its colours in linear light.
+#[test]
+fn meshes_are_as_the_format_says() {
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join("mesh.glb");
+    let mesh = Mesh {
+        positions: vec![[1.0, 2.0, 3.0], [4.0, 2.0, 3.0], [1.0, 6.0, 3.5]],
+        normals: vec![[0.6, 0.0, 0.8]; 3],
+        colours: vec![[0.0, 0.5, 1.0], [0.02, 0.5, 0.5], [1.0; 3]],
+        triangles: vec![[0, 1, 2]],
+    };
+    let world = WorldFrame { metres_per_unit: Some(0.5), ..DVec3::new(1e6, 0.0, -7.0).into() };
+    formats::write_mesh(&path, &mesh, world).unwrap();
+    let (document, data) = parts(&path);
+    assert_eq!(document["asset"]["extras"], json!({ "origin": [1e6, 0.0, -7.0], "metres_per_unit": 0.5 }));
+    let primitive = &document["meshes"][0]["primitives"][0];
+    assert_eq!(primitive["mode"], json!(4));
+    assert_eq!(document["materials"][0]["extensions"], json!({ "KHR_materials_unlit": {} }));
+    let bytes = |accessor: &Value, component: u32, shape: &str, count: usize| {
+        let accessor = &document["accessors"][accessor.as_u64().unwrap() as usize];
+        let found = (&accessor["componentType"], &accessor["type"], &accessor["count"]);
+        assert_eq!(found, (&json!(component), &json!(shape), &json!(count)));
+        let view = &document["bufferViews"][accessor["bufferView"].as_u64().unwrap() as usize];
+        let [at, length] = ["byteOffset", "byteLength"].map(|name| view[name].as_u64().unwrap() as usize);
+        data[at..at + length].to_vec()
+    };
+    let attributes = &primitive["attributes"];
+    let floats =
+        |bytes: Vec<u8>| bytes.as_chunks::<4>().0.iter().map(|of| f32::from_le_bytes(*of)).collect::<Vec<f32>>();
+    let positions = floats(bytes(&attributes["POSITION"], 5126, "VEC3", 3));
+    assert_eq!(positions, [-1.0, -2.0, 3.0, -4.0, -2.0, 3.0, -1.0, -6.0, 3.5]);
+    assert_eq!(floats(bytes(&attributes["NORMAL"], 5126, "VEC3", 3))[..3], [-0.6, 0.0, 0.8]);
+    let colours = bytes(&attributes["COLOR_0"], 5123, "VEC4", 3);
+    let colours: Vec<u16> = colours.as_chunks::<2>().0.iter().map(|of| u16::from_le_bytes(*of)).collect();
+    // Half of display-referred white is 21.4% of its light, 0.02 a thirteenth of itself.
+    assert_eq!(colours[..5], [0, 14_027, 65_535, 65_535, 101]);
+    assert_eq!(bytes(&primitive["indices"], 5125, "SCALAR", 3), [0, 0, 0, 0, 1, 0, 0, 0, 2, 0, 0, 0]);
+    assert_eq!(document["accessors"][0]["min"], json!([-4.0, -6.0, 3.0]));
 }
