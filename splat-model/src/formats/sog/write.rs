@@ -35,7 +35,7 @@ pub struct SogOptions {
     pub entries: Option<usize>,
 }
 
-/// Writes rows that fit the format ([`crate::formats::fit`]). `scene` gives the origin and the mark of antialiasing.
+/// Writes rows that fit the format. `scene` gives the origin and the mark of antialiasing.
 pub fn write(path: &Path, rows: &GaussianRows, scene: &SceneFile, options: SogOptions) -> Result<(), FileError> {
     let archive = pack(rows, scene, options);
     let archive = archive.map_err(FileError::io(path, "code the pictures of the scene (write another format)"))?;

@@ -42,7 +42,7 @@ impl Default for SpzOptions {
     }
 }
 
-/// Writes rows that fit the format ([`crate::formats::fit`]).
+/// Writes rows that fit the format.
 pub fn write(path: &Path, rows: &GaussianRows, antialiased: bool, options: SpzOptions) -> Result<(), FileError> {
     replace(path, |out| write_to(out, rows, antialiased, options)).map_err(FileError::io(path, WRITE))
 }
