@@ -111,9 +111,10 @@ pub struct Mesh {
 }
 
 /// Views from which the size of a voxel is chosen.
-const SURVEYED: usize = 12;
+const SURVEYED: usize = 16;
 
-/// Makes a mesh of a scene as `cameras`, intrinsics and `cam_from_world`, see it. `seen` is called after each picture.
+/// Makes a mesh of a scene as `cameras`, intrinsics and `cam_from_world`, see it. `seen` is called after each picture. Where no voxel is given
+/// and those chosen do not fit into memory, pictures are added once more to larger ones.
 ///
 /// # Errors
 /// If an option is out of range, the renderer refuses the scene or a camera, the voxels need more memory than allowed, or there is no surface.
@@ -128,9 +129,17 @@ pub fn of_splats(
         |&(intrinsics, pose): &(Intrinsics, DAffine3)| DepthPicture::render(splats, &intrinsics, pose, render);
     let some = cameras.iter().step_by(cameras.len().div_ceil(SURVEYED).max(1));
     let mut volume = Volume::for_pictures(&some.map(picture).collect::<Result<Vec<_>, _>>()?, options)?;
-    for camera in cameras {
-        volume.add(&picture(camera)?)?;
-        seen();
+    let mut next = 0;
+    while let Some(camera) = cameras.get(next) {
+        match volume.add(&picture(camera)?) {
+            // The surveyed views told too little: once more from the first view.
+            Err(MeshError::Memory { .. }) if options.voxel.is_none() => (volume, next) = (volume.coarser(), 0),
+            added => {
+                added?;
+                next += 1;
+                seen();
+            }
+        }
     }
     volume.mesh()
 }

@@ -20,7 +20,7 @@ const FAR: f64 = 2.0;
 const SAMPLED: usize = 7;
 
 /// Blocks of all views, at most, for each of the surveyed ones.
-const UNSURVEYED: f64 = 1.5;
+const UNSURVEYED: f64 = 2.5;
 
 /// Side of the squares of which the deepest pixel is kept, px.
 const TILE: usize = 16;
@@ -88,6 +88,12 @@ impl Volume {
             volume.voxel = width * excess.max(1.0).sqrt();
         }
         Ok(volume)
+    }
+
+    /// An empty volume whose voxels are half as large again.
+    pub(super) fn coarser(&self) -> Self {
+        let (voxel, blocks, places) = (1.5 * self.voxel, Vec::new(), HashMap::new());
+        Self { voxel, far: self.far, options: self.options, blocks, places }
     }
 
     /// Scene units.
