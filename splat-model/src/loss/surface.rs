@@ -58,7 +58,7 @@ impl PixelRays {
         &self.intrinsics
     }
 
-    /// Returns the unit normals of the surface at the depths `[H, W, 1]`, scene units along the camera's z axis: `[H − 2, W − 2, 3]`, for all
+    /// Returns the unit normals of the surface at the depths `[H, W, 1]`, `H` and `W` at least 3, scene units along the camera's z axis: `[H − 2, W − 2, 3]`, for all
     /// pixels but those at the border, in the camera's frame and towards the camera. Zero where no surface has a direction. Differentiable.
     ///
     /// They are cross products of central differences of the points.

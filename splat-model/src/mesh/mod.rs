@@ -114,7 +114,7 @@ pub struct Mesh {
 const SURVEYED: usize = 16;
 
 /// Makes a mesh of a scene as `cameras`, intrinsics and `cam_from_world`, see it. `seen` is called after each picture. Where no voxel is given
-/// and those chosen do not fit into memory, pictures are added once more to larger ones.
+/// and the chosen one takes too much memory, the fusion begins again with voxels half as large again.
 ///
 /// # Errors
 /// If an option is out of range, the renderer refuses the scene or a camera, the voxels need more memory than allowed, or there is no surface.

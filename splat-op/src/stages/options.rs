@@ -90,9 +90,8 @@ pub enum ListLength {
     /// As long as the view needs. Every render waits for the device to count.
     #[default]
     Counted,
-    /// As long as recent views of as many tiles needed, with headroom. No render waits, so that a program can queue whole steps, and
-    /// can render in a browser, which cannot wait. A view that needs longer lists lacks its farthest Gaussians, and
-    /// [`truncated_views`](crate::truncated_views) counts it. With [`Accumulation::Ordered`], renders wait all the same.
+    /// As long as recent views of as many tiles needed, with headroom. No render waits for the device, so that a program can queue whole
+    /// steps. A view that needs longer lists lacks its farthest Gaussians, and [`truncated_views`](crate::truncated_views) counts it. With [`Accumulation::Ordered`], renders wait all the same.
     Expected,
 }
 
