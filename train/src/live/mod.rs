@@ -37,7 +37,7 @@ const BETWEEN: Duration = Duration::from_secs(1);
 const SHARE: f64 = 0.005;
 
 /// The longest time that a finished run waits for a browser that still looks to load its results.
-const FAREWELL: Duration = Duration::from_secs(30);
+const FAREWELL: Duration = Duration::from_secs(60);
 
 /// Options of a run that is shown while it trains.
 #[derive(Clone, Debug, Default, clap::Args)]

@@ -25,7 +25,10 @@ const STOP: &str = "/stop";
 
 /// Time after the last request for the status for which somebody looks. Browsers slow pages in the background down to a
 /// request a minute.
-const LOOKS: Duration = Duration::from_secs(10);
+pub const LOOKS: Duration = Duration::from_secs(10);
+
+/// The same after the button that stops the run: whoever pressed it waits for the results, and a busy page may ask late.
+const AFTER_STOP: Duration = Duration::from_secs(60);
 
 /// JPEG quality of the worst view.
 const QUALITY: u8 = 90;
@@ -61,8 +64,8 @@ pub struct WorstView {
 
 pub struct Shared {
     page: Vec<u8>,
-    /// The last request for the status. It has a lock of its own, because the trainer asks after each step.
-    looked: Mutex<Option<Instant>>,
+    /// The time until which somebody looks. It has a lock of its own, because the trainer asks after each step.
+    pub watched_until: Mutex<Option<Instant>>,
     stops: AtomicBool,
     shown: Mutex<Shown>,
 }
@@ -100,7 +103,7 @@ impl Shared {
         };
         Self {
             page: page.into_bytes(),
-            looked: Mutex::new(None),
+            watched_until: Mutex::new(None),
             stops: AtomicBool::new(false),
             shown: Mutex::new(shown),
         }
@@ -108,7 +111,13 @@ impl Shared {
 
     /// Whether a browser has asked lately.
     pub fn is_watched(&self) -> bool {
-        locked(&self.looked).is_some_and(|at| at.elapsed() <= LOOKS)
+        locked(&self.watched_until).is_some_and(|until| Instant::now() <= until)
+    }
+
+    fn watch_for(&self, time: Duration) {
+        let until = Some(Instant::now() + time);
+        let mut watched = locked(&self.watched_until);
+        *watched = until.max(*watched);
     }
 
     pub fn stops(&self) -> bool {
@@ -187,7 +196,7 @@ impl Shared {
 }
 
 /// Locks a state. No code panics while it holds a lock.
-fn locked<T>(state: &Mutex<T>) -> MutexGuard<'_, T> {
+pub fn locked<T>(state: &Mutex<T>) -> MutexGuard<'_, T> {
     state.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
@@ -196,7 +205,7 @@ impl Site for Shared {
         Some(match path {
             "/" => ("text/html; charset=utf-8", Cow::Borrowed(&self.page[..])),
             STATUS => {
-                *locked(&self.looked) = Some(Instant::now());
+                self.watch_for(LOOKS);
                 ("application/json", Cow::Owned(self.status()))
             }
             SCENE => ("application/octet-stream", Cow::Owned(self.scene())),
@@ -207,6 +216,7 @@ impl Site for Shared {
 
     fn act(&self, path: &str) -> bool {
         if path == STOP {
+            self.watch_for(AFTER_STOP);
             self.stops.store(true, Ordering::Relaxed);
         }
         path == STOP

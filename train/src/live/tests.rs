@@ -1,3 +1,4 @@
+use super::shared::{LOOKS, locked};
 use super::*;
 use crate::view::server::Site;
 
@@ -86,7 +87,12 @@ fn results_are_taken_with_the_scene_that_is_loaded_after_them() {
 fn only_the_button_stops() {
     let shared = shared();
     assert!(!shared.act("/") && !shared.act("/status.json") && !shared.stops());
+    assert!(!shared.is_watched());
     assert!(shared.act("/stop") && shared.stops());
+    // A request for the numbers does not shorten the wait of whoever stopped the run.
+    asked(&shared, "/status.json");
+    let until = locked(&shared.watched_until).unwrap();
+    assert!(shared.is_watched() && until > Instant::now() + LOOKS, "{:?}", until - Instant::now());
 }
 
 #[test]
