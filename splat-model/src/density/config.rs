@@ -59,14 +59,6 @@ impl DensityConfig {
         self
     }
 
-    /// The same options for a capture without points; see [`AdaptiveConfig::without_points`].
-    pub fn without_points(self) -> Self {
-        match self {
-            Self::Adaptive(config) => config.without_points().into(),
-            mcmc @ Self::Mcmc(_) => mcmc,
-        }
-    }
-
     /// The same options with growth in a part of the scene only. MCMC draws by opacity, not by place, and stays as it is.
     pub fn focused(self, focus: Option<Focus>) -> Self {
         match self {

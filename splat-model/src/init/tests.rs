@@ -236,3 +236,18 @@ fn few_points_are_filled_up_to_what_photographs_can_show() {
         assert_eq!(missing(points, views, pixels), expected, "{points} points, {views} photographs, {pixels} px");
     }
 }
+
+#[test]
+fn photographs_are_searched_where_points_are_few() {
+    for (points, pixels, expected) in [
+        (0, 10_000_000, 15_000),
+        (4_443, 10_000_000, 10_557),
+        (5_000, 10_000_000, 0),
+        (0, 50_000, 1_000),
+        (333, 50_000, 667),
+        (334, 50_000, 0),
+        (0, 49, 0),
+    ] {
+        assert_eq!(unmatched(points, pixels), expected, "{points} points, {pixels} px");
+    }
+}

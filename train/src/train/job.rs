@@ -7,6 +7,8 @@ use std::sync::Arc;
 use anyhow::{Result, ensure};
 use burn::tensor::Device;
 use glam::DVec3;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
 use splat_model::capture::{Capture, Photograph, PointCloud, PointsSeen};
 use splat_model::effects::EffectKind;
 use splat_model::init;
@@ -58,7 +60,10 @@ impl Job {
         let by_name: BTreeMap<&str, usize> =
             self.capture.views.iter().enumerate().map(|(i, view)| (view.name.as_str(), i)).collect();
         let views: Vec<usize> = train.iter().map(|photo| by_name[photo.name.as_str()]).collect();
-        let points = self.points(&train)?;
+        let mut points = self.points(&train)?;
+        if is_new && self.args.start.is_none() {
+            self.fill_up(&mut points, &train)?;
+        }
         let mut trainer = self.args.supply(Trainer::of(train, &points, self.config.clone(), &self.device)?)?;
         if is_new {
             trainer = self.started(trainer)?;
@@ -81,6 +86,30 @@ impl Job {
             progress::note(&format!("{} of {all} points are at the place of another one and left out", all - count));
         }
         Ok(points)
+    }
+
+    /// Adds points that the photographs show where the capture has few, and says how many, and how many random ones are still missing.
+    fn fill_up(&self, points: &mut PointCloud, train: &[Photograph]) -> Result<()> {
+        let own = points.positions.len();
+        let pixels = train.iter().map(|photo| photo.intrinsics.width * photo.intrinsics.height).sum();
+        let room = self.config.density.max_splats().saturating_sub(own);
+        let unmatched = init::unmatched(own, pixels).min(room);
+        if unmatched == 0 {
+            return Ok(());
+        }
+        let found = init::matched_points(train, unmatched, &mut ChaCha8Rng::seed_from_u64(self.config.seed))?;
+        let found_count = found.positions.len();
+        points.positions.extend(found.positions);
+        points.colours.extend(found.colours);
+        let has = if own == 0 { "no points".into() } else { format!("{own} points, which are few") };
+        let missing = init::missing(own + found_count, train.len(), pixels).min(room - found_count);
+        let random =
+            if missing > 0 { format!(" and from {missing} random splats around the cameras") } else { String::new() };
+        progress::note(&format!(
+            "the capture has {has}: training starts from {found_count} points that the photographs show{random}{}",
+            if own == 0 { "" } else { " too" }
+        ));
+        Ok(())
     }
 
     /// Gives the trainer the scene of `--start`, if there is one. Of a block, points beyond its region are left out then: the scene shows

@@ -9,7 +9,6 @@ use anyhow::{Result, ensure};
 use splat_demo::DemoOptions;
 use splat_model::capture::Capture;
 use splat_model::density::Focus;
-use splat_model::init;
 use splat_model::metrics::lpips::Lpips;
 use splat_model::trainer::TrainConfig;
 use splat_model::trainer::ranks::Ranks;
@@ -79,13 +78,9 @@ impl Setup {
         let out = OutputFolder::prepare(&out, inputs, files, &[VIEWS, checkpoints::FOLDER])?;
         args.cameras.scale(&mut capture)?;
 
-        let max_side = args.photos.max_side;
         let effects = args.effects.choose(&capture, &train, args.model.antialias.unwrap_or_default())?;
         effects.configure(&mut config, args.background, args.sh_degree);
         config.density = config.density.focused(capture.focus.map(Focus::on));
-        if args.start.is_none() && is_random(&capture, &train, max_side) {
-            config.density = config.density.without_points();
-        }
         let job = Job { args, config, capture: Arc::new(capture), effects, device };
         Ok(Self { job, train, test, photos, out, device_name, lpips, start })
     }
@@ -164,19 +159,4 @@ fn own_folder(capture: Option<&Path>) -> PathBuf {
         )),
     }
     free
-}
-
-/// Whether a run on these views starts from random splats, all or most of them, because the capture has no points or few. Says so.
-fn is_random(capture: &Capture, views: &[usize], max_side: Option<u32>) -> bool {
-    let points = init::distinct(&capture.points).positions.len();
-    let pixels = capture.mean_pixels(views, max_side) * views.len() as f64;
-    let missing = init::missing(points, views.len(), pixels as usize);
-    match (missing, points) {
-        (0, _) => return false,
-        (_, 0) => progress::note("the capture has no points: training starts from random splats around the cameras"),
-        _ => progress::note(&format!(
-            "the capture has {points} points, which are few: training starts from {missing} random splats around the cameras too"
-        )),
-    }
-    true
 }

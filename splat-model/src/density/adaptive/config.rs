@@ -67,15 +67,6 @@ impl AdaptiveConfig {
             ..Self::default()
         }
     }
-
-    /// The same options for a capture without points. With [`Self::growth`], the threshold is half of [`Self::gradual`]'s: Gaussians
-    /// begin at random places, and most of those that remain have to become many.
-    pub fn without_points(self) -> Self {
-        match self.growth {
-            Some(_) => Self { grad_threshold: 0.5 * Self::gradual().grad_threshold, ..self },
-            None => self,
-        }
-    }
 }
 
 /// The weight of the mean opacity in the loss for [`AdaptiveConfig::gradual`], that of MCMC (Kheradmand et al. 2024).

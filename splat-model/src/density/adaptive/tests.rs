@@ -308,13 +308,6 @@ fn growth_takes_a_share_or_more_where_many_wait_and_meets_the_cap_at_the_last_re
     }
 }
 
-#[test]
-fn only_gradual_growth_has_a_threshold_without_points() {
-    let without = AdaptiveConfig::gradual().without_points();
-    assert_eq!(without, AdaptiveConfig { grad_threshold: 1.5e-4, ..AdaptiveConfig::gradual() });
-    assert_eq!(AdaptiveConfig::default().without_points(), AdaptiveConfig::default());
-}
-
 /// Beyond the focus as many rows are added as its share of the cap has room for; within it nothing changes.
 #[test]
 fn growth_beyond_the_focus_ends_at_its_share() {
