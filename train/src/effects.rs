@@ -195,7 +195,8 @@ impl ChosenEffects {
         if !self.has(EffectKind::DepthSupervision) {
             return Ok(trainer);
         }
-        let samples = depth::from_maps(capture, views)?.unwrap_or_else(|| depth::from_tracks(capture, views));
+        let samples =
+            depth::from_maps(capture, views, progress::note)?.unwrap_or_else(|| depth::from_tracks(capture, views));
         Ok(trainer.with_depths(samples))
     }
 

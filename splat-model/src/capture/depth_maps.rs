@@ -1,27 +1,36 @@
 //! The files of depth maps.
 
-use std::path::PathBuf;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use half::f16;
+use image::DynamicImage;
+use npyz::{NpyFile, Order};
 
 use super::masks::by_name;
 use super::names::Names;
-use super::{Capture, View};
+use super::{Capture, View, read};
 
 /// Folders of a capture in which tools keep depth maps.
 const FOLDERS: [&str; 3] = ["depth", "depths", "depth_maps"];
 
-/// The file beside depth maps that states their scale.
-pub(crate) const SCALE: &str = "depth.json";
+/// The file beside depth maps that states their unit.
+pub(crate) const UNIT: &str = "depth.json";
+
+/// Longest header of an array, bytes. Two dimensions need less, and the parser follows nested brackets by recursion.
+const LONGEST_HEADER: u16 = 256;
 
 pub(crate) fn folders(capture: &Capture) -> Vec<PathBuf> {
     FOLDERS.iter().map(|name| capture.folder.join(name)).filter(|folder| folder.is_dir()).collect()
 }
 
-/// The depth map of each view: a PNG file named like a mask (see [`masks`](super::masks)), in the first folder that has one for any view. `None`
+/// The depth map of each view: a file named like a mask (see [`masks`](super::masks)), in the first folder that has one for any view. `None`
 /// for a view without a map.
 pub(crate) fn find(capture: &Capture) -> Vec<Option<PathBuf>> {
     let mut files = Names::default();
     for folder in folders(capture) {
-        let of_view = |view: &View| by_name(std::slice::from_ref(&folder), &view.name, &mut files);
+        let folder = [folder];
+        let of_view = |view: &View| by_name(&folder, &view.name, &["png", "npy", "exr"], &mut files);
         let found: Vec<Option<PathBuf>> = capture.views.iter().map(of_view).collect();
         if found.iter().any(Option::is_some) {
             return found;
@@ -34,4 +43,59 @@ pub(crate) fn find(capture: &Capture) -> Vec<Option<PathBuf>> {
 pub fn folder(capture: &Capture) -> Option<PathBuf> {
     let first = find(capture).into_iter().flatten().next()?;
     Some(first.strip_prefix(&capture.folder).ok()?.components().next()?.as_os_str().into())
+}
+
+/// The levels of a depth map, as its file holds them.
+pub(crate) struct DepthMap {
+    /// px, at least one.
+    pub width: usize,
+    /// `[H, W]` row-major. Zero, infinite and not a number where nothing is known.
+    pub levels: Vec<f32>,
+}
+
+impl DepthMap {
+    /// Reads a grey PNG picture of 8 or 16 bits, the red of an EXR picture, or an array of NumPy, `[H, W]` of 16- or 32-bit floating-point
+    /// numbers in C's order.
+    ///
+    /// # Errors
+    /// What the file holds instead.
+    pub fn read(file: &Path) -> Result<Self, String> {
+        if file.extension().is_some_and(|kind| kind.eq_ignore_ascii_case("npy")) {
+            return Self::of_array(&read::read(file).map_err(|error| error.to_string())?);
+        }
+        let map = image::open(file).map_err(|error| error.to_string())?;
+        let levels = match &map {
+            DynamicImage::ImageLuma8(map) => map.iter().map(|&level| level.into()).collect(),
+            DynamicImage::ImageLuma16(map) => map.iter().map(|&level| level.into()).collect(),
+            DynamicImage::ImageRgb32F(map) => map.pixels().map(|pixel| pixel.0[0]).collect(),
+            DynamicImage::ImageRgba32F(map) => map.pixels().map(|pixel| pixel.0[0]).collect(),
+            _ => return Err(format!("its pixels are {:?}", map.color())),
+        };
+        Ok(Self { width: map.width() as usize, levels })
+    }
+
+    fn of_array(bytes: &[u8]) -> Result<Self, String> {
+        match bytes.get(6..10) {
+            Some(&[1, 0, low, high]) if u16::from_le_bytes([low, high]) <= LONGEST_HEADER => {}
+            _ => return Err("it has no header of version 1 for an array of two dimensions".into()),
+        }
+        let array = NpyFile::new(bytes).map_err(|error| error.to_string())?;
+        let (shape, order, kind) = (array.shape().to_vec(), array.order(), array.dtype().descr());
+        let levels: io::Result<Vec<f32>> = match array.try_data::<f32>() {
+            Ok(levels) => levels.collect(),
+            Err(array) => match array.try_data::<f16>() {
+                Ok(levels) => levels.map(|level| level.map(f32::from)).collect(),
+                Err(_) => return Err(format!("its values are {kind}")),
+            },
+        };
+        let levels = levels.map_err(|error| error.to_string())?;
+        match shape[..] {
+            [height, width]
+                if width > 0 && order == Order::C && height.checked_mul(width) == Some(levels.len() as u64) =>
+            {
+                Ok(Self { width: width as usize, levels })
+            }
+            _ => Err(format!("its shape is {shape:?} in {order:?}'s order, with {} values", levels.len())),
+        }
+    }
 }

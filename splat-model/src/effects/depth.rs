@@ -19,14 +19,17 @@ use serde::Deserialize;
 use splat_op::Rendered;
 use splat_op::depth_miss::depth_miss;
 
+use self::relative::{Quantity, Unit};
 use super::learned::{EffectContext, Falling};
 use super::{Effect, EffectKind, RenderInput};
 pub use crate::capture::depth_maps::folder;
-use crate::capture::depth_maps::{SCALE, find};
+use crate::capture::depth_maps::{DepthMap, UNIT, find};
 use crate::capture::{Capture, CaptureError};
 use crate::gaussians::Gaussians;
 use crate::json;
 use crate::quantile::quantile;
+
+mod relative;
 
 options! {
     /// Options of depth supervision.
@@ -69,49 +72,82 @@ pub fn from_tracks(capture: &Capture, views: &[usize]) -> Vec<Vec<DepthSample>> 
 }
 
 #[derive(Deserialize)]
-struct DepthScale {
+struct UnitFile {
     /// Scene units per level.
-    scale: f64,
+    scale: Option<f64>,
+    relative: Option<Quantity>,
 }
 
-/// Reads the depth maps of the photographs `views`, in the capture's [folder] of them: 16-bit grey PNG files of any size, named
+/// Reads the depth maps of the photographs `views`, in the capture's [folder] of them: PNG, EXR or NumPy files of any size, named
 /// like masks (see [`masks`](super::masks)). Levels are camera z at pixel centres, and zero where the depth is unknown. The
-/// file `depth.json` holds the scene units per level: `{"scale": 0.001}`. Large maps are sampled evenly. A photograph
-/// without a map has no samples. `None` without any map.
+/// file `depth.json` holds the scene units per level: `{"scale": 0.001}`. With `{"relative": "depth"}` or `{"relative": "disparity"}` levels grow with
+/// camera z or its reciprocal, as networks for single pictures have them, and scale and shift of each map are solved from the photograph's
+/// sparse points. Large maps are sampled evenly. A photograph without a map has no samples, and one whose scale cannot be solved neither, which
+/// `note` is told. `None` without any map.
 ///
 /// # Errors
-/// If `depth.json` is missing or its scale is not positive, or if a map cannot be read or is not a 16-bit grey picture.
-pub fn from_maps(capture: &Capture, views: &[usize]) -> Result<Option<Vec<Vec<DepthSample>>>, CaptureError> {
+/// If `depth.json` is missing or states neither or both, or its scale is not positive, if a map cannot be read or is not grey, or if the scale of
+/// no map can be solved.
+pub fn from_maps(
+    capture: &Capture,
+    views: &[usize],
+    note: impl Fn(&str),
+) -> Result<Option<Vec<Vec<DepthSample>>>, CaptureError> {
     let Some(folder) = folder(capture) else { return Ok(None) };
-    let file = capture.folder.join(folder).join(SCALE);
+    let unit_file = capture.folder.join(folder).join(UNIT);
     let wrong = |file: &Path, reason: String| {
-        let expected =
-            "16-bit grey PNG pictures, and beside them `depth.json` with scene units per level: {\"scale\": 0.001}";
+        let expected = "grey PNG pictures of 8 or 16 bits, EXR pictures or NumPy arrays [H, W] of float16 or float32, and beside them `depth.json` \
+                        with scene units per level, {\"scale\": 0.001}, or {\"relative\": \"depth\"} or {\"relative\": \"disparity\"}";
         let detail = format!("{reason}. Expected {expected}; `--effects=-depth-supervision` does without");
         CaptureError::content(file, detail)
     };
-    let DepthScale { scale } = json::read(&file, LARGEST_TEXT, |reason| wrong(&file, reason))?;
-    if !(scale > 0.0 && scale.is_finite()) {
-        return Err(wrong(&file, format!("`scale` is {scale}, expected a number above 0")));
-    }
-    let found = find(capture);
-    let of_view = |&view: &usize| {
-        let Some(file) = &found[view] else { return Ok(Vec::new()) };
-        let map = image::open(file).map_err(|error| wrong(file, error.to_string()))?;
-        let image::DynamicImage::ImageLuma16(map) = map else {
-            let found = map.color();
-            return Err(wrong(file, format!("its pixels are {found:?}")));
-        };
-        let (width, height) = (map.width() as f32, map.height() as f32);
-        let every = map.len().div_ceil(MOST_SAMPLES).max(1);
-        let sample = |(x, y, level): (u32, u32, &image::Luma<u16>)| DepthSample {
-            at: [(x as f32 + 0.5) / width, (y as f32 + 0.5) / height],
-            depth: (f64::from(level.0[0]) * scale) as f32,
-        };
-        let known = map.enumerate_pixels().filter(|(.., level)| level.0[0] > 0);
-        Ok(known.step_by(every).map(sample).collect())
+    let stated = json::read(&unit_file, LARGEST_TEXT, |reason| wrong(&unit_file, reason))?;
+    let (quantity, metric) = match stated {
+        UnitFile { scale: Some(scale), relative: None } if scale > 0.0 && scale.is_finite() => {
+            let quantity = Quantity::Depth;
+            (quantity, Some(Unit { quantity, scale, shift: 0.0, within: [0.0, f64::INFINITY] }))
+        }
+        UnitFile { scale: None, relative: Some(quantity) } => (quantity, None),
+        UnitFile { scale, relative } => {
+            let reason = format!(
+                "`scale` is {scale:?} and `relative` is {relative:?}, expected one of them, and a scale above 0"
+            );
+            return Err(wrong(&unit_file, reason));
+        }
     };
-    views.par_iter().map(of_view).collect::<Result<_, _>>().map(Some)
+    let points = if metric.is_none() { from_tracks(capture, views) } else { vec![Vec::new(); views.len()] };
+    let found = find(capture);
+    let of_view = |(&view, points): (&usize, &Vec<DepthSample>)| {
+        let Some(file) = &found[view] else { return Ok(Ok(Vec::new())) };
+        let map = DepthMap::read(file).map_err(|reason| wrong(file, reason))?;
+        let unit = metric.clone().map_or_else(|| Unit::solved(quantity, &map, points), Ok);
+        Ok(unit.map(|unit| samples(&map, &unit)).map_err(|reason| (view, reason)))
+    };
+    let read: Vec<Result<Vec<DepthSample>, (usize, String)>> =
+        views.par_iter().zip(&points).map(of_view).collect::<Result<_, _>>()?;
+    if let Some((view, reason)) = read.iter().find_map(|found| found.as_ref().err()) {
+        let (left, name) = (read.iter().filter(|found| found.is_err()).count(), &capture.views[*view].name);
+        let said = format!(
+            "scale and shift of {left} of {} depth maps cannot be solved, such as that of {name}: {reason}",
+            read.len()
+        );
+        if left == read.len() {
+            return Err(wrong(&unit_file, said));
+        }
+        note(&said);
+    }
+    Ok(Some(read.into_iter().map(Result::unwrap_or_default).collect()))
+}
+
+/// The known depths of a map, evenly spaced.
+fn samples(map: &DepthMap, unit: &Unit) -> Vec<DepthSample> {
+    let (width, height) = (map.width as f32, (map.levels.len() / map.width) as f32);
+    let sample = |(i, &level): (usize, &f32)| {
+        let at = [((i % map.width) as f32 + 0.5) / width, ((i / map.width) as f32 + 0.5) / height];
+        Some(DepthSample { at, depth: unit.depth(level)? })
+    };
+    let every = map.levels.len().div_ceil(MOST_SAMPLES).max(1);
+    map.levels.iter().enumerate().filter_map(sample).step_by(every).collect()
 }
 
 /// Largest accepted size of `depth.json`, bytes.

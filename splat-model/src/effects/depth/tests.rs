@@ -1,4 +1,6 @@
 use super::*;
+use crate::capture::testing::assert_says;
+use crate::capture::{Observation, Tracks};
 use crate::gaussians::values_of;
 use splat_demo::{self as demo, DemoOptions};
 
@@ -74,7 +76,7 @@ fn maps_tell_depths() {
     let options = DemoOptions { width: 64, height: 48, views: 4, points: 500, depth: true, ..DemoOptions::default() };
     demo::write(folder.path(), &options).unwrap();
     let capture = Capture::load(folder.path()).unwrap();
-    let (tracks, maps) = (from_tracks(&capture, &[2]), from_maps(&capture, &[2]).unwrap().unwrap());
+    let (tracks, maps) = (from_tracks(&capture, &[2]), from_maps(&capture, &[2], |_| {}).unwrap().unwrap());
     assert!(maps[0].len() > 1000, "{}", maps[0].len());
     // At the positions of tracks the map has the tracks' depth, except at depth discontinuities.
     let at = |sample: &DepthSample| {
@@ -86,12 +88,234 @@ fn maps_tell_depths() {
     let mut misses: Vec<f32> = misses.collect();
     misses.sort_by(f32::total_cmp);
     assert!(misses.len() > 50 && misses[misses.len() / 2] < 0.01, "{:?}", misses.get(misses.len() / 2));
-    std::fs::write(folder.path().join("depth/depth.json"), "{\"scale\": -1}").unwrap();
-    let error = from_maps(&capture, &[2]).unwrap_err().to_string();
-    assert!(error.contains("depth.json") && error.contains("-1"), "{error}");
-    std::fs::remove_file(folder.path().join("depth/depth.json")).unwrap();
-    let error = from_maps(&capture, &[2]).unwrap_err().to_string();
-    assert!(error.contains("depth.json") && error.contains("0.001"), "{error}");
+}
+
+/// A capture of four photographs of 64 × 48 px with depth maps.
+fn capture_with_maps() -> (tempfile::TempDir, Capture) {
+    let folder = tempfile::tempdir().unwrap();
+    let options = DemoOptions { width: 64, height: 48, views: 4, points: 500, depth: true, ..DemoOptions::default() };
+    demo::write(folder.path(), &options).unwrap();
+    let capture = Capture::load(folder.path()).unwrap();
+    (folder, capture)
+}
+
+/// Writes each map of the capture anew, with levels that grow with a quantity, a scale and shift for each, and a kind of file for each. Levels
+/// of files of 8 bits are at most 255.
+fn make_relative(folder: &Path, quantity: &str) {
+    std::fs::write(folder.join("depth/depth.json"), format!("{{\"relative\": \"{quantity}\"}}")).unwrap();
+    for (view, (scale, shift)) in [(70.0, 9.0), (9000.0, 4000.0), (0.7, 3.0), (12.0, -30.0)].into_iter().enumerate() {
+        let file = folder.join(format!("depth/{view:04}.png"));
+        let metric = image::open(&file).unwrap().into_luma16();
+        let of = |level: u16| {
+            let depth = f32::from(level) * 0.001;
+            let value = if quantity == "depth" { depth / 10.0 } else { depth.recip() };
+            if level == 0 { 0.0 } else { scale * value + shift }
+        };
+        let levels: Vec<f32> = metric.iter().map(|&level| of(level)).collect();
+        assert!(levels.len() == 64 * 48 && (view > 1 || levels.iter().all(|&level| level < [255.0, 65535.0][view])));
+        let new = |kind: &str| file.with_extension(kind);
+        match view {
+            0 => image::GrayImage::from_raw(64, 48, levels.iter().map(|l| l.round() as u8).collect())
+                .unwrap()
+                .save(&file),
+            1 => image::ImageBuffer::<image::Luma<u16>, _>::from_raw(
+                64,
+                48,
+                levels.iter().map(|l| l.round() as u16).collect::<Vec<_>>(),
+            )
+            .unwrap()
+            .save(&file),
+            2 => {
+                std::fs::write(new("npy"), array("<f4", "48, 64", levels.iter().flat_map(|l| l.to_le_bytes())))
+                    .unwrap();
+                Ok(std::fs::remove_file(&file).unwrap())
+            }
+            _ => {
+                let pixels = levels.iter().flat_map(|&level| [level, -1.0, 7.0]).collect();
+                std::fs::remove_file(&file).unwrap();
+                image::Rgb32FImage::from_raw(64, 48, pixels).unwrap().save(new("exr"))
+            }
+        }
+        .unwrap();
+    }
+}
+
+/// The file of an array of NumPy.
+fn array(kind: &str, shape: &str, values: impl IntoIterator<Item = u8>) -> Vec<u8> {
+    let text = format!("{{'descr': '{kind}', 'fortran_order': False, 'shape': ({shape}), }}\n");
+    let header = [&b"\x93NUMPY\x01\x00"[..], &(text.len() as u16).to_le_bytes(), text.as_bytes()].concat();
+    header.into_iter().chain(values).collect()
+}
+
+/// The depth of a sample of `map` at the same place as another.
+fn beside(map: &[DepthSample], sample: &DepthSample) -> Option<f32> {
+    map.iter().find(|known| known.at == sample.at).map(|known| known.depth)
+}
+
+#[test]
+fn relative_maps_tell_the_depths_of_metric_ones() {
+    for quantity in ["depth", "disparity"] {
+        let (folder, capture) = capture_with_maps();
+        let views = [0, 1, 2, 3];
+        let metric = from_maps(&capture, &views, |said| panic!("{said}")).unwrap().unwrap();
+        make_relative(folder.path(), quantity);
+        let relative = from_maps(&capture, &views, |said| panic!("{said}")).unwrap().unwrap();
+        for (view, samples) in relative.iter().enumerate() {
+            let miss = |sample: &DepthSample| {
+                let depth = beside(&metric[view], sample).unwrap();
+                // Half a level of eight bits, relative to the depth.
+                let level = if quantity == "depth" { 10.0 / 70.0 / depth } else { depth / 70.0 };
+                (sample.depth / depth - 1.0).abs() - if view == 0 { 0.5 * level } else { 0.0 }
+            };
+            let worst = samples.iter().map(miss).fold(f32::NEG_INFINITY, f32::max);
+            eprintln!("{quantity} {view}: {} of {} known, worst {worst:.4}", samples.len(), metric[view].len());
+            let within = if view == 0 { 0.012 } else { 0.006 };
+            assert!(samples.len() == metric[view].len() && worst < within, "{quantity}, view {view}: {worst}");
+        }
+    }
+}
+
+#[test]
+fn a_fifth_of_the_points_may_be_wrong() {
+    let (folder, capture) = capture_with_maps();
+    make_relative(folder.path(), "disparity");
+    let mut points = from_tracks(&capture, &[2]).remove(0);
+    let map = DepthMap::read(&folder.path().join("depth/0002.npy")).unwrap();
+    let unit = |points: &[DepthSample]| Unit::solved(Quantity::Disparity, &map, points);
+    let wrong =
+        |points: &mut [DepthSample], factor: f32| points.iter_mut().step_by(5).for_each(|point| point.depth *= factor);
+    for factor in [0.2, 0.5, 3.0, 50.0] {
+        wrong(&mut points, factor);
+        let found = unit(&points).unwrap();
+        wrong(&mut points, factor.recip());
+        let misses = points.iter().filter_map(|point| Some(map_depth(&map, &found, point)? / point.depth - 1.0));
+        let mut misses: Vec<f64> = misses.map(|miss| f64::from(miss.abs())).collect();
+        let median = quantile(&mut misses, 0.5).unwrap();
+        let scale = found.scale.recip() / 0.7 - 1.0;
+        eprintln!("{factor}: scale {scale:.5}, median {median:.5}");
+        assert!(scale.abs() < 0.01 && median < 0.01, "factor {factor}: scale {scale}, median {median}");
+    }
+    let said = |points: &[DepthSample]| unit(points).err().unwrap();
+    assert_says(&said(&points[..19]), &["19 sparse points", "expected 20"]);
+    let turned = |point: &DepthSample| DepthSample { depth: (0.3 * point.depth).recip(), ..*point };
+    assert_says(&said(&points.iter().map(turned).collect::<Vec<_>>()), &["falls where Disparity grows"]);
+    let far = |(i, point): (usize, &DepthSample)| DepthSample {
+        depth: point.depth * (2.0 * (i as f32 * 12.9898).sin()).exp(),
+        ..*point
+    };
+    assert_says(
+        &said(&points.iter().enumerate().map(far).collect::<Vec<_>>()),
+        &["misses the depths of sparse points by"],
+    );
+    let flat = DepthMap { width: 64, levels: vec![2.0; 64 * 48] };
+    assert_says(&Unit::solved(Quantity::Depth, &flat, &points).err().unwrap(), &["same level at all points"]);
+    let nothing = DepthMap { width: 64, levels: vec![] };
+    assert_says(&Unit::solved(Quantity::Depth, &nothing, &points).err().unwrap(), &["0 sparse points"]);
+}
+
+/// The depth that a map tells where a sparse point is.
+fn map_depth(map: &DepthMap, unit: &Unit, point: &DepthSample) -> Option<f32> {
+    let [x, y] = [point.at[0] * 64.0, point.at[1] * 48.0].map(|at| at as usize);
+    unit.depth(map.levels[y * map.width + x])
+}
+
+#[test]
+fn depths_far_beyond_the_points_are_not_used() {
+    let unit = Unit { quantity: Quantity::Disparity, scale: 0.5, shift: -0.25, within: [0.5, 20.0] };
+    // Half a reciprocal of depth less for each level; level one half is infinitely far, and less lies behind the camera.
+    let known = [(1.5, Some(2.0)), (0.7, Some(10.0)), (0.55, None), (0.5, None), (0.4, None), (9.0, None), (0.0, None)];
+    for (level, expected) in known {
+        let depth = unit.depth(level);
+        assert!(
+            depth.zip(expected).map_or(depth == expected, |(a, b): (f32, f32)| (a - b).abs() < 1e-4),
+            "{level}: {depth:?}"
+        );
+    }
+    assert!([f32::NAN, f32::INFINITY, f32::NEG_INFINITY].iter().all(|&level| unit.depth(level).is_none()));
+}
+
+#[test]
+fn photographs_without_enough_points_are_left_out_and_named() {
+    let (folder, mut capture) = capture_with_maps();
+    make_relative(folder.path(), "depth");
+    let keep = |capture: &mut Capture, kept: &dyn Fn(usize, usize) -> bool| {
+        let mut tracks = Tracks::default();
+        for point in 0..capture.points.positions.len() {
+            let seen = capture.tracks.of(point).iter().filter(|seen: &&Observation| kept(point, seen.view));
+            tracks.push(seen.copied(), -1.0);
+        }
+        capture.tracks = tracks;
+    };
+    keep(&mut capture, &|point, view| view != 1 || point < 10);
+    let said = std::cell::RefCell::new(Vec::new());
+    let found = from_maps(&capture, &[3, 1], |line| said.borrow_mut().push(line.to_owned())).unwrap().unwrap();
+    assert!(found[0].len() > 1000 && found[1].is_empty(), "{} and {}", found[0].len(), found[1].len());
+    let said = said.into_inner();
+    assert_eq!(said.len(), 1, "{said:?}");
+    assert_says(&said[0], &["1 of 2 depth maps", "0001.png: ", "sparse points where its map is known, expected 20"]);
+    keep(&mut capture, &|_, _| false);
+    let error = from_maps(&capture, &[3, 1], |said| panic!("{said}")).unwrap_err().to_string();
+    assert_says(
+        &error,
+        &["depth.json", "2 of 2 depth maps", "0003.png: 0 sparse points", "--effects=-depth-supervision"],
+    );
+}
+
+#[test]
+fn bad_files_are_said() {
+    let (folder, capture) = capture_with_maps();
+    let said = || from_maps(&capture, &[2], |_| {}).unwrap_err().to_string();
+    let [unit, png, npy] = ["depth.json", "0002.png", "0002.npy"].map(|name| folder.path().join("depth").join(name));
+    std::fs::remove_file(&unit).unwrap();
+    assert_says(&said(), &["depth.json", "0.001"]);
+    let bad = [
+        (r#"{"scale": -1}"#, "`scale` is Some(-1.0)"),
+        (r#"{"scale": 1e999}"#, "number out of range"),
+        ("{}", "`relative` is None"),
+        (r#"{"scale": 1, "relative": "depth"}"#, "expected one of them"),
+        (r#"{"relative": "height"}"#, "`depth` or `disparity`"),
+    ];
+    for (text, part) in bad {
+        std::fs::write(&unit, text).unwrap();
+        assert_says(&said(), &["depth.json", part, r#"{"relative": "disparity"}"#]);
+    }
+    std::fs::write(&unit, r#"{"scale": 1}"#).unwrap();
+    image::RgbImage::new(4, 4).save(&png).unwrap();
+    assert_says(&said(), &["0002.png", "its pixels are Rgb8", "8 or 16 bits"]);
+    std::fs::write(&png, "no picture").unwrap();
+    assert_says(&said(), &["0002.png", "Expected grey PNG"]);
+    std::fs::remove_file(&png).unwrap();
+    let four = [0_u8; 4 * 4];
+    let nested = [&b"\x93NUMPY\x01\x00\xff\xff"[..], &[b'('; 0xffff]].concat();
+    let long = [&b"\x93NUMPY\x02\x00\xff\xff\xff\xff"[..], &[b'('; 99]].concat();
+    let bad = [
+        (array("<i4", "2, 2", four), "its values are '<i4'"),
+        (array("<f4", "2, 3", four), "fill whole buffer"),
+        (array("<f4", "4,", four), "shape is [4] in C's order, with 4 values"),
+        (array("<f4", "1, 2, 2", four), "shape is [1, 2, 2]"),
+        (array("<f4", "9223372036854775808, 2", four), "with 0 values"),
+        (array("<f4", "18446744073709551615, 18446744073709551615", four), "0002.npy"),
+        (array("<f4", "0, 0", []), "shape is [0, 0]"),
+        (nested, "no header of version 1"),
+        ([&nested_header()[..], &four].concat(), "0002.npy"),
+        (long, "no header of version 1"),
+        (b"\x93NUM".to_vec(), "no header of version 1"),
+    ];
+    for (bytes, part) in bad {
+        std::fs::write(&npy, bytes).unwrap();
+        assert_says(&said(), &["0002.npy", part, "float16 or float32"]);
+    }
+    // Half precision, and what is not known.
+    let values = [half::f16::from_f32(1.5), half::f16::NAN, half::f16::ZERO, half::f16::from_f32(2.5)];
+    std::fs::write(&npy, array("<f2", "2, 2", values.into_iter().flat_map(half::f16::to_le_bytes))).unwrap();
+    let found = from_maps(&capture, &[2], |_| {}).unwrap().unwrap().remove(0);
+    let known = [([0.25, 0.25], 1.5), ([0.75, 0.75], 2.5)].map(|(at, depth)| DepthSample { at, depth });
+    assert_eq!(found, known);
+}
+
+/// A header of 256 open brackets.
+fn nested_header() -> Vec<u8> {
+    [&b"\x93NUMPY\x01\x00\x00\x01"[..], &[b'('; 256]].concat()
 }
 
 #[test]
