@@ -1,6 +1,5 @@
 //! The files of depth maps.
 
-use std::io;
 use std::path::{Path, PathBuf};
 
 use half::f16;
@@ -75,18 +74,14 @@ impl DepthMap {
     }
 
     fn of_array(bytes: &[u8]) -> Result<Self, String> {
-        match bytes.get(6..10) {
-            Some(&[1, 0, low, high]) if u16::from_le_bytes([low, high]) <= LONGEST_HEADER => {}
-            _ => return Err("it has no header of version 1 for an array of two dimensions".into()),
+        if !matches!(bytes.get(6..10), Some(&[1, 0, low, high]) if u16::from_le_bytes([low, high]) <= LONGEST_HEADER) {
+            return Err("it has no header of version 1 for an array of two dimensions".into());
         }
         let array = NpyFile::new(bytes).map_err(|error| error.to_string())?;
-        let (shape, order, kind) = (array.shape().to_vec(), array.order(), array.dtype().descr());
-        let levels: io::Result<Vec<f32>> = match array.try_data::<f32>() {
-            Ok(levels) => levels.collect(),
-            Err(array) => match array.try_data::<f16>() {
-                Ok(levels) => levels.map(|level| level.map(f32::from)).collect(),
-                Err(_) => return Err(format!("its values are {kind}")),
-            },
+        let (shape, order) = (array.shape().to_vec(), array.order());
+        let levels = match array.try_data::<f16>() {
+            Ok(levels) => levels.map(|level| level.map(f32::from)).collect(),
+            Err(array) => array.into_vec::<f32>(),
         };
         let levels = levels.map_err(|error| error.to_string())?;
         match shape[..] {

@@ -14,7 +14,7 @@
 use std::path::Path;
 
 use burn::tensor::{Device, Gradients, Tensor, TensorData};
-use glam::{DAffine3, DVec2};
+use glam::{DAffine3, DVec2, Vec3};
 use rand::{Rng, RngExt};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -155,16 +155,12 @@ impl Background {
 fn directions_of(camera: &Intrinsics, cam_from_world: &DAffine3, device: &Device) -> Tensor<3> {
     let (width, height) = (camera.width, camera.height);
     let (projector, world_from_cam) = (camera.projector(), cam_from_world.matrix3.transpose());
-    let mut values = vec![0.0_f32; 3 * height * width];
-    let (x_plane, rest) = values.split_at_mut(height * width);
-    let (y_plane, z_plane) = rest.split_at_mut(height * width);
-    let rows = x_plane.par_chunks_mut(width).zip(y_plane.par_chunks_mut(width)).zip(z_plane.par_chunks_mut(width));
-    rows.enumerate().for_each(|(row, ((xs, ys), zs))| {
-        for column in 0..width {
-            let direction = projector.cam_from_px(DVec2::new(column as f64 + 0.5, row as f64 + 0.5)).normalize();
-            [xs[column], ys[column], zs[column]] = (world_from_cam * direction).as_vec3().to_array();
-        }
+    let pixels = (0..height * width).into_par_iter().map(|i| {
+        let px = DVec2::new((i % width) as f64 + 0.5, (i / width) as f64 + 0.5);
+        (world_from_cam * projector.cam_from_px(px).normalize()).as_vec3()
     });
+    let directions: Vec<Vec3> = pixels.collect();
+    let values: Vec<f32> = (0..3).flat_map(|axis| directions.iter().map(move |direction| direction[axis])).collect();
     Tensor::from_data(TensorData::new(values, [3, height, width]), device)
 }
 

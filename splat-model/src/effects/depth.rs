@@ -71,11 +71,12 @@ pub fn from_tracks(capture: &Capture, views: &[usize]) -> Vec<Vec<DepthSample>> 
     })
 }
 
+/// What `depth.json` holds: scene units per level, or what the levels grow with.
 #[derive(Deserialize)]
-struct UnitFile {
-    /// Scene units per level.
-    scale: Option<f64>,
-    relative: Option<Quantity>,
+#[serde(untagged, expecting = "neither a number `scale` nor one of the words for `relative`")]
+enum Stated {
+    Scale { scale: f64 },
+    Relative { relative: Quantity },
 }
 
 /// Reads the depth maps of the photographs `views`, in the capture's [folder] of them: PNG, EXR or NumPy files of any size, named
@@ -86,8 +87,8 @@ struct UnitFile {
 /// `note` is told. `None` without any map.
 ///
 /// # Errors
-/// If `depth.json` is missing or states neither or both, or its scale is not positive, if a map cannot be read or is not grey, or if the scale of
-/// no map can be solved.
+/// If `depth.json` is missing or states neither, or its scale is not positive, if a map cannot be read or is not grey, or if the scale of no map
+/// can be solved.
 pub fn from_maps(
     capture: &Capture,
     views: &[usize],
@@ -102,41 +103,39 @@ pub fn from_maps(
         CaptureError::content(file, detail)
     };
     let stated = json::read(&unit_file, LARGEST_TEXT, |reason| wrong(&unit_file, reason))?;
-    let (quantity, metric) = match stated {
-        UnitFile { scale: Some(scale), relative: None } if scale > 0.0 && scale.is_finite() => {
-            let quantity = Quantity::Depth;
-            (quantity, Some(Unit { quantity, scale, shift: 0.0, within: [0.0, f64::INFINITY] }))
+    let points = match stated {
+        Stated::Scale { scale } if !(scale > 0.0 && scale.is_finite()) => {
+            return Err(wrong(&unit_file, format!("`scale` is {scale}, expected a number above 0")));
         }
-        UnitFile { scale: None, relative: Some(quantity) } => (quantity, None),
-        UnitFile { scale, relative } => {
-            let reason = format!(
-                "`scale` is {scale:?} and `relative` is {relative:?}, expected one of them, and a scale above 0"
-            );
-            return Err(wrong(&unit_file, reason));
-        }
+        Stated::Scale { .. } => vec![Vec::new(); views.len()],
+        Stated::Relative { .. } => from_tracks(capture, views),
     };
-    let points = if metric.is_none() { from_tracks(capture, views) } else { vec![Vec::new(); views.len()] };
     let found = find(capture);
     let of_view = |(&view, points): (&usize, &Vec<DepthSample>)| {
-        let Some(file) = &found[view] else { return Ok(Ok(Vec::new())) };
+        let Some(file) = &found[view] else { return Ok((Vec::new(), None)) };
         let map = DepthMap::read(file).map_err(|reason| wrong(file, reason))?;
-        let unit = metric.clone().map_or_else(|| Unit::solved(quantity, &map, points), Ok);
-        Ok(unit.map(|unit| samples(&map, &unit)).map_err(|reason| (view, reason)))
+        let unit = match stated {
+            Stated::Scale { scale } => {
+                Ok(Unit { quantity: Quantity::Depth, scale, shift: 0.0, within: [0.0, f64::INFINITY] })
+            }
+            Stated::Relative { relative } => Unit::solved(relative, &map, points),
+        };
+        Ok(match unit {
+            Ok(unit) => (samples(&map, &unit), None),
+            Err(reason) => (Vec::new(), Some(format!("{}: {reason}", capture.views[view].name))),
+        })
     };
-    let read: Vec<Result<Vec<DepthSample>, (usize, String)>> =
-        views.par_iter().zip(&points).map(of_view).collect::<Result<_, _>>()?;
-    if let Some((view, reason)) = read.iter().find_map(|found| found.as_ref().err()) {
-        let (left, name) = (read.iter().filter(|found| found.is_err()).count(), &capture.views[*view].name);
-        let said = format!(
-            "scale and shift of {left} of {} depth maps cannot be solved, such as that of {name}: {reason}",
-            read.len()
-        );
-        if left == read.len() {
+    let read = views.par_iter().zip(&points).map(of_view).collect::<Result<Vec<_>, _>>()?;
+    let (samples, refused): (Vec<_>, Vec<Option<String>>) = read.into_iter().unzip();
+    let refused: Vec<String> = refused.into_iter().flatten().collect();
+    if let Some(first) = refused.first() {
+        let said = format!("{} of {} depth maps have no scale and shift: {first}", refused.len(), views.len());
+        if samples.iter().all(Vec::is_empty) {
             return Err(wrong(&unit_file, said));
         }
         note(&said);
     }
-    Ok(Some(read.into_iter().map(Result::unwrap_or_default).collect()))
+    Ok(Some(samples))
 }
 
 /// The known depths of a map, evenly spaced.
