@@ -1,14 +1,16 @@
 //! The files of depth maps.
 
+use std::error::Error;
 use std::path::{Path, PathBuf};
 
 use half::f16;
-use image::DynamicImage;
+use image::{DynamicImage, ImageBuffer, Luma};
 use npyz::{NpyFile, Order};
 
 use super::masks::by_name;
 use super::names::Names;
-use super::{Capture, View, read};
+use super::read::read;
+use super::{Capture, View};
 
 /// Folders of a capture in which tools keep depth maps.
 const FOLDERS: [&str; 3] = ["depth", "depths", "depth_maps"];
@@ -44,53 +46,44 @@ pub fn folder(capture: &Capture) -> Option<PathBuf> {
     Some(first.strip_prefix(&capture.folder).ok()?.components().next()?.as_os_str().into())
 }
 
-/// The levels of a depth map, as its file holds them.
-pub(crate) struct DepthMap {
-    /// px, at least one.
-    pub width: usize,
-    /// `[H, W]` row-major. Zero, infinite and not a number where nothing is known.
-    pub levels: Vec<f32>,
-}
+/// The levels of a depth map as its file holds them. Zero, infinite or not a number where nothing is known.
+pub(crate) type DepthMap = ImageBuffer<Luma<f32>, Vec<f32>>;
 
-impl DepthMap {
-    /// Reads a grey PNG picture of 8 or 16 bits, the red of an EXR picture, or an array of NumPy, `[H, W]` of 16- or 32-bit floating-point
-    /// numbers in C's order.
-    ///
-    /// # Errors
-    /// What the file holds instead.
-    pub fn read(file: &Path) -> Result<Self, String> {
-        if file.extension().is_some_and(|kind| kind.eq_ignore_ascii_case("npy")) {
-            return Self::of_array(&read::read(file).map_err(|error| error.to_string())?);
-        }
-        let map = image::open(file).map_err(|error| error.to_string())?;
+/// Reads a grey PNG picture of 8 or 16 bits, the red of an EXR picture, or an array of NumPy, `[H, W]` of 16- or 32-bit floating-point numbers
+/// in C's order.
+///
+/// # Errors
+/// What the file holds instead.
+pub(crate) fn load(file: &Path) -> Result<DepthMap, Box<dyn Error>> {
+    let ([width, height], levels) = if file.extension().is_some_and(|kind| kind.eq_ignore_ascii_case("npy")) {
+        array(&read(file)?)?
+    } else {
+        let map = image::open(file)?;
         let levels = match &map {
             DynamicImage::ImageLuma8(map) => map.iter().map(|&level| level.into()).collect(),
             DynamicImage::ImageLuma16(map) => map.iter().map(|&level| level.into()).collect(),
             DynamicImage::ImageRgb32F(map) => map.pixels().map(|pixel| pixel.0[0]).collect(),
             DynamicImage::ImageRgba32F(map) => map.pixels().map(|pixel| pixel.0[0]).collect(),
-            _ => return Err(format!("its pixels are {:?}", map.color())),
+            _ => return Err(format!("its pixels are {:?}", map.color()).into()),
         };
-        Ok(Self { width: map.width() as usize, levels })
-    }
+        ([map.width(), map.height()], levels)
+    };
+    DepthMap::from_raw(width, height, levels).filter(|map| !map.is_empty()).ok_or_else(|| "it is empty".into())
+}
 
-    fn of_array(bytes: &[u8]) -> Result<Self, String> {
-        if !matches!(bytes.get(6..10), Some(&[1, 0, low, high]) if u16::from_le_bytes([low, high]) <= LONGEST_HEADER) {
-            return Err("it has no header of version 1 for an array of two dimensions".into());
-        }
-        let array = NpyFile::new(bytes).map_err(|error| error.to_string())?;
-        let (shape, order) = (array.shape().to_vec(), array.order());
-        let levels = match array.try_data::<f16>() {
-            Ok(levels) => levels.map(|level| level.map(f32::from)).collect(),
-            Err(array) => array.into_vec::<f32>(),
-        };
-        let levels = levels.map_err(|error| error.to_string())?;
-        match shape[..] {
-            [height, width]
-                if width > 0 && order == Order::C && height.checked_mul(width) == Some(levels.len() as u64) =>
-            {
-                Ok(Self { width: width as usize, levels })
-            }
-            _ => Err(format!("its shape is {shape:?} in {order:?}'s order, with {} values", levels.len())),
-        }
+/// Width and height of an array, and its values, row-major.
+fn array(bytes: &[u8]) -> Result<([u32; 2], Vec<f32>), Box<dyn Error>> {
+    if !matches!(bytes.get(6..10), Some(&[1, 0, low, high]) if u16::from_le_bytes([low, high]) <= LONGEST_HEADER) {
+        return Err("it has no header of version 1 for an array of two dimensions".into());
+    }
+    let array = NpyFile::new(bytes)?;
+    let (shape, order) = (array.shape().to_vec(), array.order());
+    let levels = match array.try_data::<f16>() {
+        Ok(levels) => levels.map(|level| level.map(f32::from)).collect::<Result<_, _>>()?,
+        Err(array) => array.into_vec()?,
+    };
+    match shape[..] {
+        [height, width] if order == Order::C => Ok(([u32::try_from(width)?, u32::try_from(height)?], levels)),
+        _ => Err(format!("its shape is {shape:?} in {order:?}'s order").into()),
     }
 }

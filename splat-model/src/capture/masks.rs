@@ -105,8 +105,9 @@ pub fn excluded_share(mask: &[bool]) -> f64 {
     mask.iter().filter(|&&counts| !counts).count() as f64 / mask.len().max(1) as f64
 }
 
-/// `image`, `[H, W, C]`, with zeros where `excluded`, `[1, H, W]`, is true. The gradient is exactly zero there.
-pub fn cleared(image: Tensor<3>, excluded: &Tensor<3, Bool>) -> Tensor<3> {
+/// `image`, `[H, W, C]`, with zeros where `excluded`, `[1, H, W]`, is true, if it is given. The gradient is exactly zero there.
+pub fn cleared<'a>(image: Tensor<3>, excluded: impl Into<Option<&'a Tensor<3, Bool>>>) -> Tensor<3> {
+    let Some(excluded) = excluded.into() else { return image };
     let excluded = if image.is_autodiff() { Tensor::from_inner(excluded.clone()) } else { excluded.clone() };
     // A picture is a permuted view of planes and keeps that layout.
     let planes = image.permute([2, 0, 1]);

@@ -152,7 +152,7 @@ impl Background {
 }
 
 /// `[3, H, W]`: the unit viewing directions of a camera's pixels, in the world frame.
-fn directions_of(camera: &Intrinsics, cam_from_world: &DAffine3, device: &Device) -> Tensor<3> {
+pub(crate) fn directions_of(camera: &Intrinsics, cam_from_world: &DAffine3, device: &Device) -> Tensor<3> {
     let (width, height) = (camera.width, camera.height);
     let (projector, world_from_cam) = (camera.projector(), cam_from_world.matrix3.transpose());
     let pixels = (0..height * width).into_par_iter().map(|i| {
@@ -181,6 +181,27 @@ impl Effect for RandomBackground {
     }
 }
 
+/// The functions of an effect whose one parameter is a field.
+macro_rules! learns {
+    ($field:ident) => {
+        fn leaves(&mut self, _: EffectContext) -> Vec<Leaf> {
+            vec![self.$field.leaf()]
+        }
+
+        fn step(&mut self, gradients: &mut Gradients, at: EffectContext) {
+            self.$field.step(gradients, RATE.at(at.step, at.steps), at.verdict);
+        }
+
+        fn save(&self, to: &mut State) -> Result<(), StateError> {
+            self.$field.save(to)
+        }
+
+        fn load(&mut self, from: &mut State, _: &Device) -> Result<(), StateError> {
+            self.$field.load(from)
+        }
+    };
+}
+
 /// A background with one learned colour.
 pub struct LearnedBackground {
     /// `[3]`
@@ -203,25 +224,11 @@ impl Effect for LearnedBackground {
         input.extras.background = Some(self.colour.tracked());
     }
 
-    fn leaves(&mut self, _: EffectContext) -> Vec<Leaf> {
-        vec![self.colour.leaf()]
-    }
-
-    fn step(&mut self, gradients: &mut Gradients, at: EffectContext) {
-        self.colour.step(gradients, RATE.at(at.step, at.steps), at.verdict);
-    }
+    learns!(colour);
 
     fn background(&self) -> Option<Background> {
         let values = values_of(self.colour.value());
         Some(Background::Colour([values[0], values[1], values[2]].map(|value| value.clamp(0.0, 1.0))))
-    }
-
-    fn save(&self, to: &mut State) -> Result<(), StateError> {
-        self.colour.save(to)
-    }
-
-    fn load(&mut self, from: &mut State, _: &Device) -> Result<(), StateError> {
-        self.colour.load(from)
     }
 }
 
@@ -283,25 +290,11 @@ impl Effect for Environment {
         self.behind(image, picture.alpha.clone(), at.view, &input.camera.intrinsics)
     }
 
-    fn leaves(&mut self, _: EffectContext) -> Vec<Leaf> {
-        vec![self.coefficients.leaf()]
-    }
-
-    fn step(&mut self, gradients: &mut Gradients, at: EffectContext) {
-        self.coefficients.step(gradients, RATE.at(at.step, at.steps), at.verdict);
-    }
+    learns!(coefficients);
 
     fn background(&self) -> Option<Background> {
         let values = values_of(self.coefficients.value());
         Some(Background::Environment(values.as_chunks::<3>().0.to_vec()))
-    }
-
-    fn save(&self, to: &mut State) -> Result<(), StateError> {
-        self.coefficients.save(to)
-    }
-
-    fn load(&mut self, from: &mut State, _: &Device) -> Result<(), StateError> {
-        self.coefficients.load(from)
     }
 }
 

@@ -12,18 +12,18 @@
 
 use std::path::Path;
 
-use burn::tensor::{DType, Device, Int, Tensor, TensorData};
+use burn::tensor::{DType, Device, Int, Tensor};
 use glam::Vec2;
 use rayon::prelude::*;
 use serde::Deserialize;
 use splat_op::Rendered;
 use splat_op::depth_miss::depth_miss;
 
-use self::relative::{Quantity, Unit};
+use self::relative::Quantity;
 use super::learned::{EffectContext, Falling};
 use super::{Effect, EffectKind, RenderInput};
 pub use crate::capture::depth_maps::folder;
-use crate::capture::depth_maps::{DepthMap, UNIT, find};
+use crate::capture::depth_maps::{self, DepthMap, UNIT, find};
 use crate::capture::{Capture, CaptureError};
 use crate::gaussians::Gaussians;
 use crate::json;
@@ -59,12 +59,9 @@ const LARGEST_MISS: f64 = 0.004;
 
 /// The depths of the sparse points in the photographs `views`, by their tracks.
 pub fn from_tracks(capture: &Capture, views: &[usize]) -> Vec<Vec<DepthSample>> {
-    let projectors: Vec<_> = capture.views.iter().map(|view| view.intrinsics.projector()).collect();
-    capture.by_view(views.iter().copied(), |view, world, observation| {
-        let cam = view.cam_from_world.transform_point3(world);
+    capture.misses(views.iter().copied(), |view, observation, cam, miss_px| {
         let size = Vec2::new(view.intrinsics.width as f32, view.intrinsics.height as f32);
         let found = Vec2::from_array(observation.at_px);
-        let miss_px = projectors[observation.view].px_from_cam(cam)?.distance(found.as_dvec2());
         let inside = found.cmpge(Vec2::ZERO).all() && found.cmplt(size).all();
         (inside && miss_px <= LARGEST_MISS * f64::from(size.max_element()))
             .then(|| DepthSample { at: (found / size).to_array(), depth: cam.z as f32 })
@@ -107,29 +104,25 @@ pub fn from_maps(
         Stated::Scale { scale } if !(scale > 0.0 && scale.is_finite()) => {
             return Err(wrong(&unit_file, format!("`scale` is {scale}, expected a number above 0")));
         }
-        Stated::Scale { .. } => vec![Vec::new(); views.len()],
+        Stated::Scale { .. } => Vec::new(),
         Stated::Relative { .. } => from_tracks(capture, views),
     };
     let found = find(capture);
-    let of_view = |(&view, points): (&usize, &Vec<DepthSample>)| {
+    let of_view = |(i, &view): (usize, &usize)| {
         let Some(file) = &found[view] else { return Ok((Vec::new(), None)) };
-        let map = DepthMap::read(file).map_err(|reason| wrong(file, reason))?;
-        let unit = match stated {
-            Stated::Scale { scale } => {
-                Ok(Unit { quantity: Quantity::Depth, scale, shift: 0.0, within: [0.0, f64::INFINITY] })
-            }
-            Stated::Relative { relative } => Unit::solved(relative, &map, points),
+        let mut map = depth_maps::load(file).map_err(|reason| wrong(file, reason.to_string()))?;
+        let solved = match stated {
+            Stated::Scale { scale } => Ok(map.iter_mut().for_each(|level| *level = (f64::from(*level) * scale) as f32)),
+            Stated::Relative { relative } => relative.solve(&mut map, &points[i]),
         };
-        Ok(match unit {
-            Ok(unit) => (samples(&map, &unit), None),
-            Err(reason) => (Vec::new(), Some(format!("{}: {reason}", capture.views[view].name))),
-        })
+        let refused = solved.err().map(|reason| format!("{}: {reason}", capture.views[view].name));
+        Ok((if refused.is_none() { samples(&map) } else { Vec::new() }, refused))
     };
-    let read = views.par_iter().zip(&points).map(of_view).collect::<Result<Vec<_>, _>>()?;
+    let read = views.par_iter().enumerate().map(of_view).collect::<Result<Vec<_>, _>>()?;
     let (samples, refused): (Vec<_>, Vec<Option<String>>) = read.into_iter().unzip();
-    let refused: Vec<String> = refused.into_iter().flatten().collect();
-    if let Some(first) = refused.first() {
-        let said = format!("{} of {} depth maps have no scale and shift: {first}", refused.len(), views.len());
+    if let Some(first) = refused.iter().flatten().next() {
+        let count = refused.iter().flatten().count();
+        let said = format!("{count} of {} depth maps have no scale and shift: {first}", views.len());
         if samples.iter().all(Vec::is_empty) {
             return Err(wrong(&unit_file, said));
         }
@@ -138,15 +131,15 @@ pub fn from_maps(
     Ok(Some(samples))
 }
 
-/// The known depths of a map, evenly spaced.
-fn samples(map: &DepthMap, unit: &Unit) -> Vec<DepthSample> {
-    let (width, height) = (map.width as f32, (map.levels.len() / map.width) as f32);
-    let sample = |(i, &level): (usize, &f32)| {
-        let at = [((i % map.width) as f32 + 0.5) / width, ((i / map.width) as f32 + 0.5) / height];
-        Some(DepthSample { at, depth: unit.depth(level)? })
+/// The known depths of a map of camera z, evenly spaced.
+fn samples(map: &DepthMap) -> Vec<DepthSample> {
+    let (width, height) = (map.width() as f32, map.height() as f32);
+    let sample = |(x, y, depth): (u32, u32, &image::Luma<f32>)| DepthSample {
+        at: [(x as f32 + 0.5) / width, (y as f32 + 0.5) / height],
+        depth: depth.0[0],
     };
-    let every = map.levels.len().div_ceil(MOST_SAMPLES).max(1);
-    map.levels.iter().enumerate().filter_map(sample).step_by(every).collect()
+    let known = map.enumerate_pixels().filter(|(.., depth)| depth.0[0].is_finite() && depth.0[0] > 0.0);
+    known.step_by(map.len().div_ceil(MOST_SAMPLES)).map(sample).collect()
 }
 
 /// Largest accepted size of `depth.json`, bytes.
@@ -159,20 +152,12 @@ const MOST_SAMPLES: usize = 16_384;
 /// nothing is known, would outweigh the whole picture.
 const LEAST_OF_MEDIAN: f64 = 0.01;
 
-/// A photograph's samples on the device, for one size of picture.
-struct DeviceDepths {
-    size: [usize; 2],
-    /// `[M]`: pixel indices, row-major, ascending.
-    pixels: Tensor<1, Int>,
-    /// `[M]`
-    depths: Tensor<1>,
-}
-
 /// The known depths of a run.
 pub struct Depths {
     config: DepthConfig,
     samples: Vec<Vec<DepthSample>>,
-    on_device: Vec<Option<DeviceDepths>>,
+    /// For the size of the pictures: indices of the known pixels, row-major, ascending, and their depths, `[M]` each.
+    on_device: Vec<Option<([usize; 2], Tensor<1, Int>, Tensor<1>)>>,
     device: Device,
 }
 
@@ -207,10 +192,11 @@ impl Depths {
         let [height, width, _] = depth.dims();
         let size = [width, height];
         let kept = &mut self.on_device[view];
-        if kept.as_ref().is_none_or(|kept| kept.size != size) {
-            *kept = Some(DeviceDepths::new(samples, size, &self.device));
+        if kept.as_ref().is_none_or(|kept| kept.0 != size) {
+            let (pixels, depths) = on_device(samples, size, &self.device);
+            *kept = Some((size, pixels, depths));
         }
-        let DeviceDepths { pixels, depths, .. } = kept.as_ref()?;
+        let (_, pixels, depths) = kept.as_ref()?;
         let miss = depth_miss(&depth, &alpha, depths, pixels).expect("depth and alpha of one render, on one device");
         Some(miss * weight)
     }
@@ -231,22 +217,16 @@ impl Effect for Depths {
     }
 }
 
-impl DeviceDepths {
-    fn new(samples: &[DepthSample], [width, height]: [usize; 2], device: &Device) -> Self {
-        let pixel = |sample: &DepthSample| {
-            let along = |share: f32, side: usize| ((share * side as f32) as usize).min(side - 1);
-            (along(sample.at[1], height) * width + along(sample.at[0], width)) as i32
-        };
-        let mut known: Vec<(i32, f32)> = samples.iter().map(|sample| (pixel(sample), sample.depth)).collect();
-        known.sort_by_key(|&(pixel, _)| pixel);
-        let (pixels, depths): (Vec<i32>, Vec<f32>) = known.into_iter().unzip();
-        let count = samples.len();
-        Self {
-            size: [width, height],
-            pixels: Tensor::from_data(TensorData::new(pixels, [count]), (device, DType::I32)),
-            depths: Tensor::from_data(TensorData::new(depths, [count]), device),
-        }
-    }
+/// The indices of the pixels that hold the samples in a picture of a size, row-major, ascending, and their depths, `[M]` each.
+fn on_device(samples: &[DepthSample], [width, height]: [usize; 2], device: &Device) -> (Tensor<1, Int>, Tensor<1>) {
+    let pixel = |sample: &DepthSample| {
+        let along = |share: f32, side: usize| ((share * side as f32) as usize).min(side - 1);
+        (along(sample.at[1], height) * width + along(sample.at[0], width)) as i32
+    };
+    let mut known: Vec<(i32, f32)> = samples.iter().map(|sample| (pixel(sample), sample.depth)).collect();
+    known.sort_by_key(|&(pixel, _)| pixel);
+    let (pixels, depths): (Vec<i32>, Vec<f32>) = known.into_iter().unzip();
+    (Tensor::from_data(&pixels[..], (device, DType::I32)), Tensor::from_floats(&depths[..], device))
 }
 
 #[cfg(test)]

@@ -25,12 +25,6 @@ pub(in crate::effects) const FEWEST: usize = 8;
 #[derive(Clone, Debug, Default)]
 pub struct Anchors(Vec<(DVec3, DVec3)>);
 
-/// Points and directions on the device, `[M, 3]` each.
-pub(super) struct DeviceAnchors {
-    points: Tensor<2>,
-    directions: Tensor<2>,
-}
-
 /// Collects the anchors of the photographs `views` of a capture.
 pub fn from_tracks(capture: &Capture, views: &[usize]) -> Vec<Anchors> {
     let lists = capture.by_view(views.iter().copied(), |view, world, observation| {
@@ -88,22 +82,20 @@ impl Anchors {
         solve(gram, moment)
     }
 
-    pub(super) fn on_device(&self, device: &Device) -> Option<DeviceAnchors> {
+    /// Points and directions, `[M, 3]` each.
+    pub(super) fn on_device(&self, device: &Device) -> Option<[Tensor<2>; 2]> {
         let count = self.0.len();
         let tensor = |of: fn(&(DVec3, DVec3)) -> DVec3| {
             let values: Vec<f32> = self.0.iter().flat_map(|pair| of(pair).as_vec3().to_array()).collect();
             Tensor::<2>::from_data(TensorData::new(values, [count, 3]), device)
         };
-        (count >= FEWEST).then(|| DeviceAnchors { points: tensor(|pair| pair.0), directions: tensor(|pair| pair.1) })
+        (count >= FEWEST).then(|| [tensor(|pair| pair.0), tensor(|pair| pair.1)])
     }
 }
 
-impl DeviceAnchors {
-    /// The miss of `pose`, `[3, 4]`, tracked, as `[1]`: about the mean angle between the directions to the points and the observed ones,
-    /// rad.
-    pub fn penalty(&self, pose: &Tensor<2>) -> Tensor<1> {
-        miss(pose, &self.points, &self.directions, ROBUST_RAD).expect("points and poses on one device")
-    }
+/// The miss of `pose`, `[3, 4]`, tracked, as `[1]`: about the mean angle between the directions to points and the observed ones, rad.
+pub(super) fn penalty([points, directions]: &[Tensor<2>; 2], pose: &Tensor<2>) -> Tensor<1> {
+    miss(pose, points, directions, ROBUST_RAD).expect("points and poses on one device")
 }
 
 /// Derivative of the direction to a point `p`, camera frame, with respect to the camera's `ω` and `τ`: the columns of

@@ -1,8 +1,6 @@
 //! Reprojection errors of the poses.
 
-use glam::Vec2;
 use serde::Serialize;
-use splat_op::Projector;
 
 use super::{Capture, quantile};
 
@@ -32,13 +30,8 @@ pub struct PoseEvidence {
 
 pub(super) fn evidence(capture: &Capture) -> Option<PoseEvidence> {
     let count = capture.points.positions.len();
-    let cameras: Vec<Projector> = capture.views.iter().map(|view| view.intrinsics.projector()).collect();
-    let measured = capture.by_view(0..capture.views.len(), |view, world, observation| {
-        let found = Vec2::from_array(observation.at_px).as_dvec2();
-        let px = cameras[observation.view].px_from_cam(view.cam_from_world.transform_point3(world))?;
-        Some(px.distance(found)).filter(|error| error.is_finite())
-    });
-    let mut errors = measured.concat();
+    let all = 0..capture.views.len();
+    let mut errors = capture.misses(all, |_, _, _, miss_px| Some(miss_px).filter(|px| px.is_finite())).concat();
     let mut source = PoseSource::Tracks;
     if errors.is_empty() {
         source = PoseSource::Stated;

@@ -56,20 +56,20 @@ fn the_pull_is_an_angle_and_vanishes_at_the_right_pose() {
     let device = Device::flex();
     let (anchors, pose) = observations(40, 0.0);
     let on_device = anchors.on_device(&device).unwrap();
-    let penalty = |pose: &DAffine3| {
+    let pull = |pose: &DAffine3| {
         let rows: Vec<f32> = (0..3)
             .flat_map(|i| [pose.x_axis[i], pose.y_axis[i], pose.z_axis[i], pose.translation[i]])
             .map(|value| value as f32)
             .collect();
         let pose = Tensor::<2>::from_data(TensorData::new(rows, [3, 4]), &device);
-        on_device.penalty(&Tensor::from_inner(pose)).into_scalar::<f32>()
+        penalty(&on_device, &Tensor::from_inner(pose)).into_scalar::<f32>()
     };
-    assert!(penalty(&pose).abs() < 1e-6);
+    assert!(pull(&pose).abs() < 1e-6);
     // Rotated about the viewing axis by 0.03 rad: each direction moves by that times its distance from the axis.
     let turned = DAffine3::from_mat3(rotation(DVec3::new(0.0, 0.0, 0.03))) * pose;
     let miss = |(_, direction): &(DVec3, DVec3)| (0.03 * direction.truncate().length()).hypot(ROBUST_RAD) - ROBUST_RAD;
     let expected = anchors.0.iter().map(miss).sum::<f64>() / 40.0;
-    assert!((f64::from(penalty(&turned)) - expected).abs() < 0.01 * expected);
+    assert!((f64::from(pull(&turned)) - expected).abs() < 0.01 * expected);
 }
 
 /// On the demo capture, whose tracks are exact, each photograph has the directions of its own points.
