@@ -111,12 +111,12 @@ pub fn from_maps(
     let of_view = |(i, &view): (usize, &usize)| {
         let Some(file) = &found[view] else { return Ok((Vec::new(), None)) };
         let mut map = depth_maps::load(file).map_err(|reason| wrong(file, reason.to_string()))?;
-        let solved = match stated {
-            Stated::Scale { scale } => Ok(map.iter_mut().for_each(|level| *level = (f64::from(*level) * scale) as f32)),
-            Stated::Relative { relative } => relative.solve(&mut map, &points[i]),
+        let (unit, solved) = match stated {
+            Stated::Scale { scale } => (scale, Ok(())),
+            Stated::Relative { relative } => (1.0, relative.solve(&mut map, &points[i])),
         };
         let refused = solved.err().map(|reason| format!("{}: {reason}", capture.views[view].name));
-        Ok((if refused.is_none() { samples(&map) } else { Vec::new() }, refused))
+        Ok((if refused.is_none() { samples(&map, unit) } else { Vec::new() }, refused))
     };
     let read = views.par_iter().enumerate().map(of_view).collect::<Result<Vec<_>, _>>()?;
     let (samples, refused): (Vec<_>, Vec<Option<String>>) = read.into_iter().unzip();
@@ -131,12 +131,12 @@ pub fn from_maps(
     Ok(Some(samples))
 }
 
-/// The known depths of a map of camera z, evenly spaced.
-fn samples(map: &DepthMap) -> Vec<DepthSample> {
+/// The known depths of a map of camera z, evenly spaced; a level has `unit` scene units.
+fn samples(map: &DepthMap, unit: f64) -> Vec<DepthSample> {
     let (width, height) = (map.width() as f32, map.height() as f32);
     let sample = |(x, y, depth): (u32, u32, &image::Luma<f32>)| DepthSample {
         at: [(x as f32 + 0.5) / width, (y as f32 + 0.5) / height],
-        depth: depth.0[0],
+        depth: (f64::from(depth.0[0]) * unit) as f32,
     };
     let known = map.enumerate_pixels().filter(|(.., depth)| depth.0[0].is_finite() && depth.0[0] > 0.0);
     known.step_by(map.len().div_ceil(MOST_SAMPLES)).map(sample).collect()
@@ -152,12 +152,15 @@ const MOST_SAMPLES: usize = 16_384;
 /// nothing is known, would outweigh the whole picture.
 const LEAST_OF_MEDIAN: f64 = 0.01;
 
+/// Indices of pixels, row-major, ascending, and their depths, `[M]` each.
+type KnownPixels = (Tensor<1, Int>, Tensor<1>);
+
 /// The known depths of a run.
 pub struct Depths {
     config: DepthConfig,
     samples: Vec<Vec<DepthSample>>,
-    /// For the size of the pictures: indices of the known pixels, row-major, ascending, and their depths, `[M]` each.
-    on_device: Vec<Option<([usize; 2], Tensor<1, Int>, Tensor<1>)>>,
+    /// For the size of the pictures.
+    on_device: Vec<Option<([usize; 2], KnownPixels)>>,
     device: Device,
 }
 
@@ -193,10 +196,9 @@ impl Depths {
         let size = [width, height];
         let kept = &mut self.on_device[view];
         if kept.as_ref().is_none_or(|kept| kept.0 != size) {
-            let (pixels, depths) = on_device(samples, size, &self.device);
-            *kept = Some((size, pixels, depths));
+            *kept = Some((size, on_device(samples, size, &self.device)));
         }
-        let (_, pixels, depths) = kept.as_ref()?;
+        let (_, (pixels, depths)) = kept.as_ref()?;
         let miss = depth_miss(&depth, &alpha, depths, pixels).expect("depth and alpha of one render, on one device");
         Some(miss * weight)
     }
@@ -217,8 +219,8 @@ impl Effect for Depths {
     }
 }
 
-/// The indices of the pixels that hold the samples in a picture of a size, row-major, ascending, and their depths, `[M]` each.
-fn on_device(samples: &[DepthSample], [width, height]: [usize; 2], device: &Device) -> (Tensor<1, Int>, Tensor<1>) {
+/// The pixels that hold the samples in a picture of a size.
+fn on_device(samples: &[DepthSample], [width, height]: [usize; 2], device: &Device) -> KnownPixels {
     let pixel = |sample: &DepthSample| {
         let along = |share: f32, side: usize| ((share * side as f32) as usize).min(side - 1);
         (along(sample.at[1], height) * width + along(sample.at[0], width)) as i32
