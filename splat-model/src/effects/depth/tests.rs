@@ -131,7 +131,8 @@ fn make_relative(folder: &Path, quantity: &str) {
             2 => {
                 std::fs::write(new("npy"), array("<f4", "48, 64", levels.iter().flat_map(|l| l.to_le_bytes())))
                     .unwrap();
-                Ok(std::fs::remove_file(&file).unwrap())
+                std::fs::remove_file(&file).unwrap();
+                Ok(())
             }
             _ => {
                 let pixels = levels.iter().flat_map(|&level| [level, -1.0, 7.0]).collect();
