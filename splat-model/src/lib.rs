@@ -85,7 +85,7 @@ pub mod mesh;
 pub mod metrics;
 pub mod optim;
 pub mod ply;
-mod quantile;
+pub mod quantile;
 pub mod replace;
 pub mod sniff;
 mod solve;

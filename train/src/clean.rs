@@ -141,11 +141,8 @@ impl KeptRows<'_> {
     /// Keeps the rows at the places for which `keeps` holds, and prints how many were removed and what that cost.
     fn retain(&mut self, what: &str, keeps: impl Fn(usize, usize) -> bool) -> Result<()> {
         let before = self.rows.len();
-        let mut place = 0;
-        self.rows.retain(|&row| {
-            place += 1;
-            keeps(place - 1, row)
-        });
+        let mut places = 0..before;
+        self.rows.retain(|&row| places.next().is_some_and(|place| keeps(place, row)));
         let removed = before - self.rows.len();
         ensure!(!self.rows.is_empty(), "no splat would be left: all of the last {removed} {what}");
         let mut cost = String::new();

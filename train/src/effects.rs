@@ -187,15 +187,15 @@ impl ChosenEffects {
     ///
     /// # Errors
     /// If a depth map cannot be read.
-    pub fn supply(&self, trainer: Trainer, capture: &Capture, views: &[usize]) -> Result<Trainer> {
-        let trainer = match self.has(EffectKind::PoseRefinement) {
-            true => trainer.with_anchors(&anchors::from_tracks(capture, views)),
-            false => trainer,
-        };
+    pub fn supply(&self, mut trainer: Trainer, capture: &Capture, views: &[usize]) -> Result<Trainer> {
+        if self.has(EffectKind::PoseRefinement) {
+            trainer = trainer.with_anchors(&anchors::from_tracks(capture, views));
+        }
         if !self.has(EffectKind::DepthSupervision) {
             return Ok(trainer);
         }
-        let samples = depth::from_maps(capture, views)?.unwrap_or_else(|| depth::from_tracks(capture, views));
+        let samples =
+            depth::from_maps(capture, views, progress::note)?.unwrap_or_else(|| depth::from_tracks(capture, views));
         Ok(trainer.with_depths(samples))
     }
 

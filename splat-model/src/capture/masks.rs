@@ -36,20 +36,25 @@ fn of_views(capture: &Capture, views: impl IntoIterator<Item = usize>) -> Vec<Op
     let (folders, mut files) = (folders(capture), Names::default());
     let mut of_view = |view: usize| {
         let stated = capture.masks.get(view).cloned().flatten();
-        stated.or_else(|| by_name(&folders, &capture.views[view].name, &mut files))
+        stated.or_else(|| by_name(&folders, &capture.views[view].name, &["png"], &mut files))
     };
     views.into_iter().map(&mut of_view).collect()
 }
 
-/// The names of a photograph's mask or depth map: its own with `.png` added, and with the extension replaced.
-pub(super) fn names(photograph: &str) -> [String; 2] {
-    let replaced = Path::new(photograph).with_extension("png");
-    [format!("{photograph}.png"), replaced.to_string_lossy().into_owned()]
+/// The names of a photograph's mask or depth map: its own with an extension added, and with that in place of its own.
+pub(super) fn names(photograph: &str, extension: &str) -> [String; 2] {
+    let replaced = Path::new(photograph).with_extension(extension);
+    [format!("{photograph}.{extension}"), replaced.to_string_lossy().into_owned()]
 }
 
-/// The PNG file for a photograph in one of some folders.
-pub(super) fn by_name(folders: &[PathBuf], photograph: &str, files: &mut Names) -> Option<PathBuf> {
-    let names = names(photograph);
+/// The file for a photograph in one of some folders, with one of some extensions.
+pub(super) fn by_name(
+    folders: &[PathBuf],
+    photograph: &str,
+    extensions: &[&str],
+    files: &mut Names,
+) -> Option<PathBuf> {
+    let names: Vec<String> = extensions.iter().flat_map(|extension| names(photograph, extension)).collect();
     let candidates = folders.iter().flat_map(|folder| names.iter().map(move |name| (folder, name)));
     candidates.into_iter().find_map(|(folder, name)| Some(folder.join(files.find(folder, name, &[])?)))
 }
@@ -100,8 +105,9 @@ pub fn excluded_share(mask: &[bool]) -> f64 {
     mask.iter().filter(|&&counts| !counts).count() as f64 / mask.len().max(1) as f64
 }
 
-/// `image`, `[H, W, C]`, with zeros where `excluded`, `[1, H, W]`, is true. The gradient is exactly zero there.
-pub fn cleared(image: Tensor<3>, excluded: &Tensor<3, Bool>) -> Tensor<3> {
+/// `image`, `[H, W, C]`, with zeros where `excluded`, `[1, H, W]`, is true, if it is given. The gradient is exactly zero there.
+pub fn cleared<'a>(image: Tensor<3>, excluded: impl Into<Option<&'a Tensor<3, Bool>>>) -> Tensor<3> {
+    let Some(excluded) = excluded.into() else { return image };
     let excluded = if image.is_autodiff() { Tensor::from_inner(excluded.clone()) } else { excluded.clone() };
     // A picture is a permuted view of planes and keeps that layout.
     let planes = image.permute([2, 0, 1]);

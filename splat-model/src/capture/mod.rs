@@ -30,7 +30,7 @@ pub(crate) mod testing;
 
 use std::path::{Path, PathBuf};
 
-use glam::{DAffine3, DVec3, Vec3};
+use glam::{DAffine3, DVec3, Vec2, Vec3};
 use splat_op::Intrinsics;
 
 use self::blocks::Bounds;
@@ -180,6 +180,22 @@ impl Capture {
     /// The position of a sparse point, world frame.
     pub(crate) fn position(&self, point: usize) -> DVec3 {
         Vec3::from_array(self.points.positions[point]).as_dvec3()
+    }
+
+    /// What `found` makes of each observation of a point in the tracks, of the point in the camera's frame and its distance from where it was
+    /// observed, px, infinite where the camera cannot show it: a list for each of `views`.
+    pub(crate) fn misses<T>(
+        &self,
+        views: impl IntoIterator<Item = usize>,
+        found: impl Fn(&View, &Observation, DVec3, f64) -> Option<T>,
+    ) -> Vec<Vec<T>> {
+        let projectors: Vec<_> = self.views.iter().map(|view| view.intrinsics.projector()).collect();
+        self.by_view(views, |view, world, seen| {
+            let cam = view.cam_from_world.transform_point3(world);
+            let at_px = Vec2::from_array(seen.at_px).as_dvec2();
+            let miss_px = projectors[seen.view].px_from_cam(cam).map_or(f64::INFINITY, |px| px.distance(at_px));
+            found(view, seen, cam, miss_px)
+        })
     }
 
     /// What `found` makes of each observation of a point (world frame) in the tracks: a list for each of `views`.

@@ -57,14 +57,9 @@ pub(crate) fn leave_out(mut capture: Capture) -> Capture {
         "{count} of {all} photographs are left out, because their poses cannot be right: {}. Align them again, or remove them",
         named.join(", ")
     ));
-    let mut next = 0;
-    let place: Vec<Option<usize>> = reasons
-        .iter()
-        .map(|reason| {
-            next += usize::from(reason.is_none());
-            reason.is_none().then(|| next - 1)
-        })
-        .collect();
+    let mut places = 0..;
+    let place = |reason: &Option<String>| if reason.is_none() { places.next() } else { None };
+    let place: Vec<Option<usize>> = reasons.iter().map(place).collect();
     capture.of_views(&place)
 }
 
@@ -83,12 +78,8 @@ fn far(capture: &Capture) -> Vec<Option<f64>> {
 
 /// For each view with enough observations the median of their misses, if it is too large.
 fn misses(capture: &Capture) -> Vec<Option<f64>> {
-    let projectors: Vec<_> = capture.views.iter().map(|view| view.intrinsics.projector()).collect();
-    let lists = capture.by_view(0..capture.views.len(), |view, world, observation| {
-        let observed = glam::Vec2::from_array(observation.at_px).as_dvec2();
-        let found = projectors[observation.view].px_from_cam(view.cam_from_world.transform_point3(world));
-        let longer = view.intrinsics.width.max(view.intrinsics.height) as f64;
-        Some(found.map_or(f64::INFINITY, |found| found.distance(observed) / longer))
+    let lists = capture.misses(0..capture.views.len(), |view, _, _, miss_px| {
+        Some(miss_px / view.intrinsics.width.max(view.intrinsics.height) as f64)
     });
     let miss = |mut list: Vec<f64>| quantile(&mut list, 0.5).filter(|miss| list.len() >= FEWEST && *miss > MISS);
     lists.into_iter().map(miss).collect()

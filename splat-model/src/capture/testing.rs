@@ -21,7 +21,7 @@ pub(crate) fn real_capture(name: &str) -> Option<PathBuf> {
 
 /// Checks that a message holds every part. Error messages are part of the interface.
 #[track_caller]
-pub(super) fn assert_says(message: &str, parts: &[&str]) {
+pub(crate) fn assert_says(message: &str, parts: &[&str]) {
     for part in parts {
         assert!(message.contains(part), "{part:?} is not in: {message}");
     }

@@ -41,12 +41,12 @@ pub(super) fn remarks(capture: &Capture) -> Vec<String> {
 /// A note on a folder of masks or depth maps that does not fit the photographs.
 fn unmatched(capture: &Capture, folder: &Path, found: &HashSet<PathBuf>) -> Option<String> {
     let files: Vec<String> = match files_below(folder, &[]) {
-        Ok(files) => files.into_iter().filter(|name| name != depth_maps::SCALE).collect(),
+        Ok(files) => files.into_iter().filter(|name| name != depth_maps::UNIT).collect(),
         Err(error) => return Some(error.to_string()),
     };
     let left: Vec<&String> = files.iter().filter(|name| !found.contains(&folder.join(name))).collect();
     let (first, view) = (left.first()?, capture.views.first()?);
-    let [whole, short] = masks::names(&view.name).map(|name| named(&capture.folder, &folder.join(name)));
+    let [whole, short] = masks::names(&view.name, "png").map(|name| named(&capture.folder, &folder.join(name)));
     let belong = match left.len() == files.len() {
         true => "none belongs to a photograph".to_string(),
         false => format!("{} of them belong to no photograph", left.len()),

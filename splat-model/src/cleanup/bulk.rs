@@ -1,5 +1,7 @@
 //! The bulk of a scene's values, without its outliers.
 
+use crate::quantile::quantile;
+
 /// Share of the values below the bulk, and share above it. Fewer outliers than that on each side do not change the bulk.
 const TAIL: f64 = 0.05;
 
@@ -25,14 +27,9 @@ impl Bulk {
     pub fn of<'a>(values: impl IntoIterator<Item = &'a [f32; 3]> + Clone) -> Option<Self> {
         let mut bulk = Self { low: [0.0; 3], middle: [0.0; 3], high: [0.0; 3], width: 0.0 };
         for axis in 0..3 {
-            let mut sorted: Vec<f32> = values.clone().into_iter().map(|value| value[axis]).collect();
-            let last = sorted.len().checked_sub(1)?;
-            let mut at = |share: f64| {
-                let (_, value, _) =
-                    sorted.select_nth_unstable_by((share * last as f64).round() as usize, f32::total_cmp);
-                f64::from(*value)
-            };
-            (bulk.low[axis], bulk.middle[axis], bulk.high[axis]) = (at(TAIL), at(0.5), at(1.0 - TAIL));
+            let mut along: Vec<f64> = values.clone().into_iter().map(|value| value[axis].into()).collect();
+            let mut at = |share: f64| quantile(&mut along, share);
+            (bulk.low[axis], bulk.middle[axis], bulk.high[axis]) = (at(TAIL)?, at(0.5)?, at(1.0 - TAIL)?);
             bulk.width = bulk.width.max(bulk.high[axis] - bulk.low[axis]);
         }
         Some(bulk)

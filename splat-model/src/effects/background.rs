@@ -14,7 +14,7 @@
 use std::path::Path;
 
 use burn::tensor::{Device, Gradients, Tensor, TensorData};
-use glam::{DAffine3, DVec2};
+use glam::{DAffine3, DVec2, Vec3};
 use rand::{Rng, RngExt};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -152,19 +152,15 @@ impl Background {
 }
 
 /// `[3, H, W]`: the unit viewing directions of a camera's pixels, in the world frame.
-fn directions_of(camera: &Intrinsics, cam_from_world: &DAffine3, device: &Device) -> Tensor<3> {
+pub(crate) fn directions_of(camera: &Intrinsics, cam_from_world: &DAffine3, device: &Device) -> Tensor<3> {
     let (width, height) = (camera.width, camera.height);
     let (projector, world_from_cam) = (camera.projector(), cam_from_world.matrix3.transpose());
-    let mut values = vec![0.0_f32; 3 * height * width];
-    let (x_plane, rest) = values.split_at_mut(height * width);
-    let (y_plane, z_plane) = rest.split_at_mut(height * width);
-    let rows = x_plane.par_chunks_mut(width).zip(y_plane.par_chunks_mut(width)).zip(z_plane.par_chunks_mut(width));
-    rows.enumerate().for_each(|(row, ((xs, ys), zs))| {
-        for column in 0..width {
-            let direction = projector.cam_from_px(DVec2::new(column as f64 + 0.5, row as f64 + 0.5)).normalize();
-            [xs[column], ys[column], zs[column]] = (world_from_cam * direction).as_vec3().to_array();
-        }
+    let pixels = (0..height * width).into_par_iter().map(|i| {
+        let px = DVec2::new((i % width) as f64 + 0.5, (i / width) as f64 + 0.5);
+        (world_from_cam * projector.cam_from_px(px).normalize()).as_vec3()
     });
+    let directions: Vec<Vec3> = pixels.collect();
+    let values: Vec<f32> = (0..3).flat_map(|axis| directions.iter().map(move |direction| direction[axis])).collect();
     Tensor::from_data(TensorData::new(values, [3, height, width]), device)
 }
 
@@ -183,6 +179,27 @@ impl Effect for RandomBackground {
     fn draw(&mut self, rng: &mut dyn Rng) -> Option<[f32; 3]> {
         Some([0, 1, 2].map(|_| rng.random_range(0.0..1.0)))
     }
+}
+
+/// The functions of an effect whose one parameter is a field.
+macro_rules! learns {
+    ($field:ident) => {
+        fn leaves(&mut self, _: EffectContext) -> Vec<Leaf> {
+            vec![self.$field.leaf()]
+        }
+
+        fn step(&mut self, gradients: &mut Gradients, at: EffectContext) {
+            self.$field.step(gradients, RATE.at(at.step, at.steps), at.verdict);
+        }
+
+        fn save(&self, to: &mut State) -> Result<(), StateError> {
+            self.$field.save(to)
+        }
+
+        fn load(&mut self, from: &mut State, _: &Device) -> Result<(), StateError> {
+            self.$field.load(from)
+        }
+    };
 }
 
 /// A background with one learned colour.
@@ -207,25 +224,11 @@ impl Effect for LearnedBackground {
         input.extras.background = Some(self.colour.tracked());
     }
 
-    fn leaves(&mut self, _: EffectContext) -> Vec<Leaf> {
-        vec![self.colour.leaf()]
-    }
-
-    fn step(&mut self, gradients: &mut Gradients, at: EffectContext) {
-        self.colour.step(gradients, RATE.at(at.step, at.steps), at.verdict);
-    }
+    learns!(colour);
 
     fn background(&self) -> Option<Background> {
         let values = values_of(self.colour.value());
         Some(Background::Colour([values[0], values[1], values[2]].map(|value| value.clamp(0.0, 1.0))))
-    }
-
-    fn save(&self, to: &mut State) -> Result<(), StateError> {
-        self.colour.save(to)
-    }
-
-    fn load(&mut self, from: &mut State, _: &Device) -> Result<(), StateError> {
-        self.colour.load(from)
     }
 }
 
@@ -287,25 +290,11 @@ impl Effect for Environment {
         self.behind(image, picture.alpha.clone(), at.view, &input.camera.intrinsics)
     }
 
-    fn leaves(&mut self, _: EffectContext) -> Vec<Leaf> {
-        vec![self.coefficients.leaf()]
-    }
-
-    fn step(&mut self, gradients: &mut Gradients, at: EffectContext) {
-        self.coefficients.step(gradients, RATE.at(at.step, at.steps), at.verdict);
-    }
+    learns!(coefficients);
 
     fn background(&self) -> Option<Background> {
         let values = values_of(self.coefficients.value());
         Some(Background::Environment(values.as_chunks::<3>().0.to_vec()))
-    }
-
-    fn save(&self, to: &mut State) -> Result<(), StateError> {
-        self.coefficients.save(to)
-    }
-
-    fn load(&mut self, from: &mut State, _: &Device) -> Result<(), StateError> {
-        self.coefficients.load(from)
     }
 }
 

@@ -12,21 +12,24 @@
 
 use std::path::Path;
 
-use burn::tensor::{DType, Device, Int, Tensor, TensorData};
+use burn::tensor::{DType, Device, Int, Tensor};
 use glam::Vec2;
 use rayon::prelude::*;
 use serde::Deserialize;
 use splat_op::Rendered;
 use splat_op::depth_miss::depth_miss;
 
+use self::relative::Quantity;
 use super::learned::{EffectContext, Falling};
 use super::{Effect, EffectKind, RenderInput};
 pub use crate::capture::depth_maps::folder;
-use crate::capture::depth_maps::{SCALE, find};
+use crate::capture::depth_maps::{self, DepthMap, UNIT, find};
 use crate::capture::{Capture, CaptureError};
 use crate::gaussians::Gaussians;
 use crate::json;
 use crate::quantile::quantile;
+
+mod relative;
 
 options! {
     /// Options of depth supervision.
@@ -56,62 +59,87 @@ const LARGEST_MISS: f64 = 0.004;
 
 /// The depths of the sparse points in the photographs `views`, by their tracks.
 pub fn from_tracks(capture: &Capture, views: &[usize]) -> Vec<Vec<DepthSample>> {
-    let projectors: Vec<_> = capture.views.iter().map(|view| view.intrinsics.projector()).collect();
-    capture.by_view(views.iter().copied(), |view, world, observation| {
-        let cam = view.cam_from_world.transform_point3(world);
+    capture.misses(views.iter().copied(), |view, observation, cam, miss_px| {
         let size = Vec2::new(view.intrinsics.width as f32, view.intrinsics.height as f32);
         let found = Vec2::from_array(observation.at_px);
-        let miss_px = projectors[observation.view].px_from_cam(cam)?.distance(found.as_dvec2());
         let inside = found.cmpge(Vec2::ZERO).all() && found.cmplt(size).all();
         (inside && miss_px <= LARGEST_MISS * f64::from(size.max_element()))
             .then(|| DepthSample { at: (found / size).to_array(), depth: cam.z as f32 })
     })
 }
 
+/// What `depth.json` holds: scene units per level, or what the levels grow with.
 #[derive(Deserialize)]
-struct DepthScale {
-    /// Scene units per level.
-    scale: f64,
+#[serde(untagged, expecting = "neither a number `scale` nor one of the words for `relative`")]
+enum Stated {
+    Scale { scale: f64 },
+    Relative { relative: Quantity },
 }
 
-/// Reads the depth maps of the photographs `views`, in the capture's [folder] of them: 16-bit grey PNG files of any size, named
+/// Reads the depth maps of the photographs `views`, in the capture's [folder] of them: PNG, EXR or NumPy files of any size, named
 /// like masks (see [`masks`](super::masks)). Levels are camera z at pixel centres, and zero where the depth is unknown. The
-/// file `depth.json` holds the scene units per level: `{"scale": 0.001}`. Large maps are sampled evenly. A photograph
-/// without a map has no samples. `None` without any map.
+/// file `depth.json` holds the scene units per level: `{"scale": 0.001}`. With `{"relative": "depth"}` or `{"relative": "disparity"}` levels grow with
+/// camera z or its reciprocal, as networks for single pictures have them, and scale and shift of each map are solved from the photograph's
+/// sparse points. Large maps are sampled evenly. A photograph without a map has no samples, and one whose scale cannot be solved neither, which
+/// `note` is told. `None` without any map.
 ///
 /// # Errors
-/// If `depth.json` is missing or its scale is not positive, or if a map cannot be read or is not a 16-bit grey picture.
-pub fn from_maps(capture: &Capture, views: &[usize]) -> Result<Option<Vec<Vec<DepthSample>>>, CaptureError> {
+/// If `depth.json` is missing or states neither, or its scale is not positive, if a map cannot be read or is not grey, or if the scale of no map
+/// can be solved.
+pub fn from_maps(
+    capture: &Capture,
+    views: &[usize],
+    note: impl Fn(&str),
+) -> Result<Option<Vec<Vec<DepthSample>>>, CaptureError> {
     let Some(folder) = folder(capture) else { return Ok(None) };
-    let file = capture.folder.join(folder).join(SCALE);
+    let unit_file = capture.folder.join(folder).join(UNIT);
     let wrong = |file: &Path, reason: String| {
-        let expected =
-            "16-bit grey PNG pictures, and beside them `depth.json` with scene units per level: {\"scale\": 0.001}";
+        let expected = "grey PNG pictures of 8 or 16 bits, EXR pictures or NumPy arrays [H, W] of float16 or float32, and beside them `depth.json` \
+                        with scene units per level, {\"scale\": 0.001}, or {\"relative\": \"depth\"} or {\"relative\": \"disparity\"}";
         let detail = format!("{reason}. Expected {expected}; `--effects=-depth-supervision` does without");
         CaptureError::content(file, detail)
     };
-    let DepthScale { scale } = json::read(&file, LARGEST_TEXT, |reason| wrong(&file, reason))?;
-    if !(scale > 0.0 && scale.is_finite()) {
-        return Err(wrong(&file, format!("`scale` is {scale}, expected a number above 0")));
-    }
-    let found = find(capture);
-    let of_view = |&view: &usize| {
-        let Some(file) = &found[view] else { return Ok(Vec::new()) };
-        let map = image::open(file).map_err(|error| wrong(file, error.to_string()))?;
-        let image::DynamicImage::ImageLuma16(map) = map else {
-            let found = map.color();
-            return Err(wrong(file, format!("its pixels are {found:?}")));
-        };
-        let (width, height) = (map.width() as f32, map.height() as f32);
-        let every = map.len().div_ceil(MOST_SAMPLES).max(1);
-        let sample = |(x, y, level): (u32, u32, &image::Luma<u16>)| DepthSample {
-            at: [(x as f32 + 0.5) / width, (y as f32 + 0.5) / height],
-            depth: (f64::from(level.0[0]) * scale) as f32,
-        };
-        let known = map.enumerate_pixels().filter(|(.., level)| level.0[0] > 0);
-        Ok(known.step_by(every).map(sample).collect())
+    let stated = json::read(&unit_file, LARGEST_TEXT, |reason| wrong(&unit_file, reason))?;
+    let points = match stated {
+        Stated::Scale { scale } if !(scale > 0.0 && scale.is_finite()) => {
+            return Err(wrong(&unit_file, format!("`scale` is {scale}, expected a number above 0")));
+        }
+        Stated::Scale { .. } => Vec::new(),
+        Stated::Relative { .. } => from_tracks(capture, views),
     };
-    views.par_iter().map(of_view).collect::<Result<_, _>>().map(Some)
+    let found = find(capture);
+    let of_view = |(i, &view): (usize, &usize)| {
+        let Some(file) = &found[view] else { return Ok((Vec::new(), None)) };
+        let mut map = depth_maps::load(file).map_err(|reason| wrong(file, reason.to_string()))?;
+        let (unit, solved) = match stated {
+            Stated::Scale { scale } => (scale, Ok(())),
+            Stated::Relative { relative } => (1.0, relative.solve(&mut map, &points[i])),
+        };
+        let refused = solved.err().map(|reason| format!("{}: {reason}", capture.views[view].name));
+        Ok((if refused.is_none() { samples(&map, unit) } else { Vec::new() }, refused))
+    };
+    let read = views.par_iter().enumerate().map(of_view).collect::<Result<Vec<_>, _>>()?;
+    let (samples, refused): (Vec<_>, Vec<Option<String>>) = read.into_iter().unzip();
+    if let Some(first) = refused.iter().flatten().next() {
+        let count = refused.iter().flatten().count();
+        let said = format!("{count} of {} depth maps have no scale and shift: {first}", views.len());
+        if samples.iter().all(Vec::is_empty) {
+            return Err(wrong(&unit_file, said));
+        }
+        note(&said);
+    }
+    Ok(Some(samples))
+}
+
+/// The known depths of a map of camera z, evenly spaced; a level has `unit` scene units.
+fn samples(map: &DepthMap, unit: f64) -> Vec<DepthSample> {
+    let (width, height) = (map.width() as f32, map.height() as f32);
+    let sample = |(x, y, depth): (u32, u32, &image::Luma<f32>)| DepthSample {
+        at: [(x as f32 + 0.5) / width, (y as f32 + 0.5) / height],
+        depth: (f64::from(depth.0[0]) * unit) as f32,
+    };
+    let known = map.enumerate_pixels().filter(|(.., depth)| depth.0[0].is_finite() && depth.0[0] > 0.0);
+    known.step_by(map.len().div_ceil(MOST_SAMPLES)).map(sample).collect()
 }
 
 /// Largest accepted size of `depth.json`, bytes.
@@ -124,20 +152,15 @@ const MOST_SAMPLES: usize = 16_384;
 /// nothing is known, would outweigh the whole picture.
 const LEAST_OF_MEDIAN: f64 = 0.01;
 
-/// A photograph's samples on the device, for one size of picture.
-struct DeviceDepths {
-    size: [usize; 2],
-    /// `[M]`: pixel indices, row-major, ascending.
-    pixels: Tensor<1, Int>,
-    /// `[M]`
-    depths: Tensor<1>,
-}
+/// Indices of pixels, row-major, ascending, and their depths, `[M]` each.
+type KnownPixels = (Tensor<1, Int>, Tensor<1>);
 
 /// The known depths of a run.
 pub struct Depths {
     config: DepthConfig,
     samples: Vec<Vec<DepthSample>>,
-    on_device: Vec<Option<DeviceDepths>>,
+    /// For the size of the pictures.
+    on_device: Vec<Option<([usize; 2], KnownPixels)>>,
     device: Device,
 }
 
@@ -172,10 +195,10 @@ impl Depths {
         let [height, width, _] = depth.dims();
         let size = [width, height];
         let kept = &mut self.on_device[view];
-        if kept.as_ref().is_none_or(|kept| kept.size != size) {
-            *kept = Some(DeviceDepths::new(samples, size, &self.device));
+        if kept.as_ref().is_none_or(|kept| kept.0 != size) {
+            *kept = Some((size, on_device(samples, size, &self.device)));
         }
-        let DeviceDepths { pixels, depths, .. } = kept.as_ref()?;
+        let (_, (pixels, depths)) = kept.as_ref()?;
         let miss = depth_miss(&depth, &alpha, depths, pixels).expect("depth and alpha of one render, on one device");
         Some(miss * weight)
     }
@@ -196,22 +219,16 @@ impl Effect for Depths {
     }
 }
 
-impl DeviceDepths {
-    fn new(samples: &[DepthSample], [width, height]: [usize; 2], device: &Device) -> Self {
-        let pixel = |sample: &DepthSample| {
-            let along = |share: f32, side: usize| ((share * side as f32) as usize).min(side - 1);
-            (along(sample.at[1], height) * width + along(sample.at[0], width)) as i32
-        };
-        let mut known: Vec<(i32, f32)> = samples.iter().map(|sample| (pixel(sample), sample.depth)).collect();
-        known.sort_by_key(|&(pixel, _)| pixel);
-        let (pixels, depths): (Vec<i32>, Vec<f32>) = known.into_iter().unzip();
-        let count = samples.len();
-        Self {
-            size: [width, height],
-            pixels: Tensor::from_data(TensorData::new(pixels, [count]), (device, DType::I32)),
-            depths: Tensor::from_data(TensorData::new(depths, [count]), device),
-        }
-    }
+/// The pixels that hold the samples in a picture of a size.
+fn on_device(samples: &[DepthSample], [width, height]: [usize; 2], device: &Device) -> KnownPixels {
+    let pixel = |sample: &DepthSample| {
+        let along = |share: f32, side: usize| ((share * side as f32) as usize).min(side - 1);
+        (along(sample.at[1], height) * width + along(sample.at[0], width)) as i32
+    };
+    let mut known: Vec<(i32, f32)> = samples.iter().map(|sample| (pixel(sample), sample.depth)).collect();
+    known.sort_by_key(|&(pixel, _)| pixel);
+    let (pixels, depths): (Vec<i32>, Vec<f32>) = known.into_iter().unzip();
+    (Tensor::from_data(&pixels[..], (device, DType::I32)), Tensor::from_floats(&depths[..], device))
 }
 
 #[cfg(test)]

@@ -161,10 +161,8 @@ impl<const D: usize> Learned<D> {
     /// # Errors
     /// As [`Self::save`].
     pub fn save_all(all: &[Self], to: &mut State) -> Result<(), StateError> {
-        for (view, one) in all.iter().enumerate() {
-            to.in_part(&view.to_string(), |part| one.save(part))?;
-        }
-        Ok(())
+        let mut each = all.iter().enumerate();
+        each.try_for_each(|(view, one)| to.in_part(&view.to_string(), |part| one.save(part)))
     }
 
     /// Restores the parameters of all photographs.
@@ -172,10 +170,8 @@ impl<const D: usize> Learned<D> {
     /// # Errors
     /// As [`Self::load`].
     pub fn load_all(all: &mut [Self], from: &mut State) -> Result<(), StateError> {
-        for (view, one) in all.iter_mut().enumerate() {
-            from.load_part(&view.to_string(), |part| one.load(part))?;
-        }
-        Ok(())
+        let mut each = all.iter_mut().enumerate();
+        each.try_for_each(|(view, one)| from.load_part(&view.to_string(), |part| one.load(part)))
     }
 }
 

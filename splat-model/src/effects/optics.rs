@@ -93,14 +93,9 @@ impl Optics {
         let extent = self.extent;
         let exposure = self.exposures.get_mut(view).map(|exposure| twist(exposure, extent));
         let readout = self.readouts.get_mut(view).map(|readout| twist(readout, extent));
-        move |mut projected| {
-            if let Some(exposure) = &exposure {
-                projected = blurred(&projected, exposure, margin)?;
-            }
-            if let Some(readout) = &readout {
-                projected = rolled(&projected, readout, margin)?;
-            }
-            Ok(projected)
+        move |projected| {
+            let projected = exposure.iter().try_fold(projected, |of, twist| blurred(&of, twist, margin))?;
+            readout.iter().try_fold(projected, |of, twist| rolled(&of, twist, margin))
         }
     }
 }

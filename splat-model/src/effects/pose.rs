@@ -19,7 +19,7 @@ use burn::tensor::{Device, Gradients, Tensor};
 use glam::{DAffine3, DQuat, DVec3};
 use splat_op::{Rendered, pose};
 
-use self::anchors::{Anchors, DeviceAnchors, rotation};
+use self::anchors::{Anchors, penalty, rotation};
 use super::learned::{EffectContext, Learned};
 use super::{Effect, EffectKind, Leaf, RenderInput};
 use crate::gaussians::{Gaussians, values_of};
@@ -48,7 +48,7 @@ pub struct Poses {
     /// `[2, 3]` each: `ω`, rad, and `τ`, scene extents.
     corrections: Vec<Learned<2>>,
     /// The tracks that hold each camera. `None` without tracks.
-    anchors: Vec<Option<DeviceAnchors>>,
+    anchors: Vec<Option<[Tensor<2>; 2]>>,
 }
 
 impl Poses {
@@ -105,7 +105,7 @@ impl Effect for Poses {
 
     fn penalty(&mut self, input: &RenderInput, _: &Rendered<3>, at: EffectContext) -> Option<Tensor<1>> {
         let anchors = self.anchors[at.view].as_ref()?;
-        Some(anchors.penalty(&input.camera.cam_from_world) * self.config.anchor_weight)
+        Some(penalty(anchors, &input.camera.cam_from_world) * self.config.anchor_weight)
     }
 
     fn leaves(&mut self, at: EffectContext) -> Vec<Leaf> {

@@ -4,11 +4,12 @@
 //! Sources: Huang et al. 2024, "2D Gaussian Splatting", §4.2 and eq. 14 (normal consistency); Chen et al. 2024, "PGSR", §3.1 (flat
 //! Gaussians, there by their thickness in scene units).
 
-use burn::tensor::{Device, Tensor, TensorData};
-use glam::DVec2;
+use burn::tensor::{Device, Int, Tensor};
+use glam::DAffine3;
 use splat_op::{CameraModel, Intrinsics};
 
 use super::regularise::mean;
+use crate::effects::background::directions_of;
 
 /// Length below which a cross product has no direction. That of a surface that faces the camera is one.
 const LEAST_LENGTH: f64 = 1e-3;
@@ -28,28 +29,24 @@ pub struct PixelRays {
 impl PixelRays {
     /// Computes the rays of a camera of any model, on the host.
     pub fn new(intrinsics: &Intrinsics, device: &Device) -> Self {
-        let &Intrinsics { width, height, .. } = intrinsics;
-        let projector = intrinsics.projector();
-        let orthographic = intrinsics.model == CameraModel::Orthographic;
-        let plane = |value: &dyn Fn(DVec2) -> f64| {
-            let px = |i: usize| DVec2::new((i % width) as f64 + 0.5, (i / width) as f64 + 0.5);
-            let values: Vec<f32> = (0..width * height).map(|i| value(px(i)) as f32).collect();
-            Tensor::<3>::from_data(TensorData::new(values, [1, height, width]), device)
+        let &Intrinsics { width, height, fx, fy, cx, cy, .. } = intrinsics;
+        let rays = directions_of(intrinsics, &DAffine3::IDENTITY, device);
+        let z = rays.clone().narrow(0, 2, 1);
+        let unseen = z.clone().lower_equal_elem(1e-3);
+        let across = |side: usize, centre: f64, focal: f64| {
+            (Tensor::<1, Int>::arange(0..side as i64, device).float() + (0.5 - centre)) / focal
         };
-        let ray = |px: DVec2| Some(projector.cam_from_px(px)).filter(|ray| ray.z > 1e-3);
-        let slope = |px: DVec2, axis: usize| ray(px).map_or(0.0, |ray| ray[axis] / ray.z);
-        let across = |px: DVec2, axis: usize| match axis {
-            0 => (px.x - intrinsics.cx) / intrinsics.fx,
-            _ => (px.y - intrinsics.cy) / intrinsics.fy,
-        };
-        let planes = |of: &dyn Fn(DVec2, usize) -> f64, z: f64| {
-            Tensor::cat(vec![plane(&|px| of(px, 0)), plane(&|px| of(px, 1)), plane(&|_| z)], 0)
+        let size = [1, height, width];
+        let origin = || {
+            let x = across(width, cx, fx).reshape([1, 1, width]).expand(size);
+            let y = across(height, cy, fy).reshape([1, height, 1]).expand(size);
+            Tensor::cat(vec![x, y, Tensor::zeros(size, device)], 0)
         };
         Self {
             intrinsics: *intrinsics,
-            origin: orthographic.then(|| planes(&across, 0.0)),
-            direction: planes(&slope, 1.0),
-            seen: plane(&|px| f64::from(ray(px).is_some())),
+            origin: (intrinsics.model == CameraModel::Orthographic).then(origin),
+            direction: rays / z.mask_fill(unseen.clone(), 1.0),
+            seen: unseen.bool_not().float(),
         }
     }
 

@@ -41,10 +41,7 @@ pub(super) fn keep_large(mesh: &mut Extracted, min: usize) -> usize {
     }
     mesh.triangles.retain(|triangle| stays(triangle[0] as usize));
     mesh.triangles.iter_mut().flatten().for_each(|vertex| *vertex = place[*vertex as usize]);
-    let mut vertex = 0;
-    mesh.vertices.retain(|_| {
-        vertex += 1;
-        stays(vertex - 1)
-    });
+    let mut vertices = 0..count;
+    mesh.vertices.retain(|_| vertices.next().is_some_and(stays));
     triangles.iter().filter(|&&triangles| triangles > 0).count()
 }

@@ -136,10 +136,7 @@ impl Trainer {
 
     /// Computes the sum of the views' losses with all penalties, `[1]`, tracked.
     fn compare(&mut self, prepared: &[PreparedStep], pictures: Vec<Rendered<3>>) -> Tensor<1> {
-        let cleared = |of: &PreparedStep, picture: Tensor<3>| match &of.excluded {
-            Some(excluded) => masks::cleared(picture, excluded),
-            None => picture,
-        };
+        let cleared = |of: &PreparedStep, picture: Tensor<3>| masks::cleared(picture, of.excluded.as_ref());
         // Excluded pixels are cleared last, so that they do not train the effects either.
         let image = |(of, picture): (&PreparedStep, &Rendered<3>)| {
             cleared(of, self.effects.image(picture.colour.clone(), &of.input, picture, of.at))

@@ -58,11 +58,7 @@ impl LossInputs<'_> {
         input.splats.colour = Colour::Features(features);
         input.extras = Extras::default();
         input.options = input.options.with_depth(false).with_expected_depth(false).with_normals(false);
-        let colour = input.render()?.colour;
-        Ok(match self.excluded {
-            Some(excluded) => masks::cleared(colour, excluded),
-            None => colour,
-        })
+        Ok(masks::cleared(input.render()?.colour, self.excluded))
     }
 }
 

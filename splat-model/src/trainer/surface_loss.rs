@@ -1,9 +1,12 @@
 //! A loss for scenes whose surfaces matter.
 
-use burn::tensor::Tensor;
+use burn::tensor::module::max_pool2d;
+use burn::tensor::ops::MaxPoolOptions;
+use burn::tensor::{Bool, Tensor};
 use splat_op::{RenderOptions, mixed};
 
 use super::{Loss, LossInputs};
+use crate::effects::masks;
 use crate::loss::photometric;
 use crate::loss::surface::{PixelRays, thickness};
 
@@ -58,11 +61,19 @@ impl Loss for SurfaceLoss {
             let rotation = seen.input.camera.cam_from_world.clone().narrow(1, 0, 3).detach();
             let normals = mixed(rotation, normals.clone().permute([2, 0, 1])).permute([1, 2, 0]);
             let mean_depth = depth.clone() / seen.alpha.clone().clamp_min(1e-3);
-            let consistency = self.rays(seen).normal_consistency(normals, mean_depth, seen.alpha.clone());
+            let unsure = seen.excluded.map(widened);
+            let [normals, alpha] = [normals, seen.alpha.clone()].map(|of| masks::cleared(of, unsure.as_ref()));
+            let consistency = self.rays(seen).normal_consistency(normals, mean_depth, alpha);
             loss = loss + consistency * self.consistency;
         }
         loss
     }
+}
+
+/// The pixels that are excluded, `[1, H, W]`, and those beside them: their normals from depth take that of excluded pixels.
+fn widened(excluded: &Tensor<3, Bool>) -> Tensor<3, Bool> {
+    let around = MaxPoolOptions::new([3, 3]).with_stride([1, 1]).with_padding([1, 1]);
+    max_pool2d(excluded.clone().float().unsqueeze_dim::<4>(0), around).squeeze_dim::<3>(0).greater_elem(0.5)
 }
 
 #[cfg(test)]

@@ -190,10 +190,7 @@ impl Views {
             None if packs => PackedPhoto::new(&*self.pixels(view)?, &self.device).rgb_over(background),
             None => self.pixels(view)?.rgb_over(background, &self.device),
         };
-        let truth = Truth::new(match &excluded {
-            Some(excluded) => masks::cleared(picture, excluded),
-            None => picture,
-        });
+        let truth = Truth::new(masks::cleared(picture, excluded.as_ref()));
         if drawn.is_none() && !packs && self.reserve(prepared_bytes(&camera)) {
             self.views[view].truth = Some(truth.clone());
         }

@@ -36,13 +36,13 @@ impl Shot {
             let excluded: Vec<bool> = mask.iter().map(|counts| !counts).collect();
             Tensor::from_data(TensorData::new(excluded, [1, photo.intrinsics.height, photo.intrinsics.width]), &plain)
         });
-        let truth = Truth::new(cleared(photo.rgb_over([0.0; 3], &plain), excluded.as_ref()));
+        let truth = Truth::new(masks::cleared(photo.rgb_over([0.0; 3], &plain), excluded.as_ref()));
         Self { photo, camera, truth, excluded }
     }
 
     /// A render, `[H, W, C]`, as it is compared with the photograph: black where the mask excludes.
     pub fn seen(&self, image: Tensor<3>) -> Tensor<3> {
-        cleared(image, self.excluded.as_ref())
+        masks::cleared(image, self.excluded.as_ref())
     }
 
     /// dB of some columns of a render, `[H, W, 3]`, over the pixels that count.
@@ -58,13 +58,6 @@ impl Shot {
     /// The photograph, `[H, W, 3]`, untracked.
     pub fn image(&self) -> Tensor<3> {
         self.truth.image()
-    }
-}
-
-fn cleared(image: Tensor<3>, excluded: Option<&Tensor<3, Bool>>) -> Tensor<3> {
-    match excluded {
-        Some(excluded) => masks::cleared(image, excluded),
-        None => image,
     }
 }
 

@@ -10,6 +10,7 @@ use splat_model::cleanup::Bulk;
 use splat_model::effects::masks;
 use splat_model::formats;
 use splat_model::ply::TrainedAs;
+use splat_model::quantile::quantile;
 use splat_op::RenderOptions;
 
 use crate::input;
@@ -193,9 +194,7 @@ fn bounds(positions: impl Iterator<Item = [f64; 3]>) -> Option<BoundingBox> {
 }
 
 fn quantiles(mut values: Vec<f64>) -> [f64; 3] {
-    let Some(last) = values.len().checked_sub(1) else { return [0.0; 3] };
-    values.sort_unstable_by(f64::total_cmp);
-    [0.05, 0.5, 0.95].map(|share| values[(share * last as f64).round() as usize])
+    [0.05, 0.5, 0.95].map(|share| quantile(&mut values, share).unwrap_or_default())
 }
 
 pub fn scene_text(info: &SceneInfo) -> String {

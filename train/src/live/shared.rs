@@ -71,6 +71,7 @@ pub struct Shared {
 }
 
 /// The latest state of the run.
+#[derive(Default)]
 struct Shown {
     status: Vec<u8>,
     /// Step of the scene, and whether a browser has loaded it.
@@ -90,17 +91,7 @@ struct Shown {
 impl Shared {
     /// The state before a run's next step, with the step and the file of its present scene.
     pub fn new(page: String, scene_step: usize, ply: Vec<u8>) -> Self {
-        let shown = Shown {
-            status: b"null".to_vec(),
-            scene_step,
-            is_loaded: false,
-            has_results: false,
-            results_are_loaded: false,
-            rows: None,
-            ply,
-            encoding: Duration::ZERO,
-            worst: Vec::new(),
-        };
+        let shown = Shown { status: b"null".to_vec(), scene_step, ply, ..Shown::default() };
         Self {
             page: page.into_bytes(),
             watched_until: Mutex::new(None),

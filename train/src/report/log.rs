@@ -1,6 +1,5 @@
 //! Log of a run in progress: to its history, for people, and for programs.
 
-use std::fmt::{self, Display};
 use std::time::Instant;
 
 use anyhow::Result;
@@ -103,19 +102,14 @@ impl RunLog {
     fn show(&mut self, step: usize, trainer: &Trainer) {
         self.shown = Instant::now();
         let (sum, count) = std::mem::take(&mut self.shown_losses);
-        let line = ProgressLine {
-            step,
-            steps: trainer.config().steps,
-            loss: sum / count as f64,
-            splats: trainer.gaussians().len(),
-            rate: 1.0 / self.forecast.step_s(),
-            left_s: self.left_s(),
-        };
+        let (steps, splats) = (trainer.config().steps, trainer.gaussians().len());
+        let rate = 1.0 / self.forecast.step_s();
+        let line = said([step, steps], sum / count as f64, splats, rate, self.left_s());
         match &self.bar {
-            None => progress::note(&line.to_string()),
+            None => progress::note(&line),
             Some(bar) => {
                 bar.set_position(step as u64);
-                bar.set_message(line.to_string());
+                bar.set_message(line);
             }
         }
     }
@@ -194,24 +188,11 @@ fn refinements(trainer: &Trainer) -> Vec<usize> {
     (1..=trainer.config().steps).filter(|&step| trainer.refines_at(step)).collect()
 }
 
-/// The state of a run after a step, for people.
-struct ProgressLine {
-    step: usize,
-    steps: usize,
-    loss: f64,
-    splats: usize,
-    /// Steps a second.
-    rate: f64,
-    left_s: f64,
-}
-
-impl Display for ProgressLine {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { step, steps, loss, splats, rate, left_s } = self;
-        let rate = if rate.is_finite() { format!("{rate:.1}") } else { "-".into() };
-        let left = clock(*left_s);
-        write!(f, "step {step}/{steps}  loss {loss:.4}  {splats} splats  {rate} steps/s  {left} left")
-    }
+/// The state of a run after a step of so many, for people. The rate is in steps a second.
+fn said([step, steps]: [usize; 2], loss: f64, splats: usize, rate: f64, left_s: f64) -> String {
+    let rate = if rate.is_finite() { format!("{rate:.1}") } else { "-".into() };
+    let left = clock(left_s);
+    format!("step {step}/{steps}  loss {loss:.4}  {splats} splats  {rate} steps/s  {left} left")
 }
 
 #[cfg(test)]

@@ -4,6 +4,7 @@ use glam::{DMat3, DVec2, DVec3};
 
 use super::{BlockError, Bounds};
 use crate::capture::Capture;
+use crate::quantile::quantile;
 
 /// Weight of all cameras together relative to that of all points.
 const CAMERAS: f64 = 1.0 / 3.0;
@@ -57,11 +58,8 @@ fn axes(capture: &Capture) -> DMat3 {
         .map(|centre| DVec2::new(east.dot(centre), north.dot(centre)))
         .collect();
     let mean = centres.iter().sum::<DVec2>() / centres.len().max(1) as f64;
-    let (mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0);
-    for centre in &centres {
-        let d = *centre - mean;
-        (xx, xy, yy) = (xx + d.x * d.x, xy + d.x * d.y, yy + d.y * d.y);
-    }
+    let products = |d: DVec2| DVec3::new(d.x * d.x, d.x * d.y, d.y * d.y);
+    let DVec3 { x: xx, y: xy, z: yy } = centres.iter().map(|centre| products(*centre - mean)).sum();
     let (sin, cos) = (0.5 * f64::atan2(2.0 * xy, xx - yy)).sin_cos();
     let along = (cos * east + sin * north).normalize();
     DMat3::from_cols(along, up.cross(along), up).transpose()
@@ -110,8 +108,7 @@ fn divide(samples: &mut [Sample], cell: Bounds, blocks: usize, margin: f64, cell
 fn size_of(samples: &[Sample]) -> [f64; 3] {
     std::array::from_fn(|axis| {
         let mut sorted: Vec<f64> = samples.iter().map(|sample| sample.at[axis]).collect();
-        sorted.sort_by(f64::total_cmp);
-        let [low, high] = CORE.map(|share| sorted[(share * (sorted.len() - 1) as f64).round() as usize]);
+        let [low, high] = CORE.map(|share| quantile(&mut sorted, share).unwrap_or_default());
         (high - low) / (CORE[1] - CORE[0])
     })
 }

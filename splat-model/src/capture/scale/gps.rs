@@ -8,6 +8,7 @@ use rand_chacha::ChaCha8Rng;
 use super::{Scale, ScaleError};
 use crate::capture::exif::{Exif, Gps};
 use crate::capture::{Capture, CaptureError};
+use crate::quantile::quantile;
 
 /// Fewest photographs with GPS. Three fit any triangle of the same shape, so that a fourth is the first that can disagree.
 const MIN_PHOTOGRAPHS: usize = 4;
@@ -104,18 +105,14 @@ fn earth_centred(gps: Gps, with_height: bool) -> DVec3 {
 
 fn inliers(pairs: &[Pair]) -> Vec<Pair> {
     let mut random = ChaCha8Rng::seed_from_u64(0);
-    let mut best = (f64::INFINITY, WorldFit::of(pairs));
-    for _ in 0..DRAWS {
+    let draw = |_| {
         let triple: Vec<Pair> = sample(&mut random, pairs.len(), 3).iter().map(|i| pairs[i]).collect();
         let similarity = WorldFit::of(&triple);
         let mut errors: Vec<f64> = pairs.iter().map(|pair| similarity.error(pair)).collect();
-        errors.sort_by(f64::total_cmp);
-        let median = errors[errors.len() / 2];
-        if median < best.0 {
-            best = (median, similarity);
-        }
-    }
-    let (median, similarity) = best;
+        (quantile(&mut errors, 0.5).unwrap_or(f64::INFINITY), similarity)
+    };
+    let best = (0..DRAWS).map(draw).min_by(|a, b| a.0.total_cmp(&b.0));
+    let (median, similarity) = best.unwrap_or((f64::INFINITY, WorldFit::of(pairs)));
     // The median of a fit to three points is too small in small captures; a millimetre is below what GPS resolves.
     let small = 1.0 + 5.0 / pairs.len() as f64;
     let limit = (OUTLIER * small * median / MEDIAN_3D * 3f64.sqrt()).max(1e-3);

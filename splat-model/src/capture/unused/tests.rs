@@ -50,7 +50,7 @@ fn masks_and_depth_maps_of_no_photograph_are_named() {
     assert_says(masks, &parts);
     assert_says(depth, &["depths/ holds 1 pictures", "depths/0000.png.png", "found cam/0001.png"]);
     assert_eq!(depth::folder(&capture), None, "maps of no photograph supervise nothing");
-    assert_eq!(depth::from_maps(&capture, &[0]).unwrap(), None);
+    assert_eq!(depth::from_maps(&capture, &[0], |_| {}).unwrap(), None);
     add(folder.path(), &["masks/0002.png"]);
     assert_says(&remarks_on(folder.path())[0], &["masks/ holds 3 pictures, and 2 of them belong to no photograph"]);
 }

@@ -21,31 +21,16 @@ const ROUNDS: usize = 30;
 /// Smallest number of points for a resection. A camera with fewer is not moved.
 pub(in crate::effects) const FEWEST: usize = 8;
 
-/// The observed points of one photograph.
+/// The observed points of one photograph: positions, world frame, and unit vectors to them, camera frame.
 #[derive(Clone, Debug, Default)]
-pub struct Anchors {
-    /// Positions, world frame.
-    points: Vec<DVec3>,
-    /// Unit vectors, camera frame.
-    directions: Vec<DVec3>,
-}
-
-/// Points and directions on the device, `[M, 3]` each.
-pub(super) struct DeviceAnchors {
-    points: Tensor<2>,
-    directions: Tensor<2>,
-}
+pub struct Anchors(Vec<(DVec3, DVec3)>);
 
 /// Collects the anchors of the photographs `views` of a capture.
 pub fn from_tracks(capture: &Capture, views: &[usize]) -> Vec<Anchors> {
     let lists = capture.by_view(views.iter().copied(), |view, world, observation| {
         Some((world, view.intrinsics.cam_from_px(Vec2::from_array(observation.at_px).as_dvec2()).normalize()))
     });
-    lists
-        .into_iter()
-        .map(|list| list.into_iter().unzip())
-        .map(|(points, directions)| Anchors { points, directions })
-        .collect()
+    lists.into_iter().map(Anchors).collect()
 }
 
 impl Anchors {
@@ -53,7 +38,7 @@ impl Anchors {
     /// few points.
     pub fn resected(&self, cam_from_world: &DAffine3) -> DAffine3 {
         let mut pose = *cam_from_world;
-        if self.points.len() < FEWEST {
+        if self.0.len() < FEWEST {
             return pose;
         }
         for _ in 0..ROUNDS {
@@ -69,12 +54,11 @@ impl Anchors {
     }
 
     fn cost(&self, pose: &DAffine3) -> f64 {
-        let miss = |(point, direction): (&DVec3, &DVec3)| {
-            let found = pose.transform_point3(*point).normalize_or_zero();
-            found.distance_squared(*direction)
+        let miss = |&(point, direction): &(DVec3, DVec3)| {
+            pose.transform_point3(point).normalize_or_zero().distance_squared(direction)
         };
         let robust = |squared: f64| (squared + ROBUST_RAD * ROBUST_RAD).sqrt();
-        self.points.iter().zip(&self.directions).map(miss).map(robust).sum()
+        self.0.iter().map(miss).map(robust).sum()
     }
 
     /// The next Gauss-Newton step, `ω` and `τ`: the least-squares solution for `d + J (ω, τ) − d*` with `d = p/|p|` and the
@@ -82,11 +66,9 @@ impl Anchors {
     fn step(&self, pose: &DAffine3) -> Option<[f64; 6]> {
         let mut gram = [[0.0; 6]; 6];
         let mut moment = [0.0; 6];
-        for (point, direction) in self.points.iter().zip(&self.directions) {
-            let cam = pose.transform_point3(*point);
-            let length = cam.length();
-            let found = cam / length;
-            let residual = *direction - found;
+        for &(point, direction) in &self.0 {
+            let cam = pose.transform_point3(point);
+            let residual = direction - cam / cam.length();
             if !residual.is_finite() {
                 continue;
             }
@@ -100,33 +82,27 @@ impl Anchors {
         solve(gram, moment)
     }
 
-    pub(super) fn on_device(&self, device: &Device) -> Option<DeviceAnchors> {
-        let count = self.points.len();
-        let tensor = |rows: &[DVec3]| {
-            let values: Vec<f32> = rows.iter().flat_map(|row| row.as_vec3().to_array()).collect();
+    /// Points and directions, `[M, 3]` each.
+    pub(super) fn on_device(&self, device: &Device) -> Option<[Tensor<2>; 2]> {
+        let count = self.0.len();
+        let tensor = |of: fn(&(DVec3, DVec3)) -> DVec3| {
+            let values: Vec<f32> = self.0.iter().flat_map(|pair| of(pair).as_vec3().to_array()).collect();
             Tensor::<2>::from_data(TensorData::new(values, [count, 3]), device)
         };
-        (count >= FEWEST).then(|| DeviceAnchors { points: tensor(&self.points), directions: tensor(&self.directions) })
+        (count >= FEWEST).then(|| [tensor(|pair| pair.0), tensor(|pair| pair.1)])
     }
 }
 
-impl DeviceAnchors {
-    /// The miss of `pose`, `[3, 4]`, tracked, as `[1]`: about the mean angle between the directions to the points and the observed ones,
-    /// rad.
-    pub fn penalty(&self, pose: &Tensor<2>) -> Tensor<1> {
-        miss(pose, &self.points, &self.directions, ROBUST_RAD).expect("points and poses on one device")
-    }
+/// The miss of `pose`, `[3, 4]`, tracked, as `[1]`: about the mean angle between the directions to points and the observed ones, rad.
+pub(super) fn penalty([points, directions]: &[Tensor<2>; 2], pose: &Tensor<2>) -> Tensor<1> {
+    miss(pose, points, directions, ROBUST_RAD).expect("points and poses on one device")
 }
 
 /// Derivative of the direction to a point `p`, camera frame, with respect to the camera's `ω` and `τ`: the columns of
 /// `(I − d dᵀ)/|p| · [−p×, I]` with `d = p/|p|`.
 pub(in crate::effects) fn columns(cam: DVec3) -> [DVec3; 6] {
-    let length = cam.length();
-    let direction = cam / length;
-    let along = DMat3::from_cols(direction * direction.x, direction * direction.y, direction * direction.z);
-    let tangent = (DMat3::IDENTITY - along) * (1.0 / length);
-    let axes = [DVec3::X, DVec3::Y, DVec3::Z];
-    std::array::from_fn(|i| tangent * if i < 3 { axes[i].cross(cam) } else { axes[i - 3] })
+    let moved = |i: usize| if i < 3 { DVec3::AXES[i].cross(cam) } else { DVec3::AXES[i - 3] };
+    std::array::from_fn(|i| moved(i).reject_from(cam) / cam.length())
 }
 
 /// The Cayley map of `ω/2`.

@@ -1,6 +1,6 @@
 //! Depths of the scene.
 
-use glam::{DVec3, Vec3};
+use glam::DVec3;
 use serde::Serialize;
 
 use super::observations::PointObservations;
@@ -31,7 +31,7 @@ pub(super) fn evidence(capture: &Capture, observations: &PointObservations) -> O
     let centres: Vec<DVec3> = capture.views.iter().map(|view| view.cam_from_world.inverse().translation).collect();
     let middle = Spread::of(&centres)?.middle;
     let far = DepthEvidence::FAR_EXTENTS * scene_extent(&centres);
-    let is_far = |&&point: &&usize| Vec3::from_array(capture.points.positions[point]).as_dvec3().distance(middle) > far;
+    let is_far = |&&point: &&usize| capture.position(point).distance(middle) > far;
     Some(DepthEvidence {
         nearest: quantile(&mut depths, 0.01)?,
         median: quantile(&mut depths, 0.5)?,

@@ -25,10 +25,10 @@ pub struct FileEvidence {
 
 /// All files that a run on a capture may read: the capture's own, photographs, masks and depth maps.
 pub fn input_files(capture: &Capture) -> Vec<PathBuf> {
-    let scale = depth_maps::folder(capture).map(|folder| capture.folder.join(folder).join(depth_maps::SCALE));
+    let unit = depth_maps::folder(capture).map(|folder| capture.folder.join(folder).join(depth_maps::UNIT));
     let beside = [masks::find(capture), depth_maps::find(capture)].concat();
     let photographs = capture.views.iter().map(|view| view.image_path.clone());
-    capture.files.iter().cloned().chain(photographs).chain(beside.into_iter().flatten()).chain(scale).collect()
+    capture.files.iter().cloned().chain(photographs).chain(beside.into_iter().flatten()).chain(unit).collect()
 }
 
 pub(super) fn evidence(capture: &Capture, views: &[usize], glances: &[Glance]) -> FileEvidence {

@@ -1,11 +1,10 @@
 //! Observations of points in several photographs.
 
-use glam::DVec3;
 use serde::Serialize;
-use splat_op::Projector;
 
 use super::detail::Detail;
-use crate::capture::{Capture, Observation, View, seen};
+use crate::capture::seen::project;
+use crate::capture::{Capture, Observation, View};
 
 /// Largest number of compared points. More points do not change medians.
 const MOST_POINTS: usize = 6_000;
@@ -105,9 +104,10 @@ fn projected(capture: &Capture, surveyed: &[usize]) -> Vec<(usize, Vec<PointObse
         let side_px = (view.intrinsics.width.max(view.intrinsics.height) as f64 / CELLS as f64).max(1.0);
         let cell = |[x, y]: [f64; 2]| [(x / side_px) as usize, (y / side_px) as usize];
         let mut nearest = vec![[f64::INFINITY; CELLS + 1]; CELLS + 1];
-        let projector = view.intrinsics.projector();
+        let View { intrinsics: camera, cam_from_world: pose, .. } = view;
+        let projector = camera.projector();
         let shown: Vec<Option<([f64; 2], f64)>> =
-            (0..count).map(|point| project(view, &projector, capture.position(point))).collect();
+            (0..count).map(|point| project(camera, &projector, pose, capture.position(point))).collect();
         for (at_px, depth) in shown.iter().flatten() {
             let [column, row] = cell(*at_px);
             nearest[row][column] = nearest[row][column].min(*depth);
@@ -125,11 +125,6 @@ fn projected(capture: &Capture, surveyed: &[usize]) -> Vec<(usize, Vec<PointObse
         }
     }
     found
-}
-
-/// Projects a point into a view with the camera `projector`: position, px, and depth. `None` outside of the picture.
-pub(super) fn project(view: &View, projector: &Projector, world: DVec3) -> Option<([f64; 2], f64)> {
-    seen::project(&view.intrinsics, projector, &view.cam_from_world, world)
 }
 
 fn focal_px(view: &View) -> f64 {

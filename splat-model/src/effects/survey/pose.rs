@@ -1,8 +1,6 @@
 //! Reprojection errors of the poses.
 
-use glam::{Vec2, Vec3};
 use serde::Serialize;
-use splat_op::Projector;
 
 use super::{Capture, quantile};
 
@@ -32,17 +30,8 @@ pub struct PoseEvidence {
 
 pub(super) fn evidence(capture: &Capture) -> Option<PoseEvidence> {
     let count = capture.points.positions.len();
-    let cameras: Vec<Projector> = capture.views.iter().map(|view| view.intrinsics.projector()).collect();
-    let cameras = &cameras;
-    let measured = (0..count).flat_map(|point| {
-        let world = Vec3::from_array(capture.points.positions[point]).as_dvec3();
-        capture.tracks.of(point).iter().filter_map(move |observation| {
-            let cam = capture.views.get(observation.view)?.cam_from_world.transform_point3(world);
-            let found = Vec2::from_array(observation.at_px).as_dvec2();
-            Some(cameras[observation.view].px_from_cam(cam)?.distance(found))
-        })
-    });
-    let mut errors: Vec<f64> = measured.filter(|error| error.is_finite()).collect();
+    let all = 0..capture.views.len();
+    let mut errors = capture.misses(all, |_, _, _, miss_px| Some(miss_px).filter(|px| px.is_finite())).concat();
     let mut source = PoseSource::Tracks;
     if errors.is_empty() {
         source = PoseSource::Stated;

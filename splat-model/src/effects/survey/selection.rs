@@ -29,22 +29,14 @@ pub(super) fn select(capture: &Capture, views: &[usize], most_pixels: usize) -> 
         let middle = (2 * group + 1) * views.len() / (2 * groups);
         let size = ((group + 1) * count / groups - group * count / groups).max(1);
         let mut others: Vec<usize> = (0..views.len()).filter(|&view| !chosen[view]).collect();
-        let shared = |view: usize| shared(&shown[middle], &shown[view]);
+        // The lists are ascending.
+        let is_shown = |view: usize, point: &u32| shown[view].binary_search(point).is_ok();
+        let shared = |view: usize| shown[middle].iter().filter(|point| is_shown(view, point)).count();
         // The middle comes first among equals, and then its neighbours.
         others.sort_by_cached_key(|&view| (std::cmp::Reverse(shared(view)), view.abs_diff(middle)));
         others.into_iter().take(size).for_each(|view| chosen[view] = true);
     }
     views.iter().zip(chosen).filter_map(|(&view, chosen)| chosen.then_some(view)).collect()
-}
-
-/// Number of points that are in both lists, which are ascending.
-fn shared(a: &[u32], b: &[u32]) -> usize {
-    let mut rest = b;
-    let in_both = |point: &&u32| {
-        rest = &rest[rest.partition_point(|other| other < point)..];
-        rest.first() == Some(point)
-    };
-    a.iter().filter(in_both).count()
 }
 
 #[cfg(test)]

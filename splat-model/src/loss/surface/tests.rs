@@ -1,5 +1,5 @@
-use burn::tensor::DType;
-use glam::DVec3;
+use burn::tensor::{DType, TensorData};
+use glam::{DVec2, DVec3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 

@@ -13,8 +13,7 @@ fn observations(count: usize, noise: f64) -> (Anchors, DAffine3) {
     for i in 0..count {
         let cam = DVec3::new(1.5 * spread(i, 1.3), 1.2 * spread(i, 2.1), 4.0 + 2.0 * spread(i, 0.7));
         let seen = cam.normalize() + noise * DVec3::new(spread(i, 5.1), spread(i, 7.7), 0.0);
-        anchors.points.push(pose.inverse().transform_point3(cam));
-        anchors.directions.push(seen.normalize());
+        anchors.0.push((pose.inverse().transform_point3(cam), seen.normalize()));
     }
     (anchors, pose)
 }
@@ -30,7 +29,7 @@ fn a_camera_is_put_where_its_points_say() {
     // A fifth of the directions is wrong.
     let (mut anchors, pose) = observations(100, 1e-4);
     for i in (0..100).step_by(5) {
-        anchors.directions[i] = (anchors.directions[i] + DVec3::new(0.2, 0.1, 0.0)).normalize();
+        anchors.0[i].1 = (anchors.0[i].1 + DVec3::new(0.2, 0.1, 0.0)).normalize();
     }
     let found = anchors.resected(&wrong(&pose));
     assert!(found.abs_diff_eq(pose, 3e-3), "{found:?} instead of {pose:?}");
@@ -57,20 +56,20 @@ fn the_pull_is_an_angle_and_vanishes_at_the_right_pose() {
     let device = Device::flex();
     let (anchors, pose) = observations(40, 0.0);
     let on_device = anchors.on_device(&device).unwrap();
-    let penalty = |pose: &DAffine3| {
+    let pull = |pose: &DAffine3| {
         let rows: Vec<f32> = (0..3)
             .flat_map(|i| [pose.x_axis[i], pose.y_axis[i], pose.z_axis[i], pose.translation[i]])
             .map(|value| value as f32)
             .collect();
         let pose = Tensor::<2>::from_data(TensorData::new(rows, [3, 4]), &device);
-        on_device.penalty(&Tensor::from_inner(pose)).into_scalar::<f32>()
+        penalty(&on_device, &Tensor::from_inner(pose)).into_scalar::<f32>()
     };
-    assert!(penalty(&pose).abs() < 1e-6);
+    assert!(pull(&pose).abs() < 1e-6);
     // Rotated about the viewing axis by 0.03 rad: each direction moves by that times its distance from the axis.
     let turned = DAffine3::from_mat3(rotation(DVec3::new(0.0, 0.0, 0.03))) * pose;
-    let miss = |direction: &DVec3| (0.03 * direction.truncate().length()).hypot(ROBUST_RAD) - ROBUST_RAD;
-    let expected = anchors.directions.iter().map(miss).sum::<f64>() / 40.0;
-    assert!((f64::from(penalty(&turned)) - expected).abs() < 0.01 * expected);
+    let miss = |(_, direction): &(DVec3, DVec3)| (0.03 * direction.truncate().length()).hypot(ROBUST_RAD) - ROBUST_RAD;
+    let expected = anchors.0.iter().map(miss).sum::<f64>() / 40.0;
+    assert!((f64::from(pull(&turned)) - expected).abs() < 0.01 * expected);
 }
 
 /// On the demo capture, whose tracks are exact, each photograph has the directions of its own points.
@@ -86,9 +85,9 @@ fn tracks_are_those_of_the_photographs_asked_for() {
     for (anchors, view) in anchors.iter().zip(views) {
         let of_view =
             |point: usize| capture.tracks.of(point).iter().filter(|observation| observation.view == view).count();
-        assert_eq!(anchors.points.len(), (0..200).map(of_view).sum::<usize>());
-        assert!(anchors.points.len() > 30 && anchors.directions.len() == anchors.points.len());
-        for (point, direction) in anchors.points.iter().zip(&anchors.directions) {
+        assert_eq!(anchors.0.len(), (0..200).map(of_view).sum::<usize>());
+        assert!(anchors.0.len() > 30);
+        for (point, direction) in &anchors.0 {
             let cam = capture.views[view].cam_from_world.transform_point3(*point);
             assert!(cam.normalize().distance(*direction) < 1e-5, "{cam} {direction}");
         }
@@ -100,8 +99,7 @@ fn tracks_are_those_of_the_photographs_asked_for() {
 fn a_point_at_the_camera_is_passed_over() {
     let (anchors, _) = observations(40, 0.0);
     let mut with = anchors.clone();
-    with.points.push(DVec3::ZERO);
-    with.directions.push(DVec3::Z);
+    with.0.push((DVec3::ZERO, DVec3::Z));
     let step = anchors.step(&DAffine3::IDENTITY);
     assert!(step.is_some() && with.step(&DAffine3::IDENTITY) == step);
 }
@@ -116,8 +114,7 @@ fn a_camera_is_never_worse_off() {
         // Every other camera is closer to its points than the Gauss-Newton steps allow.
         let size = if seed % 2 == 0 { 1.0 } else { 0.03 };
         for _ in 0..FEWEST {
-            anchors.points.push(size * vector());
-            anchors.directions.push(vector().normalize());
+            anchors.0.push((size * vector(), vector().normalize()));
         }
         let start = DAffine3::from_translation(0.1 * vector());
         let found = anchors.resected(&start);
