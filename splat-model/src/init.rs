@@ -35,41 +35,20 @@ const SMALLEST_SQUARED_DISTANCE: f32 = 1e-7;
 /// `bonsai`, which no others replace.
 const SAME_PLACE: f64 = 1e-5;
 
-/// Number of random Gaussians for a capture without points.
+/// Number of random Gaussians for a start without points.
 pub const RANDOM_COUNT: usize = 20_000;
 
-/// Largest number of points that are found in photographs.
+/// Largest number of points that a start takes from photographs, and the pixels of all photographs for each.
 const MATCHED_COUNT: usize = 15_000;
-
-/// Photographs are searched for points if there are fewer than one in so many of what a start may have.
-const FEW_TO_MATCH_IN: usize = 3;
-
-/// Pixels of all photographs for each Gaussian, at least, of a start that random ones fill up.
 const PIXELS_EACH: usize = 50;
 
-/// Points are few if they are fewer than one in so many of the Gaussians that a start may have: of `fox_small`, 1,500 points without
-/// random ones give 22.8 dB, 3,000 give 24.4 dB, and random ones alone 23.4 dB.
-const FEW_IN: usize = 10;
+/// Points are few if they are fewer than one in so many of what photographs may give.
+const FEW_IN: usize = 3;
 
-/// The same with fewer than [`FEW_VIEWS`] photographs. One photograph alone shows most random points then, so that they fit it and no other: the demo
-/// has 15.7 dB from eight photographs and 150 points, 13.1 dB with random ones beside them, and 12.1 dB from those alone.
-const FEW_IN_OF_FEW_VIEWS: usize = 100;
-
-const FEW_VIEWS: usize = 12;
-
-/// The number of points that a start takes from photographs with so many pixels together (see [`matched_points`]) beside these points: none if there
-/// are enough. 15,000 in place of the demo's 6,000 points give 31.5 dB instead of 30.6 dB after 1,500 steps.
-pub fn unmatched(points: usize, pixels: usize) -> usize {
+/// The number of points to take from photographs with so many pixels together ([`matched_points`]) beside these: none if there are enough.
+pub fn missing(points: usize, pixels: usize) -> usize {
     let wanted = MATCHED_COUNT.min(pixels / PIXELS_EACH);
-    if FEW_TO_MATCH_IN * points < wanted { wanted - points } else { 0 }
-}
-
-/// The number of random points (see [`random_points`]) that a start takes beside these points, for so many photographs with so many pixels
-/// together: none if there are enough. From a few points alone growth reaches little of the scene.
-pub fn missing(points: usize, views: usize, pixels: usize) -> usize {
-    let wanted = if points == 0 { RANDOM_COUNT } else { RANDOM_COUNT.min(pixels / PIXELS_EACH) };
-    let few_in = if views < FEW_VIEWS { FEW_IN_OF_FEW_VIEWS } else { FEW_IN };
-    if few_in * points < wanted { wanted - points } else { 0 }
+    if FEW_IN * points < wanted { wanted - points } else { 0 }
 }
 
 /// Returns one round Gaussian per point. Its standard deviation is the root mean square distance to the three nearest
@@ -132,8 +111,7 @@ fn neighbour_distances(positions: &[[f32; 3]]) -> Vec<f32> {
     let wanted = std::num::NonZero::new(NEIGHBOURS + 1).expect("one more than three");
     let mean = |position: &[f32; 3]| {
         // The nearest is the point itself.
-        let found = tree.nearest_n::<SquaredEuclidean>(position, wanted);
-        let others = &found[1..];
+        let others = &tree.nearest_n::<SquaredEuclidean>(position, wanted)[1..];
         others.iter().map(|neighbour| neighbour.distance).sum::<f32>() / others.len() as f32
     };
     positions.par_iter().map(mean).collect()
@@ -147,8 +125,8 @@ pub fn random_points(cameras: &[(Intrinsics, DAffine3)], count: usize, rng: &mut
     let mut points = PointCloud::default();
     let centres: Vec<DVec3> = cameras.iter().map(|(_, pose)| pose.inverse().translation).collect();
     let Some(spread) = Spread::of(&centres) else { return points };
-    let usual = cameras.iter().zip(&centres).filter(|(_, centre)| spread.holds(**centre));
-    let cameras: Vec<_> = usual.map(|(camera, _)| *camera).collect();
+    let cameras: Vec<_> =
+        cameras.iter().zip(&centres).filter_map(|(camera, centre)| spread.holds(*centre).then_some(camera)).collect();
     let poses: Vec<DAffine3> = cameras.iter().map(|(_, pose)| pose.inverse()).collect();
     let Some((focus, extent)) = focus_of(&poses) else { return points };
     for _ in 0..count {
@@ -157,8 +135,7 @@ pub fn random_points(cameras: &[(Intrinsics, DAffine3)], count: usize, rng: &mut
         let distance = distance_to(focus, world_from_cam, extent);
         let depth = distance * rng.random_range(0.5..1.5);
         let px = DVec2::new(rng.random_range(0.0..camera.width as f64), rng.random_range(0.0..camera.height as f64));
-        let position = world_from_cam.transform_point3(camera.cam_from_px(px) * depth);
-        points.positions.push(position.as_vec3().to_array());
+        points.positions.push(world_from_cam.transform_point3(camera.cam_from_px(px) * depth).as_vec3().to_array());
         points.colours.push([rng.random(), rng.random(), rng.random()]);
     }
     points

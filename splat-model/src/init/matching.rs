@@ -4,8 +4,6 @@
 //! there, by normalised cross-correlation (a plane sweep, Collins 1996). The depth of the best match is taken if the match is good and no
 //! other depth matches nearly as well.
 
-use std::sync::Arc;
-
 use glam::{DAffine3, DVec2, DVec3, Vec2};
 use image::imageops::{FilterType, grayscale, resize};
 use image::{ImageBuffer, Rgb};
@@ -36,16 +34,14 @@ const ANGLE: f64 = 0.14;
 /// Smallest angle of neighbours, radians: at less, a depth is uncertain.
 const SMALLEST_ANGLE: f64 = 0.02;
 
-/// Nearest depth, relative to the distance of the scene's middle, and the number of depths.
+/// Nearest depth, relative to the distance of the scene's middle; the number of depths; and those on either side that belong to a match.
 const NEAREST: f64 = 0.3;
 const DEPTHS: usize = 128;
+const PEAK: usize = 3;
 
 /// Smallest correlation of a match, the mean of the best two photographs, and by how much all other depths are below it.
 const MATCH: f32 = 0.8;
 const MARGIN: f32 = 0.1;
-
-/// Depths on either side that belong to a match.
-const PEAK: usize = 3;
 
 /// Largest number of pixels that are tried for each wanted point, and how many at a time.
 const TRIALS: usize = 4;
@@ -59,13 +55,12 @@ const AT_ONCE: usize = 4096;
 /// If a photograph cannot be decoded.
 pub fn matched_points(photos: &[Photograph], count: usize, rng: &mut impl Rng) -> Result<PointCloud, CaptureError> {
     let step = photos.len().div_ceil(MOST_PHOTOGRAPHS).max(1);
-    let of: Vec<&Photograph> = photos.iter().step_by(step).collect();
-    let of: Vec<&Photograph> =
-        of.into_iter().filter(|photo| photo.intrinsics.model != CameraModel::Orthographic).collect();
+    let is_usable = |photo: &&Photograph| photo.intrinsics.model != CameraModel::Orthographic;
+    let of: Vec<&Photograph> = photos.iter().step_by(step).filter(is_usable).collect();
     let poses: Vec<DAffine3> = of.iter().map(|photo| photo.cam_from_world.inverse()).collect();
     let mut points = PointCloud::default();
     let Some((middle, extent)) = focus_of(&poses) else { return Ok(points) };
-    let picture = |photo: &&Photograph| Ok(Picture::new(&photo.pixels()?, middle, extent));
+    let picture = |photo: &&Photograph| photo.pixels().map(|photo| Picture::new(&photo, middle, extent));
     let pictures = of.par_iter().map(picture).collect::<Result<Vec<_>, CaptureError>>()?;
     let neighbours: Vec<Vec<Neighbour>> = pictures.par_iter().map(|own| own.neighbours(&pictures)).collect();
     let mut left = TRIALS * count;
@@ -73,18 +68,17 @@ pub fn matched_points(photos: &[Photograph], count: usize, rng: &mut impl Rng) -
         let drawn: Vec<(usize, DVec2)> = (0..left.min(AT_ONCE))
             .map(|_| {
                 let view = rng.random_range(0..pictures.len());
-                let Picture { size, .. } = &pictures[view];
-                (view, DVec2::new(rng.random_range(0.0..size[0] as f64), rng.random_range(0.0..size[1] as f64)))
+                let [x, y] = pictures[view].size.map(|side| rng.random_range(0.0..side as f64));
+                (view, DVec2::new(x, y))
             })
             .collect();
         left -= drawn.len();
-        let found: Vec<_> =
-            drawn.par_iter().filter_map(|&(view, at)| pictures[view].find(at, &neighbours[view])).collect();
-        for (position, colour) in found.into_iter().take(count - points.positions.len()) {
-            points.positions.push(position);
-            points.colours.push(colour);
-        }
+        let find = |&(view, at): &(usize, DVec2)| pictures[view].find(at, &neighbours[view]);
+        let (positions, colours): (Vec<_>, Vec<_>) = drawn.par_iter().filter_map(find).unzip();
+        points.positions.extend(positions);
+        points.colours.extend(colours);
     }
+    points.truncate(count);
     Ok(points)
 }
 
@@ -105,16 +99,11 @@ struct Picture {
     middle: f64,
 }
 
-/// A picture to compare with, and its camera relative to one's own.
-struct Neighbour<'a> {
-    picture: &'a Picture,
-    cam_from_own: DAffine3,
-}
-
-type Patch = [f32; PATCH];
+/// A picture to compare with, and `cam_from_own`, its camera relative to one's own.
+type Neighbour<'a> = (&'a Picture, DAffine3);
 
 impl Picture {
-    fn new(photo: &Arc<Photo>, middle: DVec3, extent: f64) -> Self {
+    fn new(photo: &Photo, middle: DVec3, extent: f64) -> Self {
         let (width, height) = (photo.intrinsics.width, photo.intrinsics.height);
         let scale = (width.max(height) as f64 / SIDE).max(1.0);
         let side = |full: usize| ((full as f64 / scale) as usize).max(1);
@@ -141,24 +130,25 @@ impl Picture {
         }
     }
 
+    fn px_from_cam(&self, cam: DVec3) -> Option<Vec2> {
+        Some((self.projector.px_from_cam(cam)? / self.scale).as_vec2())
+    }
+
     /// The pictures that show what this one shows in its middle, from directions that differ most nearly by [`ANGLE`].
     fn neighbours<'a>(&self, pictures: &'a [Self]) -> Vec<Neighbour<'a>> {
         let middle = self.world_from_cam.transform_point3(DVec3::Z * self.middle);
         let rated = |picture: &'a Self| {
-            let at = picture.projector.px_from_cam(picture.cam_from_world.transform_point3(middle))? / picture.scale;
+            let at = picture.px_from_cam(picture.cam_from_world.transform_point3(middle))?;
             let to = |camera: &Self| camera.world_from_cam.translation - middle;
             let angle = to(self).angle_between(to(picture));
-            let [width, height] = picture.size.map(|side| side as f64);
+            let [width, height] = picture.size.map(|side| side as f32);
             let shows = at.min_element() >= 0.0 && at.x < width && at.y < height;
             (shows && angle > SMALLEST_ANGLE).then(|| ((angle / ANGLE).ln().abs(), picture))
         };
         let mut rated: Vec<(f64, &Self)> = pictures.iter().filter_map(rated).collect();
         rated.sort_by(|a, b| a.0.total_cmp(&b.0));
-        let neighbour = |(_, picture): (f64, &'a Self)| Neighbour {
-            picture,
-            cam_from_own: picture.cam_from_world * self.world_from_cam,
-        };
-        rated.into_iter().take(NEIGHBOURS).map(neighbour).collect()
+        let cam_from_own = |picture: &Self| picture.cam_from_world * self.world_from_cam;
+        rated.into_iter().take(NEIGHBOURS).map(|(_, picture)| (picture, cam_from_own(picture))).collect()
     }
 
     /// The surface's position and colour at a position; `None` where nothing is certain.
@@ -171,10 +161,16 @@ impl Picture {
         let rays = [DVec2::ZERO, DVec2::X, DVec2::Y]
             .map(|offset| self.projector.cam_from_px((at + offset * f64::from(HALF)) * self.scale));
         let inverse_depth = |step: f64| (step + 0.5) / (DEPTHS as f64 * NEAREST * self.middle);
+        let seen = |&(picture, cam_from_own): &Neighbour, step: f64| {
+            let px =
+                |ray| picture.px_from_cam(cam_from_own.matrix3 * ray + cam_from_own.translation * inverse_depth(step));
+            let (middle, right, down) = (px(rays[0])?, px(rays[1])?, px(rays[2])?);
+            picture.patch(middle, [right, down].map(|side| (side - middle) / f32::from(HALF)), 1.0)
+        };
         let score = |step: f64| {
             let mut best = [-1.0_f32; 2];
             for neighbour in neighbours {
-                let found = neighbour.patch(rays, inverse_depth(step));
+                let found = seen(neighbour, step);
                 let found = found.map_or(-1.0, |other| other.iter().zip(&own).map(|(a, b)| a * b).sum());
                 best = [best[0].max(found), best[1].max(best[0].min(found))];
             }
@@ -186,7 +182,7 @@ impl Picture {
         if scores[best] < MATCH || scores[best] < others.fold(-1.0, f32::max) + MARGIN {
             return None;
         }
-        let around = (-4..=4).map(|quarter| best as f64 + 0.25 * f64::from(quarter));
+        let around = (-4..=4).map(|quarter| (best as f64 + 0.25 * f64::from(quarter)).max(0.0));
         let (step, _) = around.map(|step| (step, score(step))).max_by(|a, b| a.1.total_cmp(&b.1))?;
         let position = self.world_from_cam.transform_point3(rays[0] / inverse_depth(step));
         Some((position.as_vec3().to_array(), colour))
@@ -194,7 +190,7 @@ impl Picture {
 
     /// The grey levels around a position in steps of `along`, with mean zero and norm one. `None` where the patch leaves the picture, or where
     /// its standard deviation is below `detail`.
-    fn patch(&self, at: Vec2, along: [Vec2; 2], detail: f32) -> Option<Patch> {
+    fn patch(&self, at: Vec2, along: [Vec2; 2], detail: f32) -> Option<[f32; PATCH]> {
         let [width, height] = self.size;
         // Relative to the middle of the first pixel.
         let (at, reach) = (at - 0.5, (along[0].abs() + along[1].abs()) * f32::from(HALF));
@@ -218,19 +214,6 @@ impl Picture {
         patch.iter_mut().for_each(|value| *value -= mean);
         let norm = patch.iter().map(|value| value * value).sum::<f32>().sqrt();
         (norm > detail * (PATCH as f32).sqrt()).then(|| patch.map(|value| value / norm))
-    }
-}
-
-impl Neighbour<'_> {
-    /// What it shows of a patch, whose middle and sides have these `rays` in its own camera's frame, at an inverse depth.
-    fn patch(&self, rays: [DVec3; 3], inverse_depth: f64) -> Option<Patch> {
-        let DAffine3 { matrix3, translation } = self.cam_from_own;
-        let px = |ray: DVec3| {
-            let px = self.picture.projector.px_from_cam(matrix3 * ray + translation * inverse_depth)?;
-            Some((px / self.picture.scale).as_vec2())
-        };
-        let (middle, right, down) = (px(rays[0])?, px(rays[1])?, px(rays[2])?);
-        self.picture.patch(middle, [right, down].map(|side| (side - middle) / f32::from(HALF)), 1.0)
     }
 }
 

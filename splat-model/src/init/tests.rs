@@ -219,25 +219,6 @@ fn a_small_cloud_begins_as_a_large_one() {
 }
 
 #[test]
-fn few_points_are_filled_up_to_what_photographs_can_show() {
-    // Fifty pixels for each splat, and 20,000 splats at most.
-    for (points, views, pixels, expected) in [
-        (0, 1, 0, RANDOM_COUNT),
-        (0, 40, 10_000_000, RANDOM_COUNT),
-        (1, 40, 10_000_000, RANDOM_COUNT - 1),
-        (1_999, 40, 10_000_000, RANDOM_COUNT - 1_999),
-        (2_000, 40, 10_000_000, 0),
-        (99, 12, 50_000, 901),
-        (100, 12, 50_000, 0),
-        (99, 11, 50_000, 0),
-        (9, 11, 50_000, 991),
-        (1, 40, 499, 0),
-    ] {
-        assert_eq!(missing(points, views, pixels), expected, "{points} points, {views} photographs, {pixels} px");
-    }
-}
-
-#[test]
 fn photographs_are_searched_where_points_are_few() {
     for (points, pixels, expected) in [
         (0, 10_000_000, 15_000),
@@ -248,6 +229,6 @@ fn photographs_are_searched_where_points_are_few() {
         (334, 50_000, 0),
         (0, 49, 0),
     ] {
-        assert_eq!(unmatched(points, pixels), expected, "{points} points, {pixels} px");
+        assert_eq!(missing(points, pixels), expected, "{points} points, {pixels} px");
     }
 }

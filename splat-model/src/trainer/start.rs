@@ -9,8 +9,8 @@ use crate::density::rows::Trained;
 use crate::gaussians::{GaussianRows, Gaussians, GroupRows};
 use crate::init;
 
-/// The initial Gaussians of a run over `photos` that starts from `points`, and from random ones where those are few, at most `most`; and
-/// how many photographs show the points, or the random ones if there are no others.
+/// The initial Gaussians of a run over `photos` that starts from `points`, or from random ones where there are none, at most `most`; and
+/// how many photographs show them.
 pub(super) fn first_rows(
     photos: &[Photograph],
     points: &PointCloud,
@@ -19,15 +19,11 @@ pub(super) fn first_rows(
 ) -> (GaussianRows, PointsSeen) {
     let cameras: Vec<_> = photos.iter().map(|photo| (photo.intrinsics, photo.cam_from_world)).collect();
     let mut start = init::thinned(&init::distinct(points), most);
-    let pixels = cameras.iter().map(|(camera, _)| camera.width * camera.height).sum();
-    let own = start.positions.len();
-    let random = init::random_points(&cameras, init::missing(own, cameras.len(), pixels).min(most - own), rng);
-    start.positions.extend(random.positions);
-    start.colours.extend(random.colours);
+    if start.positions.is_empty() {
+        start = init::random_points(&cameras, init::RANDOM_COUNT.min(most), rng);
+    }
     start.truncate(rounded_down(start.positions.len()));
-    let own = own.min(start.positions.len());
-    let of_seen = if own > 0 { own } else { start.positions.len() };
-    let seen = PointsSeen::of(&cameras, &start.positions[..of_seen]);
+    let seen = PointsSeen::of(&cameras, &start.positions);
     (init::from_points(&init::ordered(&start)), seen)
 }
 

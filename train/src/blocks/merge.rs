@@ -10,9 +10,7 @@ use splat_model::gaussians::GaussianRows;
 use splat_model::ply::TrainedAs;
 
 use super::planned::PlanFolder;
-use super::seams::Seams;
 use crate::convert::format_of;
-use crate::device::DeviceName;
 use crate::inputs::Inputs;
 use crate::output::prepare_file;
 use crate::report::SCENE;
@@ -28,15 +26,9 @@ pub struct MergeArgs {
     /// Scene to write: .ply, .spz, .glb or .sog
     #[arg(long, value_name = "FILE")]
     pub out: PathBuf,
-    /// Held-out photographs of each block on which the merged scene is compared with the block; 0 for none
-    #[arg(long, value_name = "N", default_value_t = 4)]
-    pub views: usize,
-    /// Device to compute on: auto, cpu, flex, ndarray, gpu, gpu:N and what else `splat devices` lists
-    #[arg(long, value_name = "NAME", default_value_t)]
-    pub device: DeviceName,
 }
 
-/// Writes the scene, then compares it with its blocks and prints the differences.
+/// Writes the scene. `splat eval` scores it on the whole capture.
 ///
 /// # Errors
 /// If a block is not finished, the blocks do not fit together, or the scene is one of the files that are read or cannot be written.
@@ -74,12 +66,7 @@ pub fn merge(args: &MergeArgs) -> Result<()> {
     };
     formats::write(&args.out, &scene, format)?;
     progress::say(&format!("scene: {} ({} splats)", args.out.display(), scene.rows.len()));
-    if args.views == 0 {
-        return Ok(());
-    }
-    let (device, _) = args.device.resolve()?;
-    let seams = Seams::new(&capture, &folder.plan.options, &scene.rows, &trained, &device)?;
-    seams.check(&folder, &files, args.views)
+    Ok(())
 }
 
 /// The rows of all blocks in their cells, block by block, relative to the capture's origin, and how they were trained.

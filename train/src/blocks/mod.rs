@@ -4,7 +4,6 @@ mod job;
 mod merge;
 mod plan;
 mod planned;
-mod seams;
 mod status;
 
 use anyhow::Result;

@@ -62,7 +62,7 @@ impl Job {
         let views: Vec<usize> = train.iter().map(|photo| by_name[photo.name.as_str()]).collect();
         let mut points = self.points(&train)?;
         if is_new && self.args.start.is_none() {
-            self.fill_up(&mut points, &train)?;
+            self.add_matched(&mut points, &train)?;
         }
         let mut trainer = self.args.supply(Trainer::of(train, &points, self.config.clone(), &self.device)?)?;
         if is_new {
@@ -88,27 +88,22 @@ impl Job {
         Ok(points)
     }
 
-    /// Adds points that the photographs show where the capture has few, and says how many, and how many random ones are still missing.
-    fn fill_up(&self, points: &mut PointCloud, train: &[Photograph]) -> Result<()> {
+    /// Adds points that the photographs show where the capture has few, and says how many.
+    fn add_matched(&self, points: &mut PointCloud, train: &[Photograph]) -> Result<()> {
         let own = points.positions.len();
         let pixels = train.iter().map(|photo| photo.intrinsics.width * photo.intrinsics.height).sum();
-        let room = self.config.density.max_splats().saturating_sub(own);
-        let unmatched = init::unmatched(own, pixels).min(room);
-        if unmatched == 0 {
+        let missing = init::missing(own, pixels).min(self.config.density.max_splats().saturating_sub(own));
+        if missing == 0 {
             return Ok(());
         }
-        let found = init::matched_points(train, unmatched, &mut ChaCha8Rng::seed_from_u64(self.config.seed))?;
-        let found_count = found.positions.len();
+        let found = init::matched_points(train, missing, &mut ChaCha8Rng::seed_from_u64(self.config.seed))?;
         points.positions.extend(found.positions);
         points.colours.extend(found.colours);
-        let has = if own == 0 { "no points".into() } else { format!("{own} points, which are few") };
-        let missing = init::missing(own + found_count, train.len(), pixels).min(room - found_count);
-        let random =
-            if missing > 0 { format!(" and from {missing} random splats around the cameras") } else { String::new() };
-        progress::note(&format!(
-            "the capture has {has}: training starts from {found_count} points that the photographs show{random}{}",
-            if own == 0 { "" } else { " too" }
-        ));
+        progress::note(&match (own, points.positions.len() - own) {
+            (0, 0) => "the capture has no points: training starts from random splats around the cameras".into(),
+            (0, found) => format!("the capture has no points: training starts from {found} that its photographs show"),
+            (_, found) => format!("the capture has {own} points, which are few: its photographs show {found} more"),
+        });
         Ok(())
     }
 

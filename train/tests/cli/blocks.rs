@@ -66,8 +66,8 @@ fn a_plan_is_trained_line_by_line_and_merged() {
     assert_eq!(fs::metadata(out.join("block-0/run/scene.ply")).unwrap().modified().unwrap(), before);
 
     let merged = out.join("merged.ply");
-    let said = succeed(&mut splat(&["blocks", "merge", text(out), "--out", text(&merged), "--device", "cpu"])).stdout;
-    assert!(said.contains("block-0 ") && said.contains("block-1 ") && said.contains("merged.ply"), "{said}");
+    let said = succeed(&mut splat(&["blocks", "merge", text(out), "--out", text(&merged)])).stdout;
+    assert!(said.contains("merged.ply"), "{said}");
     let (rows, origin) = ply::read(&merged).unwrap();
     let mut expected = 0;
     for block in 0..2 {

@@ -54,24 +54,23 @@ fn what_is_not_used_is_said_by_every_command_that_reads_a_capture() {
 }
 
 #[test]
-fn a_capture_without_points_is_said_to_start_at_random() {
+fn a_capture_without_points_starts_from_those_that_photographs_show() {
     let capture = capture();
-    assert!(!trained(capture.path(), &["--effects", "none"]).contains("random"));
+    assert!(!trained(capture.path(), &["--effects", "none"]).contains("photographs show"));
     fs::remove_file(capture.path().join("sparse/0/points3D.bin")).unwrap();
     let said = trained(capture.path(), &["--effects", "none"]);
-    assert_eq!(said.matches("no points: training starts from random splats").count(), 1, "{said}");
+    assert_eq!(said.matches("no points: training starts from ").count(), 1, "{said}");
 }
 
 #[test]
-fn few_points_are_said_to_start_among_random_ones() {
+fn few_points_are_said() {
     let capture = capture();
     let Capture { views, mut points, .. } = Capture::load(capture.path()).unwrap();
     points.positions.truncate(4);
     points.colours.truncate(4);
     write_model(capture.path(), &views, &points, &Default::default()).unwrap();
     let said = trained(capture.path(), &["--effects", "none"]);
-    // Seven photographs of 64 × 48 px to train on, fifty pixels for each splat.
-    let part = "4 points, which are few: training starts from 426 random splats";
+    let part = "4 points, which are few: its photographs show ";
     assert_eq!(said.matches(part).count(), 1, "{said}");
 }
 
