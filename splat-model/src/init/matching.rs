@@ -14,7 +14,7 @@ use splat_op::{CameraModel, Projector};
 use super::{distance_to, focus_of};
 use crate::capture::{CaptureError, Photo, Photograph, PointCloud};
 
-/// Largest number of photographs that are compared, evenly spaced. Their pictures take 100 MB.
+/// Largest number of photographs that are compared, evenly spaced. Their pictures take up to 330 MB.
 const MOST_PHOTOGRAPHS: usize = 256;
 
 /// Longer side of the pictures that are compared, px.

@@ -87,8 +87,8 @@ fn cases() -> Vec<Case> {
             "plan/coarse/scene.ply",
             Some("plan"),
         ),
-        case("blocks merge blocks --out OUT --device cpu", "blocks/block-0/run/scene.ply", None),
-        case("blocks merge blocks --out OUT --device cpu", "cap/scene.ply", None),
+        case("blocks merge blocks --out OUT", "blocks/block-0/run/scene.ply", None),
+        case("blocks merge blocks --out OUT", "cap/scene.ply", None),
     ]
 }
 
