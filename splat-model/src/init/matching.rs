@@ -14,11 +14,11 @@ use splat_op::{CameraModel, Projector};
 use super::{distance_to, focus_of};
 use crate::capture::{CaptureError, Photo, Photograph, PointCloud};
 
-/// Largest number of photographs that are compared, evenly spaced. Their pictures take up to 330 MB.
+/// Largest number of photographs that are compared, evenly spaced. Their pictures take up to 120 MB.
 const MOST_PHOTOGRAPHS: usize = 256;
 
 /// Longer side of the pictures that are compared, px.
-const SIDE: f64 = 400.0;
+const SIDE: f64 = 240.0;
 
 /// Half of a patch's side without the middle, px, and the number of its pixels.
 const HALF: i16 = 3;
