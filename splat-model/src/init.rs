@@ -1,4 +1,4 @@
-//! The initial Gaussians of a scene: from a sparse point cloud, or random for a capture without points.
+//! The initial Gaussians of a scene: from a sparse point cloud, from points that photographs show, or random.
 
 mod matching;
 
@@ -123,14 +123,10 @@ fn neighbour_distances(positions: &[[f32; 3]]) -> Vec<f32> {
 /// cameras (see [`scene_extent`]) do not count.
 pub fn random_points(cameras: &[(Intrinsics, DAffine3)], count: usize, rng: &mut impl Rng) -> PointCloud {
     let mut points = PointCloud::default();
-    let centres: Vec<DVec3> = cameras.iter().map(|(_, pose)| pose.inverse().translation).collect();
-    let Some(spread) = Spread::of(&centres) else { return points };
-    let cameras: Vec<_> =
-        cameras.iter().zip(&centres).filter_map(|(camera, centre)| spread.holds(*centre).then_some(camera)).collect();
     let poses: Vec<DAffine3> = cameras.iter().map(|(_, pose)| pose.inverse()).collect();
-    let Some((focus, extent)) = focus_of(&poses) else { return points };
+    let Some((focus, extent, usual)) = focus_of(&poses) else { return points };
     for _ in 0..count {
-        let view = rng.random_range(0..cameras.len());
+        let view = usual[rng.random_range(0..usual.len())];
         let ((camera, _), world_from_cam) = (&cameras[view], &poses[view]);
         let distance = distance_to(focus, world_from_cam, extent);
         let depth = distance * rng.random_range(0.5..1.5);
@@ -141,14 +137,16 @@ pub fn random_points(cameras: &[(Intrinsics, DAffine3)], count: usize, rng: &mut
     points
 }
 
-/// The point that cameras of these poses, `world_from_cam`, look at, and the scene extent. Strays do not count. `None` without a camera.
-fn focus_of(poses: &[DAffine3]) -> Option<(DVec3, f64)> {
+/// The point that cameras of these poses, `world_from_cam`, look at, the scene extent, and which of them are no strays, which do not count.
+/// `None` without a camera.
+fn focus_of(poses: &[DAffine3]) -> Option<(DVec3, f64, Vec<usize>)> {
     let centres: Vec<DVec3> = poses.iter().map(|pose| pose.translation).collect();
     let spread = Spread::of(&centres)?;
-    let poses: Vec<DAffine3> = poses.iter().filter(|pose| spread.holds(pose.translation)).copied().collect();
+    let usual: Vec<usize> = (0..poses.len()).filter(|&view| spread.holds(centres[view])).collect();
+    let poses: Vec<DAffine3> = usual.iter().map(|&view| poses[view]).collect();
     // Of cameras that all look the same way, the point one unit ahead of their mean.
     let ahead = || poses.iter().map(|pose| pose.translation + pose.matrix3.z_axis).sum::<DVec3>() / poses.len() as f64;
-    Some((focus(&poses).unwrap_or_else(ahead), scene_extent(&centres)))
+    Some((focus(&poses).unwrap_or_else(ahead), scene_extent(&centres), usual))
 }
 
 /// The distance of the point that all cameras look at from one of them; the scene extent for a camera at that point, as in a panorama.

@@ -87,7 +87,7 @@ pub struct Trainer {
 }
 
 impl Trainer {
-    /// A run over `photos` on `device` that starts from `points`, or from random points if there are none.
+    /// A run over `photos` on `device` that starts from `points`, or from random points if there are none: see [`matched_points`](crate::init::matched_points).
     ///
     /// # Errors
     /// If there are no photographs, and those of [`TrainConfig::check`].

@@ -80,8 +80,8 @@ enum Stated {
 /// like masks (see [`masks`](super::masks)). Levels are camera z at pixel centres, and zero where the depth is unknown. The
 /// file `depth.json` holds the scene units per level: `{"scale": 0.001}`. With `{"relative": "depth"}` or `{"relative": "disparity"}` levels grow with
 /// camera z or its reciprocal, as networks for single pictures have them, and scale and shift of each map are solved from the photograph's
-/// sparse points. Large maps are sampled evenly. A photograph without a map has no samples, and one whose scale cannot be solved neither, which
-/// `note` is told. `None` without any map.
+/// sparse points. Large maps are sampled evenly. A photograph without a map has no samples. Nor has one whose scale cannot be solved; `note`
+/// receives a sentence about those. `None` without any map.
 ///
 /// # Errors
 /// If `depth.json` is missing or states neither, or its scale is not positive, if a map cannot be read or is not grey, or if the scale of no map
@@ -122,7 +122,8 @@ pub fn from_maps(
     let (samples, refused): (Vec<_>, Vec<Option<String>>) = read.into_iter().unzip();
     if let Some(first) = refused.iter().flatten().next() {
         let count = refused.iter().flatten().count();
-        let said = format!("{count} of {} depth maps have no scale and shift: {first}", views.len());
+        let maps = views.iter().filter(|&&view| found[view].is_some()).count();
+        let said = format!("{count} of {maps} depth maps have no scale and shift: {first}");
         if samples.iter().all(Vec::is_empty) {
             return Err(wrong(&unit_file, said));
         }

@@ -47,7 +47,7 @@ pub struct Poses {
     extent: f64,
     /// `[2, 3]` each: `ω`, rad, and `τ`, scene extents.
     corrections: Vec<Learned<2>>,
-    /// The tracks that hold each camera. `None` without tracks.
+    /// Points (world frame) and directions to them (camera frame), `[M, 3]` each, that hold each camera. `None` without tracks.
     anchors: Vec<Option<[Tensor<2>; 2]>>,
 }
 

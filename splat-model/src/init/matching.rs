@@ -34,7 +34,7 @@ const ANGLE: f64 = 0.14;
 /// Smallest angle of neighbours, radians: at less, a depth is uncertain.
 const SMALLEST_ANGLE: f64 = 0.02;
 
-/// Nearest depth, relative to the distance of the scene's middle; the number of depths; and those on either side that belong to a match.
+/// Nearest depth, relative to the distance of the point that all cameras look at; the number of depths; and those on either side that belong to a match.
 const NEAREST: f64 = 0.3;
 const DEPTHS: usize = 128;
 const PEAK: usize = 3;
@@ -59,8 +59,8 @@ pub fn matched_points(photos: &[Photograph], count: usize, rng: &mut impl Rng) -
     let of: Vec<&Photograph> = photos.iter().step_by(step).filter(is_usable).collect();
     let poses: Vec<DAffine3> = of.iter().map(|photo| photo.cam_from_world.inverse()).collect();
     let mut points = PointCloud::default();
-    let Some((middle, extent)) = focus_of(&poses) else { return Ok(points) };
-    let picture = |photo: &&Photograph| photo.pixels().map(|photo| Picture::new(&photo, middle, extent));
+    let Some((focus, extent, _)) = focus_of(&poses) else { return Ok(points) };
+    let picture = |photo: &&Photograph| photo.pixels().map(|photo| Picture::new(&photo, focus, extent));
     let pictures = of.par_iter().map(picture).collect::<Result<Vec<_>, CaptureError>>()?;
     let neighbours: Vec<Vec<Neighbour>> = pictures.par_iter().map(|own| own.neighbours(&pictures)).collect();
     let mut left = TRIALS * count;
@@ -95,15 +95,15 @@ struct Picture {
     projector: Projector,
     cam_from_world: DAffine3,
     world_from_cam: DAffine3,
-    /// Distance of the scene's middle.
-    middle: f64,
+    /// Distance of the point that all cameras look at, scene units.
+    distance: f64,
 }
 
 /// A picture to compare with, and `cam_from_own`, its camera relative to one's own.
 type Neighbour<'a> = (&'a Picture, DAffine3);
 
 impl Picture {
-    fn new(photo: &Photo, middle: DVec3, extent: f64) -> Self {
+    fn new(photo: &Photo, focus: DVec3, extent: f64) -> Self {
         let (width, height) = (photo.intrinsics.width, photo.intrinsics.height);
         let scale = (width.max(height) as f64 / SIDE).max(1.0);
         let side = |full: usize| ((full as f64 / scale) as usize).max(1);
@@ -126,7 +126,7 @@ impl Picture {
             projector: photo.intrinsics.projector(),
             cam_from_world: photo.cam_from_world,
             world_from_cam,
-            middle: distance_to(middle, &world_from_cam, extent),
+            distance: distance_to(focus, &world_from_cam, extent),
         }
     }
 
@@ -136,7 +136,7 @@ impl Picture {
 
     /// The pictures that show what this one shows in its middle, from directions that differ most nearly by [`ANGLE`].
     fn neighbours<'a>(&self, pictures: &'a [Self]) -> Vec<Neighbour<'a>> {
-        let middle = self.world_from_cam.transform_point3(DVec3::Z * self.middle);
+        let middle = self.world_from_cam.transform_point3(DVec3::Z * self.distance);
         let rated = |picture: &'a Self| {
             let at = picture.px_from_cam(picture.cam_from_world.transform_point3(middle))?;
             let to = |camera: &Self| camera.world_from_cam.translation - middle;
@@ -160,7 +160,7 @@ impl Picture {
         let own = self.patch(at.as_vec2(), [Vec2::X, Vec2::Y], DETAIL)?;
         let rays = [DVec2::ZERO, DVec2::X, DVec2::Y]
             .map(|offset| self.projector.cam_from_px((at + offset * f64::from(HALF)) * self.scale));
-        let inverse_depth = |step: f64| (step + 0.5) / (DEPTHS as f64 * NEAREST * self.middle);
+        let inverse_depth = |step: f64| (step + 0.5) / (DEPTHS as f64 * NEAREST * self.distance);
         let seen = |&(picture, cam_from_own): &Neighbour, step: f64| {
             let px =
                 |ray| picture.px_from_cam(cam_from_own.matrix3 * ray + cam_from_own.translation * inverse_depth(step));

@@ -17,7 +17,7 @@ use splat_model::evaluate::{ViewScore, evaluate_each};
 use splat_model::gaussians::{GaussianRows, Gaussians};
 use splat_model::trainer::Trainer;
 
-use self::shared::{SCENE, Shared, Status, WorstView};
+use self::shared::{FAREWELL, SCENE, Shared, Status, WorstView};
 use crate::output::last_name;
 use crate::progress;
 use crate::report::history::History;
@@ -35,9 +35,6 @@ const BETWEEN: Duration = Duration::from_secs(1);
 
 /// The largest share of the training time that the numbers take, and that the scene and the scores take.
 const SHARE: f64 = 0.005;
-
-/// The longest time that a finished run waits for a browser that still looks to load its results.
-const FAREWELL: Duration = Duration::from_secs(60);
 
 /// Options of a run that is shown while it trains.
 #[derive(Clone, Debug, Default, clap::Args)]

@@ -27,8 +27,9 @@ const STOP: &str = "/stop";
 /// request a minute.
 pub const LOOKS: Duration = Duration::from_secs(10);
 
-/// The same after the button that stops the run: whoever pressed it waits for the results, and a busy page may ask late.
-const AFTER_STOP: Duration = Duration::from_secs(60);
+/// The longest time that a finished run waits for a browser that still looks to load its results. Whoever pressed the button that stops the
+/// run looks for as long: a busy page may ask late.
+pub const FAREWELL: Duration = Duration::from_secs(60);
 
 /// JPEG quality of the worst view.
 const QUALITY: u8 = 90;
@@ -207,7 +208,7 @@ impl Site for Shared {
 
     fn act(&self, path: &str) -> bool {
         if path == STOP {
-            self.watch_for(AFTER_STOP);
+            self.watch_for(FAREWELL);
             self.stops.store(true, Ordering::Relaxed);
         }
         path == STOP

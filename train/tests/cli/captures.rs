@@ -60,6 +60,7 @@ fn a_capture_without_points_starts_from_those_that_photographs_show() {
     fs::remove_file(capture.path().join("sparse/0/points3D.bin")).unwrap();
     let said = trained(capture.path(), &["--effects", "none"]);
     assert_eq!(said.matches("no points: training starts from ").count(), 1, "{said}");
+    assert!(said.contains(" that its photographs show") && !said.contains("random"), "{said}");
 }
 
 #[test]
@@ -72,6 +73,7 @@ fn few_points_are_said() {
     let said = trained(capture.path(), &["--effects", "none"]);
     let part = "4 points, which are few: its photographs show ";
     assert_eq!(said.matches(part).count(), 1, "{said}");
+    assert!(!said.contains("show 0 more"), "{said}");
 }
 
 #[test]

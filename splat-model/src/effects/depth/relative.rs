@@ -58,8 +58,9 @@ impl Quantity {
         let miss = at(0.5, &mut known.iter().map(|(level, value)| ((scale * level + shift) / value - 1.0).abs()));
         if !(scale > 0.0 && miss < LARGEST_MISS) {
             return Err(format!(
-                "the {self:?} of its sparse points is {scale:.2e} times a level of its map, to {:.0}%, expected a factor above 0, to 25%",
-                100.0 * miss
+                "the {self:?} of its sparse points is {scale:.2e} times a level of its map, to {:.0}%, expected a factor above 0, to {:.0}%",
+                100.0 * miss,
+                100.0 * LARGEST_MISS
             ));
         }
         let depth = |share| at(share, &mut known.iter().map(|point| self.turned(point.1)));
