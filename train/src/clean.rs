@@ -5,9 +5,8 @@ use std::str::FromStr;
 
 use anyhow::{Context, Result, ensure};
 use burn::tensor::Device;
-use glam::DVec3;
 use splat_model::capture::{Capture, Photo};
-use splat_model::cleanup::{CameraHull, Contribution, ISOLATED, isolated};
+use splat_model::cleanup::{Contribution, ISOLATED, isolated};
 use splat_model::effects::background::Background;
 use splat_model::evaluate::evaluate;
 use splat_model::formats::{self, SceneFile};
@@ -35,10 +34,6 @@ pub struct CleanArgs {
     /// Remove splats whose centres are outside the box between two corners, in the coordinates of the scene file
     #[arg(long = "box", value_name = "X,Y,Z,X,Y,Z", allow_hyphen_values = true)]
     pub crop: Option<CropBox>,
-    /// Remove splats whose centres are outside the convex hull of the cameras, widened on all sides by MARGIN times the radius of the
-    /// room that the cameras fill
-    #[arg(long, value_name = "MARGIN", requires = "capture", value_parser = margin)]
-    pub hull: Option<f64>,
     /// Remove splats that no view of the capture shows: they change no pixel by half a level of 255
     #[arg(long, requires = "capture")]
     pub unseen: bool,
@@ -53,12 +48,6 @@ pub struct CleanArgs {
     pub photos: PhotoArgs,
     #[command(flatten)]
     pub show: ShowArgs,
-}
-
-/// Parses the margin of a hull.
-fn margin(text: &str) -> Result<f64, &'static str> {
-    let margin = text.parse().ok().filter(|margin: &f64| *margin >= 0.0 && margin.is_finite());
-    margin.ok_or("expected a number from 0 on, such as 0.5")
 }
 
 /// A box along the axes of the scene file, between any two opposite corners.
@@ -199,14 +188,7 @@ pub fn run(args: &CleanArgs) -> Result<()> {
 
 /// Removes what the views of the capture decide.
 fn by_views(args: &CleanArgs, judge: &CleanupJudge, kept: &mut KeptRows) -> Result<()> {
-    if let Some(margin) = args.hull {
-        let centres: Vec<DVec3> =
-            judge.capture.views.iter().map(|view| view.cam_from_world.inverse().translation).collect();
-        let hull = CameraHull::new(&centres, margin);
-        kept.retain("are outside the cameras' hull", |_, row| hull.holds(judge.rows.means[row]))?;
-    }
-    let by_default = args.crop.is_none() && args.hull.is_none() && args.max_splats.is_none();
-    let by_default = by_default && !args.unseen && !args.floaters;
+    let by_default = args.crop.is_none() && args.max_splats.is_none() && !args.unseen && !args.floaters;
     if args.unseen || by_default {
         let contribution = judge.contribution(&kept.rows)?;
         kept.retain("no view shows", |place, _| !contribution.is_unseen(place))?;

@@ -112,8 +112,6 @@ pub struct CountedProgress {
     shown: Instant,
     /// Number done, of how many if that is known.
     done: (usize, Option<usize>),
-    /// Said beside the time that is left, if that is to be said.
-    left: Option<&'static str>,
 }
 
 impl CountedProgress {
@@ -125,20 +123,13 @@ impl CountedProgress {
             bar.enable_steady_tick(BETWEEN_FRAMES);
         }
         let now = Instant::now();
-        Self { what, bar, started: now, shown: now, done: (0, None), left: None }
-    }
-
-    /// Also says how much time is left, with a remark, once `EXPECTED_FROM` are done.
-    pub fn with_left(self, remark: &'static str) -> Self {
-        Self { left: Some(remark), ..self }
+        Self { what, bar, started: now, shown: now, done: (0, None) }
     }
 
     /// What is left, from the mean of those that are done, or nothing.
     fn said_left(&self) -> String {
-        match (self.left, self.done) {
-            (Some(remark), (done, Some(total))) => left(done, total, self.started.elapsed().as_secs_f64(), remark),
-            _ => String::new(),
-        }
+        let (done, total) = self.done;
+        left(done, total.unwrap_or(0), self.started.elapsed().as_secs_f64())
     }
 
     /// Shows the number done, of how many if that is known.
@@ -168,12 +159,12 @@ impl CountedProgress {
     }
 }
 
-/// The time that is left after `done` of `total` in `seconds`, with a remark; nothing before [`EXPECTED_FROM`] and after the last.
-fn left(done: usize, total: usize, seconds: f64, remark: &str) -> String {
+/// The time that is left after `done` of `total` in `seconds`; nothing before [`EXPECTED_FROM`] and after the last.
+fn left(done: usize, total: usize, seconds: f64) -> String {
     if !(EXPECTED_FROM..total).contains(&done) {
         return String::new();
     }
-    format!(", {} left ({remark})", clock(seconds / done as f64 * (total - done) as f64))
+    format!(", {} left", clock(seconds / done as f64 * (total - done) as f64))
 }
 
 /// Formats seconds as `m:ss` or `h:mm:ss`.

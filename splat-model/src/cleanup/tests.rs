@@ -85,32 +85,6 @@ fn a_gaussian_in_free_space_is_isolated_and_a_sparse_scene_is_not() {
 }
 
 #[test]
-fn the_hull_of_cameras_is_convex_and_has_a_margin() {
-    // Corners of a cube, 2 a side: the extent is 1.1 √3.
-    let corners: Vec<DVec3> =
-        (0..8).map(|i| DVec3::from_array([0, 1, 2].map(|axis| if i >> axis & 1 == 1 { 6.0 } else { 4.0 }))).collect();
-    let extent = 1.1 * 3.0_f64.sqrt();
-    let hull = CameraHull::new(&corners, 0.0);
-    for (at, inside) in [(0.0, true), (0.99, true), (1.01, false), (2.0, false), (-0.99, true), (-1.01, false)] {
-        assert_eq!(hull.holds([5.0 + at, 5.0, 5.0]), inside, "{at}");
-        assert_eq!(hull.holds([5.0, 5.0, 5.0 + at]), inside, "{at}");
-    }
-    let wide = CameraHull::new(&corners, 0.5);
-    for (at, inside) in [(0.99, true), (1.01, false)] {
-        assert_eq!(wide.holds([5.0, (5.0 + at * (1.0 + 0.5 * extent)) as f32, 5.0]), inside, "{at}");
-    }
-    // A rounded corner is nearer than one of a box.
-    let corner = |at: f64| [5.0 + (1.0 + at * 0.5 * extent / 3.0_f64.sqrt()) as f32; 3];
-    assert!(wide.holds(corner(0.99)) && !wide.holds(corner(1.01)));
-    // Cameras on a circle: as thick as the margin.
-    let circle: Vec<DVec3> =
-        (0..12).map(|i| DVec2::from_angle(f64::from(i) * std::f64::consts::FRAC_PI_6).extend(0.0)).collect();
-    let flat = CameraHull::new(&circle, 1.0);
-    assert!(flat.holds([0.0, 0.0, 1.09]) && !flat.holds([0.0, 0.0, 1.11]));
-    assert!(!flat.holds([f32::NAN, 0.0, 0.0]));
-}
-
-#[test]
 fn the_bulk_ignores_outliers() {
     let mut values: Vec<[f32; 3]> = (0..=100).map(|i| [i as f32, 0.1 * i as f32, 5.0]).collect();
     let bulk = Bulk::of(&values).unwrap();

@@ -34,6 +34,9 @@ pub const IMAGES_PARTIAL: &str = "images.partial";
 /// Lists of photographs by camera.
 pub const LISTS: &str = "lists";
 
+/// Vocabulary of the photographs' features.
+pub const VOCABULARY: &str = "vocabulary.bin";
+
 /// Masks of the photographs, as a link.
 pub const MASKS: &str = "masks";
 

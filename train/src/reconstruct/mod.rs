@@ -63,6 +63,10 @@ pub struct CameraArgs {
     #[arg(long, value_name = "MODEL", value_enum)]
     #[serde(skip)]
     pub camera_model: Option<CameraModelName>,
+    /// Find features in photographs of any size, and as many as there are, instead of in 1,600 px: many times slower
+    #[arg(long)]
+    #[serde(skip)]
+    pub full_size_features: bool,
     /// Size of the scene, which its file states as the metres of a unit [default: scale.json in the capture's folder, if there is one]
     #[arg(long, value_name = "WHAT", value_enum)]
     pub scale_from: Option<ScaleFrom>,
@@ -98,6 +102,7 @@ impl CameraArgs {
         let option = match self {
             Self { frames: Some(_), .. } => "--frames",
             Self { camera_model: Some(_), .. } => "--camera-model",
+            Self { full_size_features: true, .. } => "--full-size-features",
             _ => return Ok(()),
         };
         bail!(
@@ -219,7 +224,8 @@ pub fn reconstruct(source: &Path, folder: &Path, options: &CameraArgs) -> Result
                 photographs::look(&PhotographFolder::list(folder)?)?
             }
         };
-        let stages = Stages { colmap: &colmap, stop: &stop, is_video, model: options.camera_model };
+        let CameraArgs { camera_model: model, full_size_features: full_size, .. } = *options;
+        let stages = Stages { colmap: &colmap, stop: &stop, is_video, model, full_size };
         stages.run(&mut workspace, &photographs)?;
         workspace.finish(Stage::Model)?;
     }
@@ -243,8 +249,9 @@ fn ingredients(source: &Path, listed: Option<&PhotographFolder>, options: &Camer
     };
     let frames = options.frames.map(|frames| ("frames".to_string(), frames.to_string()));
     let model = options.camera_model.map(|model| ("camera_model".to_string(), model.name()));
+    let full_size = options.full_size_features.then(|| ("full_size_features".to_string(), "true".to_string()));
     let source = std::path::absolute(source).unwrap_or_else(|_| source.to_owned());
-    Ok(Ingredients { source, files: files?, options: frames.into_iter().chain(model).collect() })
+    Ok(Ingredients { source, files: files?, options: [frames, model, full_size].into_iter().flatten().collect() })
 }
 
 /// Says how many photographs were placed, and how well.

@@ -10,28 +10,43 @@ use anyhow::{Context, Result};
 use splat_model::capture::photographs_in;
 use splat_model::capture::unposed::Unposed;
 
-use super::cache::{DATABASE, DATABASE_FILES, IMAGES, LISTS, LOG, SPARSE, SPARSE_PARTIAL, Stage, Workspace};
+use super::cache::{
+    DATABASE, DATABASE_FILES, IMAGES, LISTS, LOG, SPARSE, SPARSE_PARTIAL, Stage, VOCABULARY, Workspace,
+};
 use super::photographs::{CameraModelName, extractions};
-use super::programs::ColmapProgram;
+use super::programs::{ColmapProgram, Options};
 use super::{failure, stage};
 use crate::progress::{self, CountedProgress};
 use crate::stop::Stop;
 
-/// Most photographs of which every pair is compared: 79,800 pairs, hours on a CPU.
-const EXHAUSTIVE: usize = 400;
+/// Side of the pictures in which features are found, px, where photographs are larger. Twelve megapixels take twenty times as long.
+const FEATURE_SIDE: usize = 1_600;
+
+/// Most photographs of which every pair is compared.
+const ALL_PAIRS: usize = 40;
+
+/// Features of a photograph, without second orientations, where not all pairs are compared. The time of a pair grows with them.
+const FEATURES: usize = 2_048;
+
+/// Photographs that are compared with each one because they look alike.
+const ALIKE: usize = 20;
+
+/// What a vocabulary is made of, and the features by which photographs are looked up in it: COLMAP's own choice takes longer than the
+/// pairs that it saves.
+const VOCABULARY_SIZE: [(&str, &str); 4] =
+    [("num_visual_words", "1024"), ("branching", "32"), ("num_iterations", "3"), ("max_num_images", "25")];
+const LOOKED_UP: [&str; 2] = ["VocabTreeMatching.max_num_features", "1000"];
 
 /// Photographs of a block of exhaustive matching, at most: the progress is that of blocks.
 const BLOCK: usize = 25;
 
-/// Neighbours in order of name that are compared with each photograph, where not all pairs are. The same again at distances of powers
-/// of two.
-const OVERLAP: usize = 20;
+/// Neighbours in order of name that are compared with each frame and each photograph, where not all pairs are. As many again at
+/// distances of powers of two.
+const FRAMES_NEAR: usize = 20;
+const PHOTOGRAPHS_NEAR: usize = 5;
 
 /// Share of the photographs that the global mapper has to place. Below it the incremental one is tried too.
 const ENOUGH: f64 = 0.8;
-
-/// What the progress of features says beside the time that is left: COLMAP decodes the photographs at their full size.
-const FULL_SIZE: &str = "`--max-side` does not change it";
 
 /// Runs the stages of a reconstruction.
 pub struct Stages<'a> {
@@ -40,6 +55,8 @@ pub struct Stages<'a> {
     /// Whether photographs are the frames of a video, of which neighbours by name are neighbours.
     pub is_video: bool,
     pub model: Option<CameraModelName>,
+    /// Whether features are found in photographs of any size, and as many as COLMAP finds.
+    pub full_size: bool,
 }
 
 impl Stages<'_> {
@@ -72,16 +89,16 @@ impl Stages<'_> {
     /// Extracts features, and returns their number by photograph.
     fn features(&self, workspace: &Workspace, photographs: &[Unposed]) -> Result<BTreeMap<String, u64>> {
         let options = self.colmap.options("feature_extractor")?;
-        let on_gpu = options.first(&["FeatureExtraction.use_gpu", "SiftExtraction.use_gpu"]);
+        let limits = self.limits(&options, photographs);
         let mut features = BTreeMap::new();
-        let mut counted = CountedProgress::new("features").with_left(FULL_SIZE);
+        let mut counted = CountedProgress::new("features");
         let extractions = extractions(photographs, self.model);
         for (i, extraction) in extractions.iter().enumerate() {
             let list = workspace.join(LISTS).join(format!("{i}.txt"));
             write_list(&list, &extraction.names)?;
             let mut command = with_paths(ColmapProgram::command("feature_extractor"), workspace, true);
             command.arg("--image_list_path").arg(&list).args(&extraction.arguments);
-            command.args(on_gpu.map(|name| [format!("--{name}"), "0".into()]).into_iter().flatten());
+            command.args(&limits);
             let mut of = String::new();
             self.succeed(workspace, command, "finding features", |line| match field(line) {
                 Some(("Name", name)) => of = name.to_owned(),
@@ -109,28 +126,62 @@ impl Stages<'_> {
         Ok(features)
     }
 
+    /// Options of `feature_extractor` that keep it off graphics cards, and from features that take longer than they are worth.
+    fn limits(&self, options: &Options, photographs: &[Unposed]) -> Vec<String> {
+        let large = !self.full_size && largest_side(photographs) > FEATURE_SIDE;
+        let many = !self.full_size && photographs.len() > ALL_PAIRS;
+        if large {
+            progress::note(&format!(
+                "features are found in pictures of {FEATURE_SIDE} px; `--full-size-features` takes many times as long and finds more"
+            ));
+        }
+        let limits = [
+            (true, &["FeatureExtraction.use_gpu", "SiftExtraction.use_gpu"][..], 0),
+            (large, &["FeatureExtraction.max_image_size", "SiftExtraction.max_image_size"], FEATURE_SIDE),
+            (large, &["SiftExtraction.first_octave"], 0),
+            (many, &["SiftExtraction.max_num_features"], FEATURES),
+        ];
+        let known = limits.iter().filter(|limit| limit.0);
+        known
+            .filter_map(|(_, names, value)| Some([format!("--{}", options.first(names)?), value.to_string()]))
+            .flatten()
+            .collect()
+    }
+
     /// Matches photographs. COLMAP skips pairs that are in the database already.
     fn matches(&self, workspace: &Workspace, photographs: usize) -> Result<()> {
-        let near = OVERLAP.to_string();
-        let few = photographs <= EXHAUSTIVE;
-        if few && !self.is_video {
+        let by_look = ["vocab_tree_builder", "vocab_tree_matcher"].iter().all(|command| self.colmap.has(command));
+        if !self.is_video && (photographs <= ALL_PAIRS || !by_look) {
             progress::note(&format!("matching all pairs of {photographs} photographs"));
             return self.matcher(workspace, "exhaustive_matcher", photographs, &[]);
         }
+        let near = if self.is_video { FRAMES_NEAR } else { PHOTOGRAPHS_NEAR }.to_string();
         progress::note(&match self.is_video {
             true => {
                 format!("matching each of {photographs} frames with the {near} that follow it, and some further on")
             }
             false => format!(
-                "matching each of {photographs} photographs with the {near} that follow it by name and some further on, then those that match \
-                 the same: all pairs are compared up to {EXHAUSTIVE}"
+                "matching each of {photographs} photographs with the {ALIKE} that look most like it, and the {near} that follow it by name and \
+                 some further on: all pairs are compared up to {ALL_PAIRS}"
             ),
         });
         self.matcher(workspace, "sequential_matcher", photographs, &[["SequentialMatching.overlap", &near]])?;
-        match !self.is_video && self.colmap.has("transitive_matcher") {
-            true => self.matcher(workspace, "transitive_matcher", photographs, &[]),
-            false => Ok(()),
+        if self.is_video {
+            return Ok(());
         }
+        let vocabulary = workspace.join(VOCABULARY);
+        let options = self.colmap.options("vocab_tree_builder")?;
+        let mut command = with_paths(ColmapProgram::command("vocab_tree_builder"), workspace, false);
+        command.arg("--vocab_tree_path").arg(&vocabulary);
+        for (name, value) in VOCABULARY_SIZE.iter().filter(|(name, _)| options.first(&[name]).is_some()) {
+            command.arg(format!("--{name}")).arg(value);
+        }
+        self.succeed(workspace, command, "building a vocabulary of features", |_| {})?;
+        let alike = ALIKE.to_string();
+        let path = vocabulary.to_string_lossy();
+        let arguments =
+            [["VocabTreeMatching.vocab_tree_path", &path], ["VocabTreeMatching.num_images", &alike], LOOKED_UP];
+        self.matcher(workspace, "vocab_tree_matcher", photographs, &arguments)
     }
 
     fn matcher(&self, workspace: &Workspace, name: &str, photographs: usize, arguments: &[[&str; 2]]) -> Result<()> {
@@ -147,7 +198,7 @@ impl Stages<'_> {
         }
         let mut counted = CountedProgress::new("matching");
         self.succeed(workspace, command, "matching photographs", |line| {
-            if let Some((done, all)) = matched(line) {
+            if let Some((done, all)) = matched(line).filter(|_| !line.contains("Indexing")) {
                 counted.set(done, Some(all));
             }
         })?;
@@ -201,7 +252,7 @@ impl Stages<'_> {
             return Err(failure::no_model(photographs, workspace.features(), &workspace.join(LOG)));
         };
         workspace.complete(&best, SPARSE)?;
-        workspace.clear(&[SPARSE_PARTIAL, LISTS])
+        workspace.clear(&[SPARSE_PARTIAL, LISTS, VOCABULARY])
     }
 }
 
@@ -211,8 +262,11 @@ const ERRORS: [&str; 3] =
 
 /// The largest error of a point, px: COLMAP's 4 px for photographs of 1,600 px, and less for smaller ones. With 4 px of 480, poses are worse.
 fn largest_error(photographs: &[Unposed]) -> f64 {
-    let side = photographs.iter().flat_map(|photograph| photograph.size).max().unwrap_or(0);
-    (4.0 * side as f64 / 1_600.0).clamp(1.0, 4.0)
+    (4.0 * largest_side(photographs) as f64 / 1_600.0).clamp(1.0, 4.0)
+}
+
+fn largest_side(photographs: &[Unposed]) -> usize {
+    photographs.iter().flat_map(|photograph| photograph.size).max().unwrap_or(0)
 }
 
 /// The number of photographs in the largest of the models in a folder.

@@ -141,9 +141,6 @@ fn the_splats_that_contribute_most_are_kept() {
     assert!((before - psnr).abs() < 1.0 && fewer < psnr, "{before} {psnr} {fewer}");
     // More than there are removes none.
     assert_eq!(capped(10 * scene.rows.len(), &[]).0.len(), scene.rows.len());
-    // A wide hull holds the scene.
-    let (inside, ..) = capped(half, &["--hull", "4"]);
-    assert!(!inside.is_empty() && inside.len() <= half);
 }
 
 #[test]
@@ -162,9 +159,7 @@ fn what_cannot_be_cleaned_is_said() {
     refuse(&mut splat(&["clean", text(&path("none.ply")), text(&out), "--box", "0,0,0,1,1,1"]), &["none.ply"]);
     let none = path("none");
     refuse(&mut splat(&["clean", text(&scene), text(&out), "--capture", text(&none)]), &["none", "sparse/0"]);
-    for odd in
-        [&["--box", "0,0,0,1,1"][..], &["--floaters"], &["--hull", "-1", "--capture", "x"], &["--max-splats", "0"]]
-    {
+    for odd in [&["--box", "0,0,0,1,1"][..], &["--floaters"], &["--max-splats", "0"]] {
         assert_eq!(end(splat(&["clean", text(&scene), text(&out)]).args(odd)).code, Some(2), "{odd:?}");
     }
     assert!(!out.exists() && fs::read(&scene).unwrap() == bytes);

@@ -11,6 +11,8 @@ while [ $# -gt 0 ]; do
   --image_path) images="$2" ;;
   --image_list_path) list="$2" ;;
   --output_path) output="$2" ;;
+  --vocab_tree_path) vocabulary="$2" ;;
+  --VocabTreeMatching.vocab_tree_path) looked_up="$2" ;;
   esac
   shift
 done
@@ -42,6 +44,8 @@ Available commands:
 $more
   mapper
   sequential_matcher
+  vocab_tree_builder
+  vocab_tree_matcher
 END
   exit
 fi
@@ -53,6 +57,10 @@ them in a .ini project file passed to \`--project_path\`.
   -h [ --help ]
   --database_path arg
   --$feature.use_gpu arg (=1)
+  --$feature.max_image_size arg (=3200)
+  --SiftExtraction.max_num_features arg (=8192)
+  --SiftExtraction.first_octave arg (=-1)
+  --num_visual_words arg (=65536)
   --$match.use_gpu arg (=1)
   --ExhaustiveMatching.block_size arg (=50)
 END
@@ -77,8 +85,10 @@ feature_extractor)
     say "  Features:        $count"
   done <"$list"
   ;;
-exhaustive_matcher | sequential_matcher)
+vocab_tree_builder) cp "$database" "$vocabulary" ;;
+exhaustive_matcher | sequential_matcher | vocab_tree_matcher)
   [ -e "$database" ] || exit 3
+  [ "$command" != vocab_tree_matcher ] || [ -e "$looked_up" ] || exit 3
   say "Matching block [1/1, 1/1] in 0.013s"
   if [ "$FAKE" = full ]; then
     echo "ERROR: database or disk is full" >&2

@@ -112,6 +112,53 @@ fn photographs_alone_become_the_scene_that_their_cameras_give() {
 }
 
 #[test]
+fn of_many_photographs_those_are_compared_that_look_alike() {
+    let alone = Alone::new();
+    for i in 8..41 {
+        fs::copy(DEMO.join("images/0000.png"), alone.path(&format!("photos/{i:04}.png"))).unwrap();
+    }
+    let said = succeed(&mut alone.reconstruct("ok")).stderr;
+    assert!(said.contains("41 photographs with the 20 that look most like it, and the 5"), "{said}");
+    let expected = ["feature_extractor", "sequential_matcher", "vocab_tree_builder", "vocab_tree_matcher", "mapper"];
+    assert_eq!(alone.called(), expected);
+    let calls = alone.calls();
+    for (call, part) in [
+        (0, "--SiftExtraction.max_num_features 2048"),
+        (1, "--SequentialMatching.overlap 5"),
+        (2, "--num_visual_words 1024"),
+        (3, "--VocabTreeMatching.num_images 20"),
+    ] {
+        assert!(calls[call].contains(part), "{part}: {calls:?}");
+    }
+    // Options that a version lacks are not given to it, and the photographs are small.
+    assert!(!calls[2].contains("branching") && !calls[0].contains("max_image_size"), "{calls:?}");
+    assert!(!alone.path("made/vocabulary.bin").exists());
+}
+
+#[test]
+fn features_of_large_photographs_are_found_in_smaller_pictures() {
+    let alone = Alone::new();
+    image::RgbImage::new(1_601, 8).save(alone.path("photos/large.png")).unwrap();
+    for (fake, size) in
+        [("ok", "--SiftExtraction.max_image_size 1600"), ("version4", "--FeatureExtraction.max_image_size 1600")]
+    {
+        let said = succeed(&mut alone.splat(fake, &["reconstruct", "photos", "--out", fake])).stderr;
+        assert!(said.contains("pictures of 1600 px; `--full-size-features`"), "{said}");
+        let calls = alone.calls();
+        let call = calls.iter().rfind(|call| call.starts_with("feature_extractor")).unwrap();
+        assert!(call.contains(size) && call.contains("--SiftExtraction.first_octave 0"), "{calls:?}");
+    }
+    let full = ["reconstruct", "photos", "--full-size-features", "--out", "full"];
+    succeed(&mut alone.splat("ok", &full));
+    let calls = alone.calls();
+    let call = calls.iter().rfind(|call| call.starts_with("feature_extractor")).unwrap();
+    assert!(!call.contains("max_image_size") && !call.contains("first_octave"), "{calls:?}");
+    refuse(&mut alone.splat("ok", &["reconstruct", "photos", "--out", "full"]), &["with other options"]);
+    let with_cameras = [&TRAIN[..], &[text(&DEMO), "--full-size-features"]].concat();
+    refuse(&mut alone.splat("ok", &with_cameras), &["--full-size-features", "has cameras", "leave it out"]);
+}
+
+#[test]
 fn without_out_later_runs_share_one_reconstruction() {
     let alone = Alone::new();
     let train = [&TRAIN[..], &["photos"]].concat();
