@@ -1,5 +1,5 @@
 use burn::tensor::Device;
-use glam::{DAffine3, DVec2, DVec3};
+use glam::DAffine3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use splat_op::{Intrinsics, RenderOptions};
