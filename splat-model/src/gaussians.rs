@@ -282,10 +282,8 @@ impl Gaussians {
 
 /// The rows of a block, if there are several blocks and enough rows.
 fn part<const D: usize>(all: &Tensor<D>, rows: &Range<usize>, several: bool) -> Tensor<D> {
-    match several && !rows.is_empty() && rows.end <= all.dims()[0] {
-        true => all.clone().narrow(0, rows.start, rows.len()),
-        false => all.clone(),
-    }
+    let has_rows = several && !rows.is_empty() && rows.end <= all.dims()[0];
+    if has_rows { all.clone().narrow(0, rows.start, rows.len()) } else { all.clone() }
 }
 
 /// The logit of an opacity: −∞ for 0.

@@ -281,10 +281,7 @@ impl Trainer {
     /// # Errors
     /// Errors of [`Self::step`]. `look` may not have been called then.
     pub fn step_and_look(&mut self, look: impl FnMut(&Self)) -> Result<StepReport, TrainError> {
-        match self.config.plain {
-            true => in_tensor_code(|| self.take_step(look)),
-            false => self.take_step(look),
-        }
+        if self.config.plain { in_tensor_code(|| self.take_step(look)) } else { self.take_step(look) }
     }
 
     fn take_step(&mut self, mut look: impl FnMut(&Self)) -> Result<StepReport, TrainError> {

@@ -120,10 +120,8 @@ pub(super) fn load(models: &[PathBuf], pictures: &Pictures) -> Result<Capture, C
     }
     check_entries(&files, &cameras, &images)?;
     images.sort_by(|a, b| a.name.cmp(&b.name));
-    let mut points = match files.points.exists() {
-        true => parse(&files.points, binary::points, text::points)?,
-        false => Vec::new(),
-    };
+    let path = &files.points;
+    let mut points = if path.exists() { parse(path, binary::points, text::points)? } else { Vec::new() };
     let mut remarks: Vec<String> = remark.into_iter().collect();
     let mut read = vec![files.images, files.cameras];
     let tracks = tracks(&images, &points);
@@ -221,8 +219,5 @@ fn check_entries(
             return Err(place.refuse("CAMERA_ID", found, expected));
         }
     }
-    match images.is_empty() {
-        true => Err(CaptureError::no_views(&files.images)),
-        false => Ok(()),
-    }
+    if images.is_empty() { Err(CaptureError::no_views(&files.images)) } else { Ok(()) }
 }

@@ -36,10 +36,8 @@ fn first(find: impl Fn(&dyn CaptureFormat) -> Vec<PathBuf>) -> Option<Cameras> {
 
 /// Whether cameras are in a folder or directly above it, or are a file.
 pub(super) fn is_there(source: &Path) -> bool {
-    match source.is_file() {
-        true => of_file(source).is_some(),
-        false => !inside(source, 0).is_empty() || !above(source).is_empty(),
-    }
+    let beside = || !inside(source, 0).is_empty() || !above(source).is_empty();
+    if source.is_file() { of_file(source).is_some() } else { beside() }
 }
 
 pub(super) fn load(source: &Path) -> Result<Capture, CaptureError> {

@@ -1,9 +1,7 @@
 //! What the readers of all formats share: whole files, and the places in them that errors name.
 
-use std::fmt;
-use std::fs;
-use std::io;
 use std::path::Path;
+use std::{fmt, fs, io};
 
 use super::CaptureError;
 

@@ -3,10 +3,9 @@
 use std::collections::{BTreeSet, HashSet};
 use std::path::{Path, PathBuf};
 
-use super::Capture;
 use super::find::OURS;
 use super::names::{PICTURES, entries, files_below, parent};
-use super::{depth_maps, masks};
+use super::{Capture, depth_maps, masks};
 
 pub(super) fn remarks(capture: &Capture) -> Vec<String> {
     // What this program writes holds nothing of the user's.

@@ -136,10 +136,8 @@ pub(crate) fn parameter<const D: usize>(values: Tensor<D>) -> Param<Tensor<D>> {
 /// Divides the rows of a group into blocks that a device can hold; at least one. Only spherical harmonics have several: the render
 /// takes them in blocks.
 pub(crate) fn row_blocks(name: &str, count: usize, width: usize, device: &Device) -> Vec<Range<usize>> {
-    let room = match name == BASE_GROUPS[SH] {
-        true => largest_tensor(device) / (size_of::<f32>() * width) as u64,
-        false => u64::MAX,
-    };
+    let several = name == BASE_GROUPS[SH];
+    let room = if several { largest_tensor(device) / (size_of::<f32>() * width) as u64 } else { u64::MAX };
     let rows = usize::try_from(room).unwrap_or(usize::MAX).max(1);
     (0..count.max(1)).step_by(rows).map(|first| first..first.saturating_add(rows).min(count)).collect()
 }

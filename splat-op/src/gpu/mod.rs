@@ -92,10 +92,7 @@ fn plane_units(properties: &DeviceProperties) -> Option<u32> {
 pub(crate) fn cubes(cubes: usize) -> CubeCount {
     count_dispatches(1);
     let cubes = cubes.max(1);
-    match cubes <= CUBES_X {
-        true => CubeCount::Static(cubes as u32, 1, 1),
-        false => CubeCount::Static(CUBES_X as u32, cubes.div_ceil(CUBES_X) as u32, 1),
-    }
+    CubeCount::Static(cubes.min(CUBES_X) as u32, cubes.div_ceil(CUBES_X) as u32, 1)
 }
 
 /// Largest number of units of a search. A large GPU holds 270,000 units at once, and needs about that many loads of some words each

@@ -125,8 +125,5 @@ pub(super) fn seen(
         colours
     });
     let colours: Vec<Tensor<2>> = colours.collect();
-    match colours.is_empty() {
-        true => Tensor::empty([0, 3], (&means.device(), means.dtype())),
-        false => Tensor::cat(colours, 0),
-    }
+    if colours.is_empty() { Tensor::empty([0, 3], (&means.device(), means.dtype())) } else { Tensor::cat(colours, 0) }
 }

@@ -1,9 +1,8 @@
 //! `splat blocks plan`: cuts a capture into blocks.
 
-use std::env;
-use std::fs;
 use std::io::Write;
 use std::path::{Component, Path, PathBuf};
+use std::{env, fs};
 
 use anyhow::{Context, Result, ensure};
 use clap::builder::RangedU64ValueParser;

@@ -80,10 +80,7 @@ impl Stages<'_> {
     fn succeed(&self, workspace: &Workspace, command: Command, doing: &str, line: impl FnMut(&str)) -> Result<()> {
         let during = format!("while COLMAP was {doing}");
         let ended = stage::run(command, self.stop, &during, &mut workspace.log()?, line)?;
-        match ended.status.success() {
-            true => Ok(()),
-            false => Err(failure::ended("COLMAP", doing, &ended, &workspace.join(LOG))),
-        }
+        if ended.status.success() { Ok(()) } else { Err(failure::ended("COLMAP", doing, &ended, &workspace.join(LOG))) }
     }
 
     /// Extracts features, and returns their number by photograph.

@@ -75,10 +75,7 @@ impl MemoryEstimate {
             gb(self.scene)
         );
         if let Some(available) = available.filter(|available| *available < self.total()) {
-            let option = match self.scene > self.photographs {
-                true => "--max-splats",
-                false => "--cache-mb",
-            };
+            let option = if self.scene > self.photographs { "--max-splats" } else { "--cache-mb" };
             text += &format!(
                 ". That is more than the {} that this machine has left: lower `{option}` first, then `--moment-bits`, `--max-side` or `--sh-degree`",
                 gb(available)

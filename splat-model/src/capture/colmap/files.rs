@@ -76,10 +76,7 @@ pub(in crate::capture) fn models_in(folder: &Path) -> Vec<PathBuf> {
     });
     let mut numbered: Vec<(u32, PathBuf)> = numbered.collect();
     numbered.sort();
-    match numbered.is_empty() {
-        true => vec![folder.to_owned()],
-        false => numbered.into_iter().map(|(_, path)| path).collect(),
-    }
+    if numbered.is_empty() { vec![folder.to_owned()] } else { numbered.into_iter().map(|(_, path)| path).collect() }
 }
 
 /// The model's files, binary before text. Cameras and images must be of one encoding, because a stale file of the other

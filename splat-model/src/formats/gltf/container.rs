@@ -108,10 +108,7 @@ fn document(attributes: &[Attribute], mut primitive: Value, extras: Map<String, 
         let mut accessor = accessor.clone();
         accessor["bufferView"] = json!(i);
         accessors.push(accessor);
-        match name.is_empty() {
-            true => primitive["indices"] = json!(i),
-            false => primitive["attributes"][name] = json!(i),
-        }
+        if name.is_empty() { primitive["indices"] = json!(i) } else { primitive["attributes"][name] = json!(i) }
     }
     root["asset"] = asset;
     root["scene"] = json!(0);

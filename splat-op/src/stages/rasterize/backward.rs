@@ -12,10 +12,10 @@
 use cubecl::prelude::*;
 
 use super::MOMENTS;
-use super::backward_block::{SEGMENT_UNITS, STRIDE, SegmentMemory, add_block, pass_pixels, shares_colours};
+use super::backward_block::{SEGMENT_UNITS, SIDE, STRIDE, SegmentMemory, add_block, add_channels, pass_met, sums_len};
 use super::blocks::{BLOCK_PIXELS, BLOCKS, pixel_of};
 use super::layer::{BUCKET, KernelShape, RasterFrame, SplatInputs, TilePixel, tile_origin};
-use super::segment::{KeptTrace, RowCells, Segment, SegmentRange, clear_rows};
+use super::segment::{KeptTrace, Segment, SegmentRange, clear_rows};
 use super::splat::{Splat, behind_word, colours_of};
 use super::trace::WORDS;
 use crate::gpu::atomic::FloatCell;
@@ -49,7 +49,8 @@ pub(super) fn rasterize_backward_kernel<S: Splat, A: FloatCell>(
     #[comptime] absolute: bool,
     #[comptime] add: bool,
 ) {
-    let shares = comptime!(shares_colours::<S>(shape));
+    let sums_len = comptime!(sums_len::<S>(shape));
+    let shares = comptime!(sums_len == 0);
     let columns = comptime!(row_len::<S>(shape, absolute));
     let mut memory = SegmentMemory::new::<S>(shape);
     let slot = CUBE_POS as u32;
@@ -100,9 +101,9 @@ pub(super) fn rasterize_backward_kernel<S: Splat, A: FloatCell>(
                         memory.gaussians[lane as usize] = gaussian;
                     }
                 }
-                let mut row = Array::<f32>::new(columns);
-                #[unroll(shares)]
-                for column in 0..columns {
+                let mut row = Array::<f32>::new(comptime!(columns + sums_len));
+                #[unroll(shape.held())]
+                for column in 0..comptime!(columns + sums_len) {
                     row[column] = 0.0f32;
                 }
                 sync_cube();
@@ -110,7 +111,7 @@ pub(super) fn rasterize_backward_kernel<S: Splat, A: FloatCell>(
                 for block in 0..comptime!(BLOCKS as u32) {
                     let word = memory.words[(bucket * comptime!(BLOCKS as u32) + block) as usize];
                     if word != 0 {
-                        pass_pixels::<S>(&mut memory, word, bucket, block, origin, grad, &inputs, &frame, shape);
+                        pass_met::<S>(&mut row, &mut memory, word, bucket, block, origin, grad, &inputs, &frame, shape);
                     }
                     // Outside the branch: DirectX refuses barriers in branches on what was read.
                     sync_cube();
@@ -119,10 +120,13 @@ pub(super) fn rasterize_backward_kernel<S: Splat, A: FloatCell>(
                         add_block::<S>(&mut row, &memory, block, origin, grad, &inputs, &frame, shape, absolute);
                     }
                     sync_cube();
+                    if comptime!(!shares) {
+                        add_channels(&mut row, &mut memory, word, columns, sums_len);
+                    }
                 }
 
-                let cells = RowCells { here, rows: range.end_row - range.first_row };
-                store_rows::<A>(&row, &mut memory, cells, rows, sums, columns, shares, add);
+                let count = range.end_row - range.first_row;
+                store_rows::<A>(&row, &mut memory, here, rows, sums, count, shape, columns, sums_len, add);
                 sync_cube();
             }
         }
@@ -164,15 +168,17 @@ fn pass_bucket<S: Splat>(
 fn store_rows<A: FloatCell>(
     row: &Array<f32>,
     memory: &mut SegmentMemory,
-    cells: RowCells,
+    here: u32,
     rows: &mut [f32],
     sums: &[A],
+    count: u32,
+    #[comptime] shape: KernelShape,
     #[comptime] columns: usize,
-    #[comptime] shares: bool,
+    #[comptime] len: usize,
     #[comptime] add: bool,
 ) {
     let lane = UNIT_POS;
-    if comptime!(shares) {
+    if comptime!(len == 0) {
         // Through shared memory, so that neighbouring units write neighbouring values.
         #[unroll]
         for column in 0..columns {
@@ -180,18 +186,33 @@ fn store_rows<A: FloatCell>(
         }
         sync_cube();
         let mut i = lane;
-        while i < cells.here * comptime!(columns as u32) {
+        while i < here * comptime!(columns as u32) {
             let place = i / comptime!(columns as u32);
             let column = i % comptime!(columns as u32);
             let sum = memory.alphas[(place * comptime!(STRIDE as u32) + column) as usize];
             let target = memory.targets[place as usize];
-            store_cell::<A>(sum, target, column as usize, rows, sums, cells.rows, columns, add);
+            store_cell::<A>(sum, target, column as usize, rows, sums, count, columns, add);
             i += comptime!(SEGMENT_UNITS as u32);
         }
-    } else if lane < cells.here {
-        let target = memory.targets[lane as usize];
-        for column in 0..columns {
-            store_cell::<A>(row[column], target, column, rows, sums, cells.rows, columns, add);
+    } else {
+        let wide = comptime!(usize::min(len, SEGMENT_UNITS) / SIDE);
+        let channels = comptime!(shape.channels());
+        #[unroll(shape.held())]
+        for t in 0..len {
+            let place = lane - lane % comptime!(SIDE as u32) + (t % comptime!(SEGMENT_UNITS) / wide) as u32;
+            let channel = t - t % comptime!(SEGMENT_UNITS) + t % wide * SIDE + lane as usize % SIDE;
+            if place < here && channel < channels {
+                let (target, column) = (memory.targets[place as usize], comptime!(MOMENTS) + channel);
+                store_cell::<A>(row[columns + t], target, column, rows, sums, count, columns, add);
+            }
+        }
+        if lane < here {
+            #[unroll]
+            for k in 0..comptime!(columns - channels) {
+                let column = comptime!(if k < MOMENTS { k } else { k + channels });
+                let target = memory.targets[lane as usize];
+                store_cell::<A>(row[column], target, column, rows, sums, count, columns, add);
+            }
         }
     }
 }

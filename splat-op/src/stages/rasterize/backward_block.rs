@@ -3,7 +3,7 @@
 use cubecl::prelude::*;
 
 use super::MOMENTS;
-use super::blocks::{BLOCK_HEIGHT, BLOCK_PIXELS, BLOCK_WIDTH, pixel_of};
+use super::blocks::{BLOCK_PIXELS, pixel_of};
 use super::layer::{BUCKET, BUCKETS, Four, KernelShape, RasterFrame, SplatInputs, TilePixel, layer};
 use super::splat::{BlockPairs, Splat, colour};
 use super::suffix::plane_of;
@@ -63,13 +63,20 @@ impl SegmentMemory {
     }
 }
 
-/// Number of channels, of many, that are read together.
-const CHANNELS_AT_ONCE: usize = 8;
+/// Number of places of a unit's sums of channels that are not shared, and of units with the same places.
+pub(super) const SIDE: usize = 8;
+
+/// Number of a unit's sums of channels that are not shared: of [`SIDE`] places, and of each [`SIDE`]-th channel.
+pub(super) const fn sums_len<S: Splat>(shape: KernelShape) -> usize {
+    let side = if shape.held() { SIDE } else { SEGMENT_UNITS };
+    if shares_colours::<S>(shape) { 0 } else { shape.channels().next_multiple_of(side) }
+}
 
 /// Passes the places of a block's word, of a bucket: leaves `h` and the weights of each place and pixel in the tables, and `ρ` in
-/// front of the bucket. The units are pixels.
+/// front of the bucket. The units are pixels, and of a channel that is not shared `row` has `g`.
 #[cube]
-pub(super) fn pass_pixels<S: Splat>(
+pub(super) fn pass_met<S: Splat>(
+    row: &mut Array<f32>,
     memory: &mut SegmentMemory,
     word: u32,
     bucket: u32,
@@ -82,6 +89,7 @@ pub(super) fn pass_pixels<S: Splat>(
 ) {
     let channels = comptime!(shape.channels());
     let shares = comptime!(shares_colours::<S>(shape));
+    let held = comptime!(shape.held());
     let lane = UNIT_POS;
     let plane = (frame.width * frame.height) as usize;
     let unit = block * comptime!(BLOCK_PIXELS as u32) + lane;
@@ -112,6 +120,14 @@ pub(super) fn pass_pixels<S: Splat>(
             gradient[channel] = value;
             memory.gradients[channel * comptime!(BLOCK_PIXELS) + lane as usize] = value;
         }
+    } else {
+        #[unroll(held)]
+        for channel in 0..channels {
+            row[comptime!(MOMENTS) + channel] = 0.0;
+            if pixel.inside {
+                row[comptime!(MOMENTS) + channel] = grad[plane_of(channel, shape) * plane + pixel.index];
+            }
+        }
     }
     let mut behind = memory.rho[unit as usize];
     let mut left = word;
@@ -136,7 +152,10 @@ pub(super) fn pass_pixels<S: Splat>(
                     let (_, of_pixel) = S::seen(&S::load(&memory.splats, i as usize, inputs), &pixel, frame);
                     depth = of_pixel;
                 }
-                along = along_channels::<S>(inputs, grad, gaussian, pixel.index, plane, depth, shape);
+                #[unroll(held)]
+                for channel in 0..channels {
+                    along += row[comptime!(MOMENTS) + channel] * colour::<S>(inputs, gaussian, channel, depth, shape);
+                }
             }
             let ahead = along - behind;
             behind += alpha * ahead;
@@ -146,7 +165,7 @@ pub(super) fn pass_pixels<S: Splat>(
     memory.rho[unit as usize] = behind;
 }
 
-/// Adds a block's pixels to the rows. The units are places.
+/// Adds a block's pixels to the rows, but for channels that are not shared. The units are places.
 #[cube]
 pub(super) fn add_block<S: Splat>(
     row: &mut Array<f32>,
@@ -164,7 +183,7 @@ pub(super) fn add_block<S: Splat>(
     let at = lane as usize * comptime!(STRIDE);
     let splat = S::load(&memory.splats, lane as usize, inputs);
     let first_unit = block * comptime!(BLOCK_PIXELS as u32);
-    let pairs = BlockPairs { origin, first_unit, at: at as u32 };
+    let pairs = BlockPairs { origin, first_unit, at: at as u32, plane };
     S::add_pairs(row, &splat, pairs, &memory.alphas, &memory.weights, grad, inputs, frame, shape, absolute);
     if comptime!(shares_colours::<S>(shape)) {
         #[unroll]
@@ -175,53 +194,61 @@ pub(super) fn add_block<S: Splat>(
             }
             row[comptime!(MOMENTS) + channel] += sum;
         }
-    } else {
-        let corner = TilePixel::of(origin, pixel_of(first_unit), inputs, frame);
-        // Along rays the depth of a pair has its gradient in the columns of the splat.
-        for channel in 0..comptime!(if S::ALONG_RAYS { shape.features } else { shape.channels() }) {
-            let first = plane_of(channel, shape) * plane + corner.index;
-            let mut sum = 0.0f32;
-            for step in 0..comptime!(BLOCK_HEIGHT) {
-                #[unroll]
-                for column in 0..comptime!(BLOCK_WIDTH) {
-                    let weight = memory.weights[at + step * comptime!(BLOCK_WIDTH) + column];
-                    // A pixel outside the picture has no weight.
-                    if weight > 0.0 {
-                        sum += weight * grad[first + step * frame.width as usize + column];
-                    }
-                }
-            }
-            row[comptime!(MOMENTS) + channel] += sum;
-        }
     }
 }
 
-/// Returns `Σ g c` over the channels of a Gaussian at pixel `index` of the picture, whose planes have `plane` pixels. `depth` is that
-/// of the pixel along rays.
+/// Adds a block's pixels to the sums of channels that are not shared, which begin at `row[columns]`. The units are pixels, which leave
+/// their gradients where `h` was, then sum.
 #[cube]
-fn along_channels<S: Splat>(
-    inputs: &SplatInputs,
-    grad: &[f32],
-    gaussian: usize,
-    index: usize,
-    plane: usize,
-    depth: f32,
-    #[comptime] shape: KernelShape,
-) -> f32 {
-    let groups = comptime!(shape.channels() / CHANNELS_AT_ONCE);
-    let mut sum = 0.0f32;
-    for group in 0..groups {
+pub(super) fn add_channels(
+    row: &mut Array<f32>,
+    memory: &mut SegmentMemory,
+    word: u32,
+    #[comptime] columns: usize,
+    #[comptime] len: usize,
+) {
+    let lane = UNIT_POS as usize;
+    let first_place = lane / SIDE * SIDE;
+    let at_once = comptime!(usize::min(len, SEGMENT_UNITS));
+    let wide = comptime!(at_once / SIDE);
+    #[unroll(len <= SEGMENT_UNITS)]
+    for group in 0..comptime!(len.div_ceil(SEGMENT_UNITS)) {
+        let first = group * comptime!(SEGMENT_UNITS);
         #[unroll]
-        for k in 0..comptime!(CHANNELS_AT_ONCE) {
-            let channel = group * comptime!(CHANNELS_AT_ONCE) + k;
-            let gradient = grad[plane_of(channel, shape) * plane + index];
-            sum += gradient * colour::<S>(inputs, gaussian, channel, depth, shape);
+        for k in 0..at_once {
+            memory.alphas[k * comptime!(STRIDE) + lane] = row[comptime!(MOMENTS + k) + first];
         }
+        sync_cube();
+        let bits = word >> first_place as u32;
+        if (bits & comptime!((1u32 << SIDE) - 1)) != 0 {
+            let mut sums = Array::<f32>::new(comptime!(SIDE * wide));
+            #[unroll]
+            for t in 0..comptime!(SIDE * wide) {
+                sums[t] = 0.0f32;
+            }
+            for pixel in 0..comptime!(BLOCK_PIXELS) {
+                let mut gradients = Array::<f32>::new(wide);
+                #[unroll]
+                for j in 0..wide {
+                    gradients[j] = memory.alphas[(lane % SIDE + comptime!(j * SIDE)) * comptime!(STRIDE) + pixel];
+                }
+                #[unroll]
+                for i in 0..SIDE {
+                    let weight = memory.weights[(first_place + i) * comptime!(STRIDE) + pixel];
+                    #[unroll]
+                    for j in 0..wide {
+                        sums[comptime!(i * wide + j)] += weight * gradients[j];
+                    }
+                }
+            }
+            #[unroll]
+            for t in 0..comptime!(SIDE * wide) {
+                // The table has no weights of places that the block does not see.
+                if ((bits >> comptime!((t / wide) as u32)) & 1) != 0 {
+                    row[comptime!(columns + t) + first] += sums[t];
+                }
+            }
+        }
+        sync_cube();
     }
-    #[unroll]
-    for k in 0..comptime!(shape.channels() % CHANNELS_AT_ONCE) {
-        let channel = comptime!(groups * CHANNELS_AT_ONCE + k);
-        sum += grad[plane_of(channel, shape) * plane + index] * colour::<S>(inputs, gaussian, channel, depth, shape);
-    }
-    sum
 }

@@ -3,8 +3,7 @@
 
 use super::gather_cpu::{RowSums, gather};
 use super::layer_cpu::Thresholds;
-use super::pixels::SIMD_WIDTH;
-use super::pixels::{Plane, in_block_order};
+use super::pixels::{Plane, SIMD_WIDTH, in_block_order};
 use super::prepared::Prepared;
 pub(crate) use super::prepared::{SplatTrace, Trace};
 use super::splat_cpu::Footprint;
@@ -12,10 +11,9 @@ use super::tile::{TileTrace, rasterize_tile};
 use super::tile_backward::{BackwardPass, TileGrad, TileScratch};
 use super::{Layers, MOMENTS, PlaneParts, RasterizeSpec};
 use crate::intersect::{IntersectionLists, TILE_PIXELS, TILE_SIZE, tile_grid};
-use crate::ray_space;
 use crate::simd::real::Real;
 use crate::simd::{dispatch, dispatch_widest, is_f32};
-use crate::tasks;
+use crate::{ray_space, tasks};
 
 /// Runs `$body` with a token of vector instructions as `$simd` and the number of channels as the constant `$c`, or zero if no
 /// specialised version exists. `$long` is the constant of [`is_long`]. A plain colour picture, three channels in f32 without depth, has a version

@@ -42,6 +42,7 @@ pub(super) fn rasterize_forward_kernel<S: Splat>(
 ) {
     let channels = comptime!(shape.channels());
     let few = comptime!(shape.few());
+    let held = comptime!(shape.held());
     let tile = run.first_tile + CUBE_POS as u32;
     let mut splats = Shared::<[Four]>::new_slice(comptime!(SEGMENT * S::VECTORS));
     let mut colours = Shared::<[Four]>::new_slice(comptime!(if few { SEGMENT } else { 1 }));
@@ -75,7 +76,7 @@ pub(super) fn rasterize_forward_kernel<S: Splat>(
         let mut lost = 0.0f32;
         let mut sums = Array::<f32>::new(channels);
         let mut own = Array::<f32>::new(channels);
-        #[unroll(few)]
+        #[unroll(held)]
         for channel in 0..channels {
             sums[channel] = 0.0f32;
             if comptime!(few) {
@@ -126,7 +127,7 @@ pub(super) fn rasterize_forward_kernel<S: Splat>(
             if comptime!(keep) {
                 kept[at] = transmittance;
             }
-            #[unroll(few)]
+            #[unroll(held)]
             for channel in 0..channels {
                 own[channel] = 0.0f32;
             }
@@ -165,6 +166,7 @@ pub(super) fn rasterize_forward_kernel<S: Splat>(
                             }
                         } else {
                             let gaussian = gaussians[place] as usize;
+                            #[unroll(held)]
                             for channel in 0..channels {
                                 own[channel] += weight * colour::<S>(&inputs, gaussian, channel, depth, shape);
                             }
@@ -178,7 +180,7 @@ pub(super) fn rasterize_forward_kernel<S: Splat>(
                     needed[at_word].fetch_or(shown);
                 }
             }
-            #[unroll(few)]
+            #[unroll(held)]
             for channel in 0..channels {
                 if comptime!(few) {
                     let place = channel * comptime!(TILE_PIXELS) + unit as usize;
@@ -223,7 +225,7 @@ pub(super) fn rasterize_forward_kernel<S: Splat>(
         if pixel.inside {
             let plane = (frame.width * frame.height) as usize;
             let left = transmittance.abs();
-            #[unroll(few)]
+            #[unroll(held)]
             for channel in 0..comptime!(shape.features) {
                 planes[channel * plane + pixel.index] = sums[channel] + left * background[channel];
             }

@@ -56,7 +56,7 @@ pub(super) fn rasterize_gather_kernel(
     #[comptime] per_intersection: bool,
     #[comptime] _given: u32,
 ) {
-    let few = comptime!(shape.few());
+    let held = comptime!(shape.held());
     let rank = first_rank as usize + ABSOLUTE_POS;
     if rank < end_rank as usize {
         let mut gaussian = rank;
@@ -68,24 +68,24 @@ pub(super) fn rasterize_gather_kernel(
             if rank + 1 < end_rank as usize {
                 end = first_intersection[rank + 1];
             }
-            #[unroll(few)]
+            #[unroll(held)]
             for column in 0..columns {
                 row[column] = 0.0f32;
             }
             for row_index in first - first_row..end - first_row {
-                #[unroll(few)]
+                #[unroll(held)]
                 for column in 0..columns {
                     row[column] += rows[row_index as usize * columns + column];
                 }
             }
         } else {
-            #[unroll(few)]
+            #[unroll(held)]
             for column in 0..columns {
                 row[column] = rows[gaussian * columns + column];
             }
         }
         let mut set = 0u32;
-        #[unroll(few)]
+        #[unroll(held)]
         for column in 0..columns {
             set |= u32::reinterpret(row[column]);
         }
@@ -119,7 +119,7 @@ pub(super) fn rasterize_gather_kernel(
         }
         #[comptime]
         if let ComptimeOption::Some(out) = &mut grad_features {
-            #[unroll(few)]
+            #[unroll(held)]
             for channel in 0..comptime!(shape.features) {
                 out[gaussian * comptime!(shape.features) + channel] = row[comptime!(MOMENTS) + channel];
             }

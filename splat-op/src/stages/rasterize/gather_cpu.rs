@@ -1,8 +1,7 @@
 //! Last step of the CPU twin's backward pass: rows of sums to gradients.
 
-use super::Layers;
-use super::MOMENTS;
 use super::prepared::CHUNK;
+use super::{Layers, MOMENTS};
 use crate::intersect::IntersectionLists;
 use crate::project::{COLUMNS, Ellipse, OPACITY};
 use crate::ray_space::{SHAPE, SLOPES};

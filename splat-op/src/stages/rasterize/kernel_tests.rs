@@ -173,7 +173,9 @@ fn pictures_and_gradients_agree_with_the_twin() {
 
 #[test]
 fn any_number_of_channels() {
-    for (channels, depth) in [(1, false), (2, true), (3, true), (4, true), (16, false), (64, true)] {
+    for (channels, depth) in
+        [(1, false), (2, true), (3, true), (4, true), (11, true), (16, false), (37, false), (64, true)]
+    {
         StageInputs::random(300, [50, 35], channels, [0.05, 0.9], RenderOptions::standard().with_depth(depth)).check();
     }
 }

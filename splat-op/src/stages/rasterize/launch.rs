@@ -74,11 +74,8 @@ impl<'a> DeviceSplats<'a> {
 }
 
 /// Number of values of an intersection's row of sums.
-pub(crate) fn columns_of(shape: KernelShape, spec: &RasterizeSpec, absolute: bool) -> usize {
-    match spec.options.along_rays() {
-        true => row_len::<RayGaussian>(shape, absolute),
-        false => row_len::<LayerEllipse>(shape, absolute),
-    }
+pub(crate) fn columns_of(shape: KernelShape, spec: &RasterizeSpec, abs: bool) -> usize {
+    if spec.options.along_rays() { row_len::<RayGaussian>(shape, abs) } else { row_len::<LayerEllipse>(shape, abs) }
 }
 
 /// Planes of a picture: `[C, H, W]`, alpha and, if it is rendered, depth. Each part begins where a device can bind a buffer, so that it is an

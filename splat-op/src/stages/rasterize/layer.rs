@@ -19,8 +19,8 @@ pub(super) const BUCKETS: usize = 4;
 /// segment, so the backward pass can process all segments at once.
 pub(super) const SEGMENT: usize = BUCKETS * BUCKET;
 
-/// Largest number of channels for which colours go through shared memory, sums go through registers, and the trace
-/// keeps the sums of each segment. With more channels, all three would not fit.
+/// Largest number of channels for which colours go through shared memory, and the trace keeps the sums of each segment.
+/// With more channels, neither would fit.
 pub(crate) const FEW: usize = 4;
 
 /// Four numbers that are read from shared memory at once.
@@ -153,6 +153,11 @@ impl KernelShape {
 
     pub const fn few(&self) -> bool {
         self.channels() <= FEW
+    }
+
+    /// Whether a unit has a value of each channel in registers.
+    pub const fn held(&self) -> bool {
+        self.channels() <= BUCKET
     }
 
     /// Number of values that the forward pass keeps per pixel and segment: the transmittance before the segment

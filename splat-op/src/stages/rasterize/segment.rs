@@ -30,14 +30,6 @@ pub(super) struct SegmentRange {
     pub end_row: u32,
 }
 
-/// Number of places of a bucket, and of rows of a launch.
-#[derive(CubeType, Clone, Copy)]
-#[expand(derive(Clone, Copy))]
-pub(super) struct RowCells {
-    pub here: u32,
-    pub rows: u32,
-}
-
 /// A segment of a tile.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]

@@ -15,6 +15,8 @@ pub(crate) struct BlockPairs {
     pub first_unit: u32,
     /// Where a place's values begin in the tables of `h` and of weights.
     pub at: u32,
+    /// Number of pixels of a plane of the picture.
+    pub plane: usize,
 }
 
 /// A Gaussian as the pixels of a tile see it.

@@ -8,8 +8,7 @@ use super::layer::{
     layer, tile_origin, transmittance_after_bucket,
 };
 use super::splat::{Splat, colour};
-use super::trace::TileRun;
-use super::trace::WORDS;
+use super::trace::{TileRun, WORDS};
 use crate::gpu::reduce::cube_sum;
 use crate::intersect::TILE_PIXELS;
 
@@ -122,7 +121,8 @@ pub(super) fn rasterize_suffix_kernel<S: Splat>(
                 let mut transmittance = before;
                 for bucket in 0..comptime!(BUCKETS as u32) {
                     let mut word = 0u32;
-                    if transmittance >= 0.0 {
+                    // Nothing reads the sum in front of the first segment.
+                    if transmittance >= 0.0 && segment > 0 {
                         word =
                             words[(bucket * comptime!(BLOCKS as u32) + unit / comptime!(BLOCK_PIXELS as u32)) as usize];
                     }

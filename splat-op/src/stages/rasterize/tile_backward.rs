@@ -8,8 +8,7 @@ use fearless_simd::prelude::*;
 
 use super::MOMENTS;
 use super::layer_cpu::{Thresholds, Transmittances};
-use super::pixels::TileView;
-use super::pixels::{Plane, SIMD_BLOCK, SIMD_BLOCK_ROW, TilePixels, lanes, len, store};
+use super::pixels::{Plane, SIMD_BLOCK, SIMD_BLOCK_ROW, TilePixels, TileView, lanes, len, store};
 use super::splat_cpu::{Footprint, FootprintLanes, PairSums};
 use super::tile::{CHECKPOINT_EVERY, Near, TileTrace, colour_lanes};
 use super::tile_blocks::FIRST_COLUMN;

@@ -333,7 +333,7 @@ impl Splat for RayGaussian {
         #[comptime] shape: KernelShape,
         #[comptime] absolute: bool,
     ) {
-        let of_depth = (frame.width * frame.height) as usize * comptime!(shape.features + 1);
+        let of_depth = pairs.plane * comptime!(shape.features + 1);
         let mut sums = RaySums::new();
         for other in 0..comptime!(BLOCK_PIXELS as u32) {
             let at = (pairs.at + other) as usize;

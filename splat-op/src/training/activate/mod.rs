@@ -88,10 +88,7 @@ pub fn activated(raw: &RawSplats, mark: Option<&Tensor<1, Int>>) -> Result<(Tens
 /// Reading the result waits for the device; tensor code on it does not.
 pub fn non_finite<const D: usize>(values: &Tensor<D>) -> Tensor<1, Int> {
     let values = values.clone().inner();
-    match is_tensor_code() {
-        true => tensors::non_finite(values),
-        false => apply(operation::NonFinite, [values.into()]).int(0),
-    }
+    if is_tensor_code() { tensors::non_finite(values) } else { apply(operation::NonFinite, [values.into()]).int(0) }
 }
 
 /// Returns whether a Gaussian is usable by the rule of [this module](self), from its parameters on the host. `sh` holds all its
