@@ -31,10 +31,10 @@ const FEATURES: usize = 2_048;
 /// Photographs that are compared with each one because they look alike.
 const ALIKE: usize = 20;
 
-/// What a vocabulary is made of, and the features by which photographs are looked up in it: COLMAP's own choice takes longer than the
-/// pairs that it saves.
-const VOCABULARY_SIZE: [(&str, &str); 4] =
-    [("num_visual_words", "1024"), ("branching", "32"), ("num_iterations", "3"), ("max_num_images", "25")];
+/// What a vocabulary is made of, and the features by which photographs are looked up in it. Of `fox_small`, 1,024 words take six times
+/// as long as 256 and find fewer of the pairs that match.
+const VOCABULARY_SIZE: [(&str, &str); 3] =
+    [("num_visual_words", "256"), ("num_iterations", "3"), ("max_num_images", "25")];
 const LOOKED_UP: [&str; 2] = ["VocabTreeMatching.max_num_features", "1000"];
 
 /// Photographs of a block of exhaustive matching, at most: the progress is that of blocks.
