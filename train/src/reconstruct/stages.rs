@@ -25,7 +25,7 @@ const FEATURE_SIDE: usize = 1_600;
 /// Most photographs of which every pair is compared.
 const ALL_PAIRS: usize = 40;
 
-/// Features of a photograph, without second orientations, where not all pairs are compared. The time of a pair grows with them.
+/// Features of a photograph, without second orientations, where photographs are large or not all pairs are compared. The time of a pair grows with them.
 const FEATURES: usize = 2_048;
 
 /// Photographs that are compared with each one because they look alike.
@@ -129,14 +129,14 @@ impl Stages<'_> {
         let many = !self.full_size && photographs.len() > ALL_PAIRS;
         if large {
             progress::note(&format!(
-                "features are found in pictures of {FEATURE_SIDE} px; `--full-size-features` takes many times as long and finds more"
+                "features are found in pictures of {FEATURE_SIDE} px, {FEATURES} in each; `--full-size-features` finds more and takes many times as long"
             ));
         }
         let limits = [
             (true, &["FeatureExtraction.use_gpu", "SiftExtraction.use_gpu"][..], 0),
             (large, &["FeatureExtraction.max_image_size", "SiftExtraction.max_image_size"], FEATURE_SIDE),
             (large, &["SiftExtraction.first_octave"], 0),
-            (many, &["SiftExtraction.max_num_features"], FEATURES),
+            (large || many, &["SiftExtraction.max_num_features"], FEATURES),
         ];
         let known = limits.iter().filter(|limit| limit.0);
         known
