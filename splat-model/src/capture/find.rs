@@ -36,8 +36,10 @@ fn first(find: impl Fn(&dyn CaptureFormat) -> Vec<PathBuf>) -> Option<Cameras> {
 
 /// Whether cameras are in a folder or directly above it, or are a file.
 pub(super) fn is_there(source: &Path) -> bool {
-    let beside = || !inside(source, 0).is_empty() || !above(source).is_empty();
-    if source.is_file() { of_file(source).is_some() } else { beside() }
+    if source.is_file() {
+        return of_file(source).is_some();
+    }
+    !inside(source, 0).is_empty() || !above(source).is_empty()
 }
 
 pub(super) fn load(source: &Path) -> Result<Capture, CaptureError> {

@@ -63,7 +63,7 @@ pub struct CameraArgs {
     #[arg(long, value_name = "MODEL", value_enum)]
     #[serde(skip)]
     pub camera_model: Option<CameraModelName>,
-    /// Find features in photographs of any size, and as many as there are, instead of in 1,600 px: many times slower
+    /// Leave the size of pictures and the number of features to COLMAP (3,200 px, 8,192), instead of at most 1,600 px and 2,048: many times slower
     #[arg(long)]
     #[serde(skip)]
     pub full_size_features: bool,

@@ -19,7 +19,7 @@ use super::{failure, stage};
 use crate::progress::{self, CountedProgress};
 use crate::stop::Stop;
 
-/// Side of the pictures in which features are found, px, where photographs are larger. Twelve megapixels take twenty times as long.
+/// Side of the pictures in which features are found, px, where photographs are larger. In 12 megapixels the search takes twenty times as long.
 const FEATURE_SIDE: usize = 1_600;
 
 /// Most photographs of which every pair is compared.
@@ -31,18 +31,21 @@ const FEATURES: usize = 2_048;
 /// Photographs that are compared with each one because they look alike.
 const ALIKE: usize = 20;
 
-/// What a vocabulary is made of, and the features by which photographs are looked up in it. Of `fox_small`, 1,024 words take six times
-/// as long as 256 and find fewer of the pairs that match.
-const VOCABULARY_SIZE: [(&str, &str); 3] =
+/// Options of `vocab_tree_builder`. For `fox_small`, a vocabulary of 1,024 words takes six times as long as one of 256 and finds fewer of the
+/// pairs that match.
+const VOCABULARY_OPTIONS: [(&str, &str); 3] =
     [("num_visual_words", "256"), ("num_iterations", "3"), ("max_num_images", "25")];
+
+/// Number of features by which a photograph is looked up in the vocabulary.
 const LOOKED_UP: [&str; 2] = ["VocabTreeMatching.max_num_features", "1000"];
 
 /// Photographs of a block of exhaustive matching, at most: the progress is that of blocks.
 const BLOCK: usize = 25;
 
-/// Neighbours in order of name that are compared with each frame and each photograph, where not all pairs are. As many again at
-/// distances of powers of two.
+/// Frames of a video that are compared with the one before them. As many again are at distances of powers of two.
 const FRAMES_NEAR: usize = 20;
+
+/// The same for photographs in order of name, where not all pairs are compared.
 const PHOTOGRAPHS_NEAR: usize = 5;
 
 /// Share of the photographs that the global mapper has to place. Below it the incremental one is tried too.
@@ -55,7 +58,7 @@ pub struct Stages<'a> {
     /// Whether photographs are the frames of a video, of which neighbours by name are neighbours.
     pub is_video: bool,
     pub model: Option<CameraModelName>,
-    /// Whether features are found in photographs of any size, and as many as COLMAP finds.
+    /// Whether the size of pictures and the number of features are left to COLMAP.
     pub full_size: bool,
 }
 
@@ -123,13 +126,14 @@ impl Stages<'_> {
         Ok(features)
     }
 
-    /// Options of `feature_extractor` that keep it off graphics cards, and from features that take longer than they are worth.
+    /// Options of `feature_extractor` that limit its time, and keep it off graphics cards. `first_octave` of zero does without COLMAP's
+    /// doubling of the picture.
     fn limits(&self, options: &Options, photographs: &[Unposed]) -> Vec<String> {
         let large = !self.full_size && largest_side(photographs) > FEATURE_SIDE;
         let many = !self.full_size && photographs.len() > ALL_PAIRS;
         if large {
             progress::note(&format!(
-                "features are found in pictures of {FEATURE_SIDE} px, {FEATURES} in each; `--full-size-features` finds more and takes many times as long"
+                "features are found in pictures of {FEATURE_SIDE} px, up to {FEATURES} in each; `--full-size-features` finds more and takes many times as long"
             ));
         }
         let limits = [
@@ -138,11 +142,10 @@ impl Stages<'_> {
             (large, &["SiftExtraction.first_octave"], 0),
             (large || many, &["SiftExtraction.max_num_features"], FEATURES),
         ];
-        let known = limits.iter().filter(|limit| limit.0);
-        known
-            .filter_map(|(_, names, value)| Some([format!("--{}", options.first(names)?), value.to_string()]))
-            .flatten()
-            .collect()
+        let chosen = limits.iter().filter(|(is_on, ..)| *is_on);
+        let arguments =
+            chosen.filter_map(|(_, names, value)| Some([format!("--{}", options.first(names)?), value.to_string()]));
+        arguments.flatten().collect()
     }
 
     /// Matches photographs. COLMAP skips pairs that are in the database already.
@@ -163,14 +166,16 @@ impl Stages<'_> {
             ),
         });
         self.matcher(workspace, "sequential_matcher", photographs, &[["SequentialMatching.overlap", &near]])?;
-        if self.is_video {
-            return Ok(());
-        }
+        if self.is_video { Ok(()) } else { self.match_alike(workspace, photographs) }
+    }
+
+    /// Matches each photograph with those that look most like it, by a vocabulary of all features.
+    fn match_alike(&self, workspace: &Workspace, photographs: usize) -> Result<()> {
         let vocabulary = workspace.join(VOCABULARY);
         let options = self.colmap.options("vocab_tree_builder")?;
         let mut command = with_paths(ColmapProgram::command("vocab_tree_builder"), workspace, false);
         command.arg("--vocab_tree_path").arg(&vocabulary);
-        for (name, value) in VOCABULARY_SIZE.iter().filter(|(name, _)| options.first(&[name]).is_some()) {
+        for (name, value) in VOCABULARY_OPTIONS.iter().filter(|(name, _)| options.first(&[name]).is_some()) {
             command.arg(format!("--{name}")).arg(value);
         }
         self.succeed(workspace, command, "building a vocabulary of features", |_| {})?;
@@ -195,7 +200,7 @@ impl Stages<'_> {
         }
         let mut counted = CountedProgress::new("matching");
         self.succeed(workspace, command, "matching photographs", |line| {
-            if let Some((done, all)) = matched(line).filter(|_| !line.contains("Indexing")) {
+            if let Some((done, all)) = matched(line) {
                 counted.set(done, Some(all));
             }
         })?;
@@ -292,9 +297,10 @@ fn field(line: &str) -> Option<(&str, &str)> {
     Some((name, value.trim()))
 }
 
-/// The blocks or photographs that are matched, of how many: `Matching block [2/5, 1/5]`, `Matching image [7/50]`.
+/// The blocks or photographs that are matched, of how many: `Matching block [2/5, 1/5]`, `Matching image [7/50]`. `Indexing image [7/50]`
+/// comes before them.
 fn matched(line: &str) -> Option<(usize, usize)> {
-    let inside = line.split_once("[")?.1.split_once(']')?.0;
+    let inside = line.split_once("[").filter(|(before, _)| !before.contains("Indexing"))?.1.split_once(']')?.0;
     let pairs: Vec<(usize, usize)> = inside
         .split(',')
         .map(|pair| pair.trim().split_once('/').and_then(|(a, b)| Some((a.parse().ok()?, b.parse().ok()?))))

@@ -12,7 +12,9 @@
 use cubecl::prelude::*;
 
 use super::MOMENTS;
-use super::backward_block::{SEGMENT_UNITS, SIDE, STRIDE, SegmentMemory, add_block, add_channels, pass_met, sums_len};
+use super::backward_block::{
+    SEGMENT_UNITS, SIDE, STRIDE, SegmentMemory, add_block, add_channels, pass_pixels, sums_len,
+};
 use super::blocks::{BLOCK_PIXELS, BLOCKS, pixel_of};
 use super::layer::{BUCKET, KernelShape, RasterFrame, SplatInputs, TilePixel, tile_origin};
 use super::segment::{KeptTrace, Segment, SegmentRange, clear_rows};
@@ -32,7 +34,8 @@ pub(crate) const fn row_len<S: Splat>(shape: KernelShape, absolute: bool) -> usi
 /// At a block, its units are first pixels. They go forwards through the bits of the block's word for `α` and `T`, then
 /// backwards for `∂L/∂α`, and leave `h` and the weights `α T` in tables in shared memory. Then the units are places:
 /// they read the tables transposed, and each adds up its own row over the pixels. So a pair's exponential is computed
-/// once for its gradient and at most once for its transmittance, and sums need neither atomics nor shuffles.
+/// once for its gradient and at most once for its transmittance, and sums need neither atomics nor shuffles. Of many channels
+/// a unit sums every eighth one of eight places ([`add_channels`]), so that it reads the tables less often.
 ///
 /// Without `add`, the rows of the intersections of `range` are written to `rows`, and segments without any of
 /// them are skipped. With `add`, rows are added to `sums`, one row per Gaussian.
@@ -111,7 +114,18 @@ pub(super) fn rasterize_backward_kernel<S: Splat, A: FloatCell>(
                 for block in 0..comptime!(BLOCKS as u32) {
                     let word = memory.words[(bucket * comptime!(BLOCKS as u32) + block) as usize];
                     if word != 0 {
-                        pass_met::<S>(&mut row, &mut memory, word, bucket, block, origin, grad, &inputs, &frame, shape);
+                        pass_pixels::<S>(
+                            &mut row,
+                            &mut memory,
+                            word,
+                            bucket,
+                            block,
+                            origin,
+                            grad,
+                            &inputs,
+                            &frame,
+                            shape,
+                        );
                     }
                     // Outside the branch: DirectX refuses barriers in branches on what was read.
                     sync_cube();
@@ -163,7 +177,7 @@ fn pass_bucket<S: Splat>(
     }
 }
 
-/// Writes or adds the rows of a bucket. A unit holds the row of a place.
+/// Writes or adds the rows of a bucket. A unit holds the row of a place and, behind it, `len` sums of [`add_channels`].
 #[cube]
 fn store_rows<A: FloatCell>(
     row: &Array<f32>,

@@ -63,19 +63,19 @@ impl SegmentMemory {
     }
 }
 
-/// Number of places of a unit's sums of channels that are not shared, and of units with the same places.
+/// Where channels are not shared, a unit sums this many places, and this many units have the same places.
 pub(super) const SIDE: usize = 8;
 
-/// Number of a unit's sums of channels that are not shared: of [`SIDE`] places, and of each [`SIDE`]-th channel.
+/// Number of a unit's sums of channels that are not shared: every [`SIDE`]-th channel of [`SIDE`] places. Zero where they are shared.
 pub(super) const fn sums_len<S: Splat>(shape: KernelShape) -> usize {
     let side = if shape.held() { SIDE } else { SEGMENT_UNITS };
     if shares_colours::<S>(shape) { 0 } else { shape.channels().next_multiple_of(side) }
 }
 
 /// Passes the places of a block's word, of a bucket: leaves `h` and the weights of each place and pixel in the tables, and `ρ` in
-/// front of the bucket. The units are pixels, and of a channel that is not shared `row` has `g`.
+/// front of the bucket. The units are pixels. `g` of channels that are not shared is left in their columns of `row`.
 #[cube]
-pub(super) fn pass_met<S: Splat>(
+pub(super) fn pass_pixels<S: Splat>(
     row: &mut Array<f32>,
     memory: &mut SegmentMemory,
     word: u32,
@@ -165,7 +165,7 @@ pub(super) fn pass_met<S: Splat>(
     memory.rho[unit as usize] = behind;
 }
 
-/// Adds a block's pixels to the rows, but for channels that are not shared. The units are places.
+/// Adds a block's pixels to the rows, without channels that are not shared. The units are places.
 #[cube]
 pub(super) fn add_block<S: Splat>(
     row: &mut Array<f32>,
@@ -197,8 +197,8 @@ pub(super) fn add_block<S: Splat>(
     }
 }
 
-/// Adds a block's pixels to the sums of channels that are not shared, which begin at `row[columns]`. The units are pixels, which leave
-/// their gradients where `h` was, then sum.
+/// Adds a block's pixels to the sums of channels that are not shared. A unit has them behind its row, from `row[columns]` on: every
+/// [`SIDE`]-th channel of [`SIDE`] places. Before that the units are pixels, which leave `g` in the table of `h`.
 #[cube]
 pub(super) fn add_channels(
     row: &mut Array<f32>,

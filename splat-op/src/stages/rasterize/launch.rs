@@ -74,8 +74,12 @@ impl<'a> DeviceSplats<'a> {
 }
 
 /// Number of values of an intersection's row of sums.
-pub(crate) fn columns_of(shape: KernelShape, spec: &RasterizeSpec, abs: bool) -> usize {
-    if spec.options.along_rays() { row_len::<RayGaussian>(shape, abs) } else { row_len::<LayerEllipse>(shape, abs) }
+pub(crate) fn columns_of(shape: KernelShape, spec: &RasterizeSpec, absolute: bool) -> usize {
+    if spec.options.along_rays() {
+        row_len::<RayGaussian>(shape, absolute)
+    } else {
+        row_len::<LayerEllipse>(shape, absolute)
+    }
 }
 
 /// Planes of a picture: `[C, H, W]`, alpha and, if it is rendered, depth. Each part begins where a device can bind a buffer, so that it is an
