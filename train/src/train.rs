@@ -142,8 +142,8 @@ pub struct TrainArgs {
          eighth of a shorter run]", TrainConfig::default().sh_every
     ))]
     pub sh_every: Option<usize>,
-    /// Bits of each of Adam's moments, 32, 16 or 8: they take 472, 236 or 124 bytes of a Gaussian of degree 3 (see docs/ACCURACY.md for
-    /// what fewer bits cost)
+    /// Bits of each of Adam's moments, 32 or 8: they take 472 or 124 bytes of a Gaussian of degree 3 (see docs/ACCURACY.md for what
+    /// fewer bits cost)
     #[arg(long, value_name = "BITS", default_value_t, help_heading = MEMORY)]
     #[serde(with = "crate::as_text", default)]
     pub moment_bits: MomentBits,

@@ -3,7 +3,7 @@
 //!
 //! `cargo bench --workspace --bench scale -- splats` takes any of `splats`, `pixels` and `views`, by default all three. `plot`
 //! draws the recorded measurements. `moments 10000000` prints a training step of so many Gaussians, and a refinement to so
-//! many, with Adam's moments in 32, 16 and 8 bits, and records nothing. Each axis replaces its rows in `docs/scale/scale.csv` and its plot, and keeps the other
+//! many, with Adam's moments in 32 and 8 bits, and records nothing. Each axis replaces its rows in `docs/scale/scale.csv` and its plot, and keeps the other
 //! axes. Every point runs in a process of its own, so that it does not reuse the memory of another. A point that would exceed
 //! [`MEMORY`] or [`PATIENCE`] by extrapolation from the point before is skipped, with a message.
 

@@ -84,10 +84,10 @@ impl Adam {
         let factors = self.factors(lr.into(), step);
         let (m, v) = match moments.take() {
             Stored::Full { m, v } => (m, v),
-            Stored::Packed { words, packing } => {
-                let factors = PackedFactors { factors, packing, step: step as u32 };
+            Stored::Packed(words) => {
+                let factors = PackedFactors { factors, step: step as u32 };
                 let (param, words) = packed_step(param, grad, words, &factors, verdict);
-                *moments = Moments::packed(words, packing);
+                *moments = Moments::packed(words);
                 return param;
             }
         };

@@ -1,4 +1,4 @@
-//! Adam's moments, in 32, 16 or 8 bits each.
+//! Adam's moments, in 32 or 8 bits each.
 
 use std::fmt;
 use std::str::FromStr;
@@ -6,7 +6,7 @@ use std::str::FromStr;
 use burn::tensor::kind::Basic;
 use burn::tensor::{DType, Device, Int, Tensor};
 use serde::{Deserialize, Serialize};
-use splat_op::adam::packed::Packing;
+use splat_op::adam::packed::words_per_row;
 
 use crate::state::{State, StateError};
 
@@ -17,27 +17,21 @@ pub enum MomentBits {
     /// Floats of 32 bits.
     #[default]
     ThirtyTwo,
-    /// 16 bits.
-    Sixteen,
     /// 8 bits.
     Eight,
 }
 
 impl MomentBits {
     /// All values, the most exact first.
-    pub const ALL: [Self; 3] = [Self::ThirtyTwo, Self::Sixteen, Self::Eight];
+    pub const ALL: [Self; 2] = [Self::ThirtyTwo, Self::Eight];
 
     /// Bytes of both moments of a row of `width` numbers.
     pub fn bytes(self, width: usize) -> usize {
-        size_of::<f32>() * self.packing().map_or(2 * width, |packing| packing.words_per_row(width))
-    }
-
-    fn packing(self) -> Option<Packing> {
-        match self {
-            Self::ThirtyTwo => None,
-            Self::Sixteen => Some(Packing::Sixteen),
-            Self::Eight => Some(Packing::Eight),
-        }
+        let words = match self {
+            Self::ThirtyTwo => 2 * width,
+            Self::Eight => words_per_row(width),
+        };
+        size_of::<f32>() * words
     }
 }
 
@@ -45,7 +39,6 @@ impl From<MomentBits> for u8 {
     fn from(bits: MomentBits) -> Self {
         match bits {
             MomentBits::ThirtyTwo => 32,
-            MomentBits::Sixteen => 16,
             MomentBits::Eight => 8,
         }
     }
@@ -56,7 +49,7 @@ impl TryFrom<u8> for MomentBits {
 
     fn try_from(bits: u8) -> Result<Self, String> {
         let found = Self::ALL.into_iter().find(|all| u8::from(*all) == bits);
-        found.ok_or_else(|| format!("moments of {bits} bits, expected 32, 16 or 8"))
+        found.ok_or_else(|| format!("moments of {bits} bits, expected 32 or 8"))
     }
 }
 
@@ -70,7 +63,7 @@ impl FromStr for MomentBits {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        text.parse::<u8>().map_err(|_| format!("`{text}`, expected 32, 16 or 8"))?.try_into()
+        text.parse::<u8>().map_err(|_| format!("`{text}`, expected 32 or 8"))?.try_into()
     }
 }
 
@@ -91,12 +84,8 @@ pub(crate) enum Stored<const D: usize> {
         /// `Σ β₂ᵏ g²`
         v: Tensor<D>,
     },
-    /// Codes in words, row by row of the parameter.
-    Packed {
-        /// `[N, words]`, i32.
-        words: Tensor<2, Int>,
-        packing: Packing,
-    },
+    /// `[N, words]`, i32: codes in words, row by row of the parameter.
+    Packed(Tensor<2, Int>),
 }
 
 impl<const D: usize> Moments<D> {
@@ -107,20 +96,19 @@ impl<const D: usize> Moments<D> {
 
     /// Moments without history for a parameter of the shape of `param`. Fewer bits than 32 are for parameters in f32.
     pub fn with_bits(param: &Tensor<D>, bits: MomentBits) -> Self {
-        let Some(packing) = bits.packing() else {
+        if bits == MomentBits::ThirtyTwo {
             let m = param.clone().inner().zeros_like();
             return Self::full(m.zeros_like(), m);
-        };
-        let shape = words_shape(param.dims(), packing);
-        Self::packed(Tensor::zeros(shape, (&param.device().inner(), DType::I32)), packing)
+        }
+        Self::packed(Tensor::zeros(words_shape(param.dims()), (&param.device().inner(), DType::I32)))
     }
 
     pub(crate) fn full(m: Tensor<D>, v: Tensor<D>) -> Self {
         Self(Some(Stored::Full { m, v }))
     }
 
-    pub(crate) fn packed(words: Tensor<2, Int>, packing: Packing) -> Self {
-        Self(Some(Stored::Packed { words, packing }))
+    pub(crate) fn packed(words: Tensor<2, Int>) -> Self {
+        Self(Some(Stored::Packed(words)))
     }
 
     pub(crate) fn stored(&self) -> &Stored<D> {
@@ -136,19 +124,26 @@ impl<const D: usize> Moments<D> {
     pub fn bits(&self) -> MomentBits {
         match self.stored() {
             Stored::Full { .. } => MomentBits::ThirtyTwo,
-            Stored::Packed { packing: Packing::Sixteen, .. } => MomentBits::Sixteen,
-            Stored::Packed { packing: Packing::Eight, .. } => MomentBits::Eight,
+            Stored::Packed(_) => MomentBits::Eight,
         }
     }
 
     /// The moments of the rows `source`, `[M]`, which are counted through all blocks. Those from row `kept` on have no history.
     pub(crate) fn gathered(blocks: &[Stored<D>], source: &Tensor<1, Int>, kept: usize) -> Self {
-        let Stored::Packed { packing, .. } = blocks[0] else {
-            let (m, v): (Vec<_>, Vec<_>) = blocks.iter().filter_map(Stored::sums).unzip();
-            return Self::full(continued(&m, source, kept), continued(&v, source, kept));
-        };
-        let words: Vec<_> = blocks.iter().filter_map(Stored::words).collect();
-        Self::packed(continued(&words, source, kept), packing)
+        let (mut m, mut v, mut words) = (Vec::new(), Vec::new(), Vec::new());
+        for block in blocks {
+            match block {
+                Stored::Full { m: first, v: second } => {
+                    m.push(first.clone());
+                    v.push(second.clone());
+                }
+                Stored::Packed(of_block) => words.push(of_block.clone()),
+            }
+        }
+        match words.is_empty() {
+            true => Self::full(continued(&m, source, kept), continued(&v, source, kept)),
+            false => Self::packed(continued(&words, source, kept)),
+        }
     }
 
     pub(crate) fn rows(&self, first: usize, count: usize, device: &Device) -> Self {
@@ -164,7 +159,7 @@ impl<const D: usize> Moments<D> {
         }
         match self.stored() {
             Stored::Full { m, v } => Self::full(of(m, first, count, device), of(v, first, count, device)),
-            Stored::Packed { words, packing } => Self::packed(of(words, first, count, device), *packing),
+            Stored::Packed(words) => Self::packed(of(words, first, count, device)),
         }
     }
 
@@ -175,7 +170,7 @@ impl<const D: usize> Moments<D> {
                 to.put("m", m.clone());
                 to.put("v", v.clone());
             }
-            Stored::Packed { words, .. } => to.put(&format!("moments{}", self.bits()), words.clone()),
+            Stored::Packed(words) => to.put(&format!("moments{}", self.bits()), words.clone()),
         }
     }
 
@@ -184,12 +179,11 @@ impl<const D: usize> Moments<D> {
     /// # Errors
     /// If they are missing, of another shape, or have another number of bits.
     pub fn load(from: &mut State, shape: [usize; D], bits: MomentBits, device: &Device) -> Result<Self, StateError> {
-        let Some(packing) = bits.packing() else {
+        if bits == MomentBits::ThirtyTwo {
             let [m, v] = ["m", "v"].map(|name| from.take_shaped(name, shape, device));
             return Ok(Self::full(m?, v?));
-        };
-        let words = from.take_shaped(&format!("moments{bits}"), words_shape(shape, packing), device)?;
-        Ok(Self::packed(words, packing))
+        }
+        Ok(Self::packed(from.take_shaped(&format!("moments{bits}"), words_shape(shape), device)?))
     }
 }
 
@@ -199,29 +193,13 @@ impl Moments<2> {
         *self = match self.take() {
             Stored::Full { m, v } => Self::full(grown(m, width), grown(v, width)),
             // Codes beyond the end of a row are zero.
-            Stored::Packed { words, packing } => Self::packed(grown(words, packing.words_per_row(width)), packing),
+            Stored::Packed(words) => Self::packed(grown(words, words_per_row(width))),
         };
     }
 }
 
-impl<const D: usize> Stored<D> {
-    fn sums(&self) -> Option<(Tensor<D>, Tensor<D>)> {
-        match self {
-            Self::Full { m, v } => Some((m.clone(), v.clone())),
-            Self::Packed { .. } => None,
-        }
-    }
-
-    fn words(&self) -> Option<Tensor<2, Int>> {
-        match self {
-            Self::Full { .. } => None,
-            Self::Packed { words, .. } => Some(words.clone()),
-        }
-    }
-}
-
-fn words_shape<const D: usize>(shape: [usize; D], packing: Packing) -> [usize; 2] {
-    [shape[0], packing.words_per_row(shape[1..].iter().product())]
+fn words_shape<const D: usize>(shape: [usize; D]) -> [usize; 2] {
+    [shape[0], words_per_row(shape[1..].iter().product())]
 }
 
 /// The first `kept` of the rows `source`, `[M]`, of several blocks, followed by rows of zeros.

@@ -7,7 +7,7 @@ use bytemuck::Pod;
 use cubecl::prelude::*;
 use cubecl::server::Handle;
 
-use super::{Gpu, elementwise, given};
+use super::{Gpu, given, launch_unchecked};
 use crate::counters::{count_allocation, count_binding, count_idle_waits};
 use crate::limits::Need;
 
@@ -133,24 +133,11 @@ impl<T: Pod> Buffer<T> {
         if longest > 0 {
             let output = |i: usize| buffers[i].as_ref().map(Buffer::arg).into();
             let [a, b, c, d] = lens.map(|len| len.unwrap_or(0) as u32);
-            let (grid, dim) = elementwise(longest);
             // SAFETY: every access is guarded by the lengths given.
-            unsafe {
-                clear_kernel::launch_unchecked(
-                    &gpu.client,
-                    grid,
-                    dim,
-                    output(0),
-                    output(1),
-                    output(2),
-                    output(3),
-                    a,
-                    b,
-                    c,
-                    d,
-                    given(buffers.each_ref()),
-                );
-            }
+            launch_unchecked!(
+                gpu.units(longest),
+                clear_kernel(output(0), output(1), output(2), output(3), a, b, c, d, given(buffers.each_ref()))
+            );
         }
         buffers
     }
@@ -204,11 +191,8 @@ fn scale_kernel(values: &mut [f32], factor: &[f32], len: u32) {
 /// Multiplies values by a number, in place.
 pub(crate) fn launch_scale(gpu: &Gpu, values: &Buffer<f32>, factor: &Buffer<f32>) {
     if values.len > 0 {
-        let (grid, dim) = elementwise(values.len);
         // SAFETY: every access is guarded by the length given, and the factor is one number.
-        unsafe {
-            scale_kernel::launch_unchecked(&gpu.client, grid, dim, values.arg(), factor.arg(), values.len as u32)
-        };
+        launch_unchecked!(gpu.units(values.len), scale_kernel(values.arg(), factor.arg(), values.len as u32));
     }
 }
 

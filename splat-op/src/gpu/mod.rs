@@ -50,6 +50,9 @@ pub(crate) struct Gpu {
     pub collects: bool,
 }
 
+/// Where and how often a kernel runs.
+pub(crate) type Dispatch<'a> = (&'a Client, CubeCount, CubeDim);
+
 /// Largest buffer that kernels can index, bytes: they number elements of four bytes by u32, even if a device supports larger
 /// buffers. The number of elements must fit, and so must the next number of a unit that goes past the last element; no unit goes
 /// further than the units of a row of cubes.
@@ -67,6 +70,16 @@ impl Gpu {
             collects: client.name().starts_with("wgpu"),
             client: client.clone(),
         }
+    }
+
+    /// Returns a dispatch with at least one unit per element.
+    pub fn units(&self, elements: usize) -> Dispatch<'_> {
+        self.cubes(elements.div_ceil(UNITS))
+    }
+
+    /// Returns a dispatch of at least `count` cubes of [`UNITS`] units.
+    pub fn cubes(&self, count: usize) -> Dispatch<'_> {
+        (&self.client, cubes(count), CubeDim::new_1d(UNITS as u32))
     }
 
     /// Lets the device begin with what was launched so far. Faults are reported when something is read.
@@ -112,6 +125,21 @@ pub(crate) fn search(values: usize) -> (CubeCount, CubeDim, u32) {
 pub(crate) fn elementwise(elements: usize) -> (CubeCount, CubeDim) {
     (cubes(elements.div_ceil(UNITS)), CubeDim::new_1d(UNITS as u32))
 }
+
+/// Launches a kernel whose accesses are not checked: `launch_unchecked!(dispatch, kernel(arguments))`, with a [`Dispatch`].
+///
+/// # Safety
+/// Every access of the kernel lies within its buffers. A comment at each use says why.
+macro_rules! launch_unchecked {
+    ($dispatch:expr, $kernel:ident($($argument:expr),* $(,)?)) => {{
+        let (client, grid, dim) = $dispatch;
+        // SAFETY: see the comment at the use.
+        unsafe {
+            $kernel::launch_unchecked(client, grid, dim, $($argument),*);
+        }
+    }};
+}
+pub(crate) use launch_unchecked;
 
 /// Splits the indices `0..count` into ranges that need at most `room`, unless a range is a single index. The indices below `i`
 /// need `before(i)` together. There is at least one range.

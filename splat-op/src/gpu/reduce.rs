@@ -5,7 +5,7 @@
 
 use cubecl::prelude::*;
 
-use super::{Buffer, Gpu, UNITS, cubes};
+use super::{Buffer, Gpu, UNITS, launch_unchecked};
 
 /// Number of neighbouring units whose values are added first.
 const GROUP: usize = 16;
@@ -112,17 +112,9 @@ pub(crate) fn launch_sums(
 ) -> Buffer<f32> {
     let sums = Buffer::new(gpu, columns);
     // SAFETY: every access is guarded by the lengths given.
-    unsafe {
-        column_sums_kernel::launch_unchecked(
-            &gpu.client,
-            cubes(columns),
-            CubeDim::new_1d(UNITS as u32),
-            values.arg(),
-            weights.map(Buffer::arg).into(),
-            sums.arg(),
-            rows as u32,
-            columns as u32,
-        );
-    }
+    launch_unchecked!(
+        gpu.cubes(columns),
+        column_sums_kernel(values.arg(), weights.map(Buffer::arg).into(), sums.arg(), rows as u32, columns as u32)
+    );
     sums
 }

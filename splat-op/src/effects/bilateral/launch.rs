@@ -1,10 +1,8 @@
 //! Launches of the slice.
 
-use cubecl::prelude::CubeDim;
-
 use super::kernels::{SizesLaunch, grid_backward_kernel, image_backward_kernel, slice_kernel};
 use super::{SliceSize, Sliced};
-use crate::gpu::{Buffer, Gpu, UNITS, cubes, elementwise};
+use crate::gpu::{Buffer, Gpu, launch_unchecked};
 
 fn sizes(size: SliceSize) -> SizesLaunch {
     let SliceSize { width, height, levels, rows, columns } = size;
@@ -14,10 +12,9 @@ fn sizes(size: SliceSize) -> SizesLaunch {
 /// Returns the mapped picture, `[3, H, W]`.
 pub(crate) fn launch_slice(gpu: &Gpu, inputs: &Sliced<Buffer<f32>>, size: SliceSize) -> Buffer<f32> {
     let out = Buffer::new(gpu, inputs.image.len);
-    let (grid, dim) = elementwise(out.len / 3);
     let (image, maps) = (inputs.image.arg(), inputs.grid.arg());
     // SAFETY: units beyond the last pixel do nothing, and a pixel's corners are limited to the grid.
-    unsafe { slice_kernel::launch_unchecked(&gpu.client, grid, dim, image, maps, out.arg(), sizes(size)) };
+    launch_unchecked!(gpu.units(out.len / 3), slice_kernel(image, maps, out.arg(), sizes(size)));
     out
 }
 
@@ -33,20 +30,15 @@ pub(crate) fn launch_slice_backward(
         image: Buffer::if_needed(gpu, needs.image, inputs.image.len),
         grid: Buffer::if_needed(gpu, needs.grid, inputs.grid.len),
     };
-    let client = &gpu.client;
     if let Some(out) = &found.image {
-        let (grid, dim) = elementwise(out.len / 3);
         let (image, maps, grad) = (inputs.image.arg(), inputs.grid.arg(), grad.arg());
         // SAFETY: as in `launch_slice`.
-        unsafe {
-            image_backward_kernel::launch_unchecked(client, grid, dim, image, maps, grad, out.arg(), sizes(size))
-        };
+        launch_unchecked!(gpu.units(out.len / 3), image_backward_kernel(image, maps, grad, out.arg(), sizes(size)));
     }
     if let Some(out) = &found.grid {
-        let places = cubes(size.levels * size.rows * size.columns);
-        let (dim, image, grad) = (CubeDim::new_1d(UNITS as u32), inputs.image.arg(), grad.arg());
+        let places = gpu.cubes(size.levels * size.rows * size.columns);
         // SAFETY: cubes beyond the last place do nothing, and the pixels of a place are limited to the picture.
-        unsafe { grid_backward_kernel::launch_unchecked(client, places, dim, image, grad, out.arg(), sizes(size)) };
+        launch_unchecked!(places, grid_backward_kernel(inputs.image.arg(), grad.arg(), out.arg(), sizes(size)));
     }
     found
 }

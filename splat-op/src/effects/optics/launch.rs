@@ -3,7 +3,7 @@
 use super::kernels::{AxisLaunch, ChangeArgLaunch, expose_backward_kernel, expose_kernel};
 use super::{Exposed, OpticsSpec, PARAMETERS};
 use crate::gpu::reduce::launch_column_sums;
-use crate::gpu::{Buffer, Gpu, UNITS, elementwise};
+use crate::gpu::{Buffer, Gpu, UNITS, launch_unchecked};
 use crate::project::COLUMNS;
 
 /// Camera and change as an argument of the kernels.
@@ -22,12 +22,9 @@ pub(crate) fn launch_expose(gpu: &Gpu, inputs: &Exposed<Buffer<f32>>, spec: &Opt
     if count == 0 {
         return out;
     }
-    let ((grid, dim), client) = (elementwise(count), &gpu.client);
     let (projected, twist) = (inputs.projected.arg(), inputs.twist.arg());
     // SAFETY: units beyond the last Gaussian do nothing, and the public functions check the length of the twist.
-    unsafe {
-        expose_kernel::launch_unchecked(client, grid, dim, projected, twist, out.arg(), change(spec), count as u32);
-    }
+    launch_unchecked!(gpu.units(count), expose_kernel(projected, twist, out.arg(), change(spec), count as u32));
     out
 }
 
@@ -44,21 +41,18 @@ pub(crate) fn launch_expose_backward(
         return Exposed { projected, twist: Buffer::from_slice(gpu, &[0.0; PARAMETERS]) };
     }
     let rows = Buffer::new(gpu, count.div_ceil(UNITS) * PARAMETERS);
-    let (grid, dim) = elementwise(count);
     // SAFETY: as in `launch_expose`, and there is a row for every cube of Gaussians.
-    unsafe {
-        expose_backward_kernel::launch_unchecked(
-            &gpu.client,
-            grid,
-            dim,
+    launch_unchecked!(
+        gpu.units(count),
+        expose_backward_kernel(
             inputs.projected.arg(),
             inputs.twist.arg(),
             grad.arg(),
             projected.arg(),
             rows.arg(),
             change(spec),
-            count as u32,
-        );
-    }
+            count as u32
+        )
+    );
     Exposed { projected, twist: launch_column_sums(gpu, &rows, PARAMETERS) }
 }

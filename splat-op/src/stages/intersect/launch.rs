@@ -1,7 +1,5 @@
 //! Launches of `intersect`, and the lists that they leave on the device.
 
-use cubecl::prelude::CubeDim;
-
 use super::emit::{LIST_BLOCK, count_kernel, emit_kernel, emit_masked_kernel, number_kernel, ranges_kernel};
 use super::expected::{expected, remember};
 use super::forward::{COVER, TileListsLaunch, TileMaskLaunch, cover_kernel};
@@ -10,7 +8,7 @@ use super::sort::{Sorted, launch_sort};
 use super::{Cut, tile_grid};
 use crate::camera::Intrinsics;
 use crate::counters::{count_idle_waits, count_repeated_lists, forced_capacity};
-use crate::gpu::{Buffer, Gpu, UNITS, cubes, elementwise};
+use crate::gpu::{Buffer, Gpu, UNITS, launch_unchecked};
 use crate::limits::Need;
 
 /// Lists of one view on the device. Intersections are numbered Gaussian by Gaussian in depth order; a place is the
@@ -168,41 +166,36 @@ impl Counted {
     pub fn launch(gpu: &Gpu, projected: &Buffer<f32>, camera: &Intrinsics, cut: Cut<&Buffer<i32>>) -> Self {
         let count = projected.len / crate::project::COLUMNS;
         let (covers, depths) = (Buffer::<u32>::new(gpu, count * COVER), Buffer::<u32>::new(gpu, count));
-        let (client, (grid, dim)) = (&gpu.client, elementwise(count));
         // SAFETY: every access is guarded by the lengths given.
-        unsafe {
-            cover_kernel::launch_unchecked(
-                client,
-                grid,
-                dim,
+        launch_unchecked!(
+            gpu.units(count),
+            cover_kernel(
                 projected.arg(),
                 covers.arg(),
                 depths.arg(),
                 camera.width as u32,
                 camera.height as u32,
                 cut.alpha_min as f32,
-                count as u32,
-            );
-        }
+                count as u32
+            )
+        );
         let by_depth = launch_sort(gpu, depths, None, u32::BITS);
         let chunks = count.div_ceil(UNITS).clamp(1, COUNTERS);
         let (counts, sums) = (Buffer::<u32>::new(gpu, count), Buffer::<u32>::new(gpu, 2 * chunks));
         let (tiles, mask) = (tile_grid(camera.width, camera.height), cut.mask.cloned());
         // SAFETY: every access is guarded by the number of visible Gaussians.
-        unsafe {
-            count_kernel::launch_unchecked(
-                client,
-                cubes(chunks),
-                CubeDim::new_1d(UNITS as u32),
+        launch_unchecked!(
+            gpu.cubes(chunks),
+            count_kernel(
                 by_depth.indices.arg(),
                 covers.arg(),
                 by_depth.kept.arg(),
                 mask.as_ref().map(|mask| TileMaskLaunch::new(mask.arg(), tiles[0] as u32)).into(),
                 counts.arg(),
                 sums.arg(),
-                chunks as u32,
-            );
-        }
+                chunks as u32
+            )
+        );
         Self { covers, by_depth, counts, sums, chunks, tiles, mask }
     }
 
@@ -216,13 +209,11 @@ impl Counted {
     pub fn emit(&self, gpu: &Gpu, room: &Room) -> [Buffer<u32>; 2] {
         let Self { covers, by_depth, counts, sums, .. } = self;
         let (first_intersection, sizes) = (Buffer::<u32>::new(gpu, counts.len), Buffer::<u32>::new(gpu, 2));
-        let (client, dim, blocks) = (&gpu.client, CubeDim::new_1d(UNITS as u32), room.capacity.div_ceil(LIST_BLOCK));
+        let blocks = room.capacity.div_ceil(LIST_BLOCK);
         // SAFETY: ranks are guarded by the number of visible Gaussians, blocks and intersections by the capacity.
-        unsafe {
-            number_kernel::launch_unchecked(
-                client,
-                cubes(self.chunks),
-                dim,
+        launch_unchecked!(
+            gpu.cubes(self.chunks),
+            number_kernel(
                 counts.arg(),
                 sums.arg(),
                 by_depth.kept.arg(),
@@ -230,16 +221,14 @@ impl Counted {
                 room.rank_of_block.arg(),
                 sizes.arg(),
                 self.chunks as u32,
-                room.capacity as u32,
-            );
-        }
+                room.capacity as u32
+            )
+        );
         match &self.mask {
             // SAFETY: as above.
-            None => unsafe {
-                emit_kernel::launch_unchecked(
-                    client,
-                    cubes(blocks),
-                    dim,
+            None => launch_unchecked!(
+                gpu.cubes(blocks),
+                emit_kernel(
                     by_depth.indices.arg(),
                     covers.arg(),
                     first_intersection.arg(),
@@ -248,24 +237,22 @@ impl Counted {
                     room.tiles.arg(),
                     room.gaussians.arg(),
                     blocks as u32,
-                    self.tiles[0] as u32,
-                );
-            },
+                    self.tiles[0] as u32
+                )
+            ),
             // SAFETY: as above; the public functions check that a mask has all tiles.
-            Some(mask) => unsafe {
-                emit_masked_kernel::launch_unchecked(
-                    client,
-                    cubes(counts.len.div_ceil(UNITS)),
-                    dim,
+            Some(mask) => launch_unchecked!(
+                gpu.cubes(counts.len.div_ceil(UNITS)),
+                emit_masked_kernel(
                     by_depth.indices.arg(),
                     covers.arg(),
                     first_intersection.arg(),
                     sizes.arg(),
                     TileMaskLaunch::new(mask.arg(), self.tiles[0] as u32),
                     room.tiles.arg(),
-                    room.gaussians.arg(),
-                );
-            },
+                    room.gaussians.arg()
+                )
+            ),
         }
         [first_intersection, sizes]
     }
@@ -277,20 +264,11 @@ impl Counted {
         let tiles = self.tiles[0] * self.tiles[1];
         let by_tile = launch_sort(gpu, room.tiles, Some(sizes.clone()), usize::BITS - (tiles - 1).leading_zeros());
         let (tile_start, counts) = (Buffer::new(gpu, tiles + 1), Buffer::new(gpu, tiles));
-        let (grid, dim) = elementwise(tiles + 1);
         // SAFETY: every access is guarded by the number of tiles and by that of the sorted intersections.
-        unsafe {
-            ranges_kernel::launch_unchecked(
-                &gpu.client,
-                grid,
-                dim,
-                by_tile.keys.arg(),
-                sizes.arg(),
-                tile_start.arg(),
-                counts.arg(),
-                tiles as u32,
-            );
-        }
+        launch_unchecked!(
+            gpu.units(tiles + 1),
+            ranges_kernel(by_tile.keys.arg(), sizes.arg(), tile_start.arg(), counts.arg(), tiles as u32)
+        );
         DeviceIntersections {
             counts,
             tile_start,

@@ -17,7 +17,7 @@
 use cubecl::prelude::*;
 
 use crate::gpu::reduce::{SUM_ROOM, cube_exclusive_sum};
-use crate::gpu::{Buffer, Gpu, UNITS, cubes, given};
+use crate::gpu::{Buffer, Gpu, UNITS, given, launch_unchecked};
 
 /// Key of what the sort leaves out.
 pub(crate) const HIDDEN: u32 = u32::MAX;
@@ -343,31 +343,19 @@ pub(crate) fn launch_sort(gpu: &Gpu, keys: Buffer<u32>, count: Option<Buffer<u32
     // Two buffers in turn take the keys, and two the values.
     let (mut to, mut values, mut spare_values) = (room(), None, None);
     let optional = |buffer: &Option<Buffer<u32>>| buffer.as_ref().map(Buffer::arg).into();
-    let (client, dim, most, chunk_count) = (&gpu.client, CubeDim::new_1d(UNITS as u32), len as u32, chunks as u32);
+    let (most, chunk_count) = (len as u32, chunks as u32);
     // SAFETY: reads are guarded by the length of a chunk, and there is a table for each pass.
-    unsafe {
-        let (keys, count) = (from.arg(), optional(&count));
-        count_digits_kernel::launch_unchecked(
-            client,
-            cubes(chunks),
-            dim,
-            keys,
-            count,
-            tables.arg(),
-            most,
-            chunk_count,
-            passes,
-        );
-    }
+    launch_unchecked!(
+        gpu.cubes(chunks),
+        count_digits_kernel(from.arg(), optional(&count), tables.arg(), most, chunk_count, passes)
+    );
     for pass in 0..passes {
         let (moved, kept) = (spare_values.take().unwrap_or_else(room), Buffer::new(gpu, 1));
         let next = (pass + 1 < passes).then(|| table(pass + 1));
         // SAFETY: as above; places stay below `len` because the table counts every key that is moved once.
-        unsafe {
-            scatter_kernel::launch_unchecked(
-                client,
-                cubes(chunks),
-                dim,
+        launch_unchecked!(
+            gpu.cubes(chunks),
+            scatter_kernel(
                 from.arg(),
                 optional(&values),
                 optional(&count),
@@ -379,9 +367,9 @@ pub(crate) fn launch_sort(gpu: &Gpu, keys: Buffer<u32>, count: Option<Buffer<u32
                 most,
                 chunk_count,
                 DIGIT_BITS * pass,
-                given([&values, &count, &next]),
-            );
-        }
+                given([&values, &count, &next])
+            )
+        );
         std::mem::swap(&mut from, &mut to);
         spare_values = values.replace(moved);
         count = Some(kept);

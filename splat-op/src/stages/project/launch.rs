@@ -7,7 +7,7 @@ use super::lens_kernel::distortion_arg;
 use super::{COLUMNS, Geometry, ProjectSpec, RADIUS_SIGMAS, WIDTHS};
 use crate::gpu::math::POSE;
 use crate::gpu::reduce::launch_column_sums;
-use crate::gpu::{Buffer, Gpu, UNITS, elementwise, given};
+use crate::gpu::{Buffer, Gpu, UNITS, given, launch_unchecked};
 
 /// Camera and options as an argument of the kernels, computed in f64 and rounded once.
 pub(crate) fn project_camera(spec: &ProjectSpec) -> ProjectCameraLaunch {
@@ -44,19 +44,11 @@ pub(crate) fn launch_project(gpu: &Gpu, inputs: &Geometry<Buffer<f32>>, spec: &P
     if count == 0 {
         return projected;
     }
-    let (grid, dim) = elementwise(count);
     // SAFETY: every access is guarded by the number of Gaussians.
-    unsafe {
-        project_forward_kernel::launch_unchecked(
-            &gpu.client,
-            grid,
-            dim,
-            geometry_arg(inputs),
-            projected.arg(),
-            project_camera(spec),
-            count as u32,
-        );
-    }
+    launch_unchecked!(
+        gpu.units(count),
+        project_forward_kernel(geometry_arg(inputs), projected.arg(), project_camera(spec), count as u32)
+    );
     projected
 }
 
@@ -91,13 +83,10 @@ pub(crate) fn launch_project_backward(
     let count = inputs.opacities.len;
     geometry_grads(gpu, count, needs, |grads| {
         let output = |buffer: &Option<Buffer<f32>>| buffer.as_ref().map(Buffer::arg).into();
-        let (grid, dim) = elementwise(count);
         // SAFETY: every access is guarded by the number of Gaussians.
-        unsafe {
-            project_backward_kernel::launch_unchecked(
-                &gpu.client,
-                grid,
-                dim,
+        launch_unchecked!(
+            gpu.units(count),
+            project_backward_kernel(
                 geometry_arg(inputs),
                 grad.arg(),
                 output(&grads.means),
@@ -108,8 +97,8 @@ pub(crate) fn launch_project_backward(
                 output(&grads.cam_from_world),
                 project_camera(spec),
                 count as u32,
-                given(grads.each_ref().into_array()),
-            );
-        }
+                given(grads.each_ref().into_array())
+            )
+        );
     })
 }

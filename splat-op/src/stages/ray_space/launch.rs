@@ -5,7 +5,7 @@ use super::bounds_kernel::{bounds_kernel, lens_limits};
 use super::columns;
 use super::forward::ray_space_forward_kernel;
 use crate::gpu::math::Vec2Launch;
-use crate::gpu::{Buffer, Gpu, elementwise, given};
+use crate::gpu::{Buffer, Gpu, given, launch_unchecked};
 use crate::project::launch::{geometry_arg, geometry_grads, project_camera};
 use crate::project::{COLUMNS, Geometry, ProjectSpec};
 use crate::rasterize::RasterizeSpec;
@@ -17,19 +17,11 @@ pub(crate) fn launch_ray_space(gpu: &Gpu, inputs: &Geometry<Buffer<f32>>, spec: 
     if count == 0 {
         return ray_rows;
     }
-    let (grid, dim) = elementwise(count);
     // SAFETY: every access is guarded by the number of Gaussians.
-    unsafe {
-        ray_space_forward_kernel::launch_unchecked(
-            &gpu.client,
-            grid,
-            dim,
-            geometry_arg(inputs),
-            ray_rows.arg(),
-            project_camera(spec),
-            count as u32,
-        );
-    }
+    launch_unchecked!(
+        gpu.units(count),
+        ray_space_forward_kernel(geometry_arg(inputs), ray_rows.arg(), project_camera(spec), count as u32)
+    );
     ray_rows
 }
 
@@ -45,22 +37,19 @@ pub(crate) fn launch_bounds(
     if count == 0 {
         return bounds;
     }
-    let (grid, dim) = elementwise(count);
     // SAFETY: every access is guarded by the number of Gaussians.
-    unsafe {
-        bounds_kernel::launch_unchecked(
-            &gpu.client,
-            grid,
-            dim,
+    launch_unchecked!(
+        gpu.units(count),
+        bounds_kernel(
             projected.arg(),
             ray_rows.arg(),
             bounds.arg(),
             Vec2Launch::new(spec.intrinsics.width as f32, spec.intrinsics.height as f32),
             spec.options.alpha_min as f32,
             lens_limits(&spec.intrinsics).into(),
-            count as u32,
-        );
-    }
+            count as u32
+        )
+    );
     bounds
 }
 
@@ -75,13 +64,10 @@ pub(crate) fn launch_ray_space_backward(
     let count = inputs.opacities.len;
     geometry_grads(gpu, count, Geometry { opacities: false, ..needs }, |grads| {
         let output = |buffer: &Option<Buffer<f32>>| buffer.as_ref().map(Buffer::arg).into();
-        let (grid, dim) = elementwise(count);
         // SAFETY: every access is guarded by the number of Gaussians.
-        unsafe {
-            ray_space_backward_kernel::launch_unchecked(
-                &gpu.client,
-                grid,
-                dim,
+        launch_unchecked!(
+            gpu.units(count),
+            ray_space_backward_kernel(
                 geometry_arg(inputs),
                 grad.arg(),
                 output(&grads.means),
@@ -91,8 +77,8 @@ pub(crate) fn launch_ray_space_backward(
                 output(&grads.cam_from_world),
                 project_camera(spec),
                 count as u32,
-                given(grads.each_ref().into_array()),
-            );
-        }
+                given(grads.each_ref().into_array())
+            )
+        );
     })
 }

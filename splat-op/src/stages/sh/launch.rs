@@ -7,7 +7,7 @@ use super::forward::{FrameLaunch, sh_forward_kernel};
 use super::{Shading, degree_of, extent_sigmas, vector_width};
 use crate::gpu::math::POSE;
 use crate::gpu::reduce::launch_column_sums;
-use crate::gpu::{Buffer, Gpu, UNITS, elementwise, given};
+use crate::gpu::{Buffer, Gpu, UNITS, given, launch_unchecked};
 use crate::project::ProjectSpec;
 
 /// Inputs of `evaluate_sh` on the device, row-major.
@@ -43,15 +43,12 @@ pub(crate) fn launch_sh(
     if count == 0 {
         return colours;
     }
-    let (grid, dim) = elementwise(count);
     let degree = degree_of(coefficients);
     let width = vector_width(degree);
     // SAFETY: every access is guarded by the number of Gaussians.
-    unsafe {
-        sh_forward_kernel::launch_unchecked(
-            &gpu.client,
-            grid,
-            dim,
+    launch_unchecked!(
+        gpu.units(count),
+        sh_forward_kernel(
             width,
             inputs.sh.vectors(width),
             inputs.means.arg(),
@@ -60,9 +57,9 @@ pub(crate) fn launch_sh(
             colours.arg(),
             frame(visible),
             count as u32,
-            degree,
-        );
-    }
+            degree
+        )
+    );
     colours
 }
 
@@ -87,13 +84,11 @@ pub(crate) fn launch_sh_backward(
     let view_direction_rows = Buffer::if_needed(gpu, through_pose, count.div_ceil(UNITS) * 3);
     if count > 0 && (needs.sh || needs.means || through_pose) {
         let output = |buffer: &Option<Buffer<f32>>| buffer.as_ref().map(Buffer::arg).into();
-        let ((grid, dim), width) = (elementwise(count), vector_width(degree));
+        let width = vector_width(degree);
         // SAFETY: every access is guarded by the number of Gaussians.
-        unsafe {
-            sh_backward_kernel::launch_unchecked(
-                &gpu.client,
-                grid,
-                dim,
+        launch_unchecked!(
+            gpu.units(count),
+            sh_backward_kernel(
                 width,
                 inputs.sh.vectors(width),
                 inputs.means.arg(),
@@ -106,9 +101,9 @@ pub(crate) fn launch_sh_backward(
                 frame(visible),
                 count as u32,
                 degree,
-                given([&grads.sh, &grads.means, &view_direction_rows]),
-            );
-        }
+                given([&grads.sh, &grads.means, &view_direction_rows])
+            )
+        );
     }
     grads.cam_from_world = needs.cam_from_world.then(|| match view_direction_rows {
         Some(rows) => launch_pose_backward(gpu, &launch_column_sums(gpu, &rows, 3), &inputs.cam_from_world),
@@ -121,15 +116,9 @@ pub(crate) fn launch_sh_backward(
 fn launch_pose_backward(gpu: &Gpu, grad_sights: &Buffer<f32>, cam_from_world: &Buffer<f32>) -> Buffer<f32> {
     let grad_pose = Buffer::new(gpu, POSE);
     // SAFETY: the kernel reads and writes exactly the lengths of these buffers.
-    unsafe {
-        pose_backward_kernel::launch_unchecked(
-            &gpu.client,
-            CubeCount::Static(1, 1, 1),
-            CubeDim::new_1d(1),
-            grad_sights.arg(),
-            cam_from_world.arg(),
-            grad_pose.arg(),
-        );
-    }
+    launch_unchecked!(
+        (&gpu.client, CubeCount::Static(1, 1, 1), CubeDim::new_1d(1)),
+        pose_backward_kernel(grad_sights.arg(), cam_from_world.arg(), grad_pose.arg())
+    );
     grad_pose
 }

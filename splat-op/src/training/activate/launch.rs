@@ -2,7 +2,7 @@
 
 use super::forward::{activate_backward_kernel, activate_kernel, non_finite_kernel};
 use super::rule::Raw;
-use crate::gpu::{Buffer, Gpu, elementwise, given, search};
+use crate::gpu::{Buffer, Gpu, given, launch_unchecked, search};
 
 /// `[N, 3]` standard deviations and `[N]` opacities. `mark`, `[1]`, is zero if all coefficients are known to be usable.
 pub(crate) fn launch_activate(
@@ -13,13 +13,10 @@ pub(crate) fn launch_activate(
     let count = inputs.logit_opacities.len;
     let (scales, opacities) = (Buffer::new(gpu, 3 * count), Buffer::new(gpu, count));
     if count > 0 {
-        let (grid, dim) = elementwise(count);
         // SAFETY: every access is guarded by the number of Gaussians.
-        unsafe {
-            activate_kernel::launch_unchecked(
-                &gpu.client,
-                grid,
-                dim,
+        launch_unchecked!(
+            gpu.units(count),
+            activate_kernel(
                 inputs.means.arg(),
                 inputs.rotations.vectors(4),
                 inputs.log_scales.arg(),
@@ -29,9 +26,9 @@ pub(crate) fn launch_activate(
                 scales.arg(),
                 opacities.arg(),
                 count as u32,
-                (inputs.sh.len / count) as u32,
-            );
-        }
+                (inputs.sh.len / count) as u32
+            )
+        );
     }
     (scales, opacities)
 }
@@ -52,14 +49,11 @@ pub(crate) fn launch_activate_backward(gpu: &Gpu, inputs: &ActivatedGrads) -> [O
     let found = [(grad_scales, 3 * count), (grad_opacities, count)];
     let found = found.map(|(grad, len)| Buffer::if_needed(gpu, grad.is_some(), len));
     if count > 0 {
-        let (grid, dim) = elementwise(count);
         let optional = |buffer: &Option<Buffer<f32>>| buffer.as_ref().map(Buffer::arg).into();
         // SAFETY: every access is guarded by the number of Gaussians.
-        unsafe {
-            activate_backward_kernel::launch_unchecked(
-                &gpu.client,
-                grid,
-                dim,
+        launch_unchecked!(
+            gpu.units(count),
+            activate_backward_kernel(
                 logit_opacities.arg(),
                 scales.arg(),
                 opacities.arg(),
@@ -68,9 +62,9 @@ pub(crate) fn launch_activate_backward(gpu: &Gpu, inputs: &ActivatedGrads) -> [O
                 optional(&found[0]),
                 optional(&found[1]),
                 count as u32,
-                given(found.each_ref()),
-            );
-        }
+                given(found.each_ref())
+            )
+        );
     }
     found
 }
@@ -82,9 +76,7 @@ pub(crate) fn launch_non_finite(gpu: &Gpu, values: &Buffer<f32>) -> Buffer<u32> 
         let (grid, dim, stride) = search(values.len);
         let count = values.len as u32;
         // SAFETY: every access is guarded by the length given.
-        unsafe {
-            non_finite_kernel::launch_unchecked(&gpu.client, grid, dim, values.arg(), flag.arg(), count, stride);
-        }
+        launch_unchecked!((&gpu.client, grid, dim), non_finite_kernel(values.arg(), flag.arg(), count, stride));
     }
     flag
 }

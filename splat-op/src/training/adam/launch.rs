@@ -2,7 +2,7 @@
 
 use super::forward::{AdamParamLaunch, StepFactorsLaunch, WatchedCountsLaunch, adam_kernel, watch_kernel};
 use super::rule::{Band, Factors, WATCHED};
-use crate::gpu::{Buffer, Gpu, elementwise, given, search};
+use crate::gpu::{Buffer, Gpu, given, launch_unchecked, search};
 
 /// A parameter and its moments on the device, all of one length.
 #[derive(Clone)]
@@ -51,21 +51,18 @@ pub(crate) fn launch_adam(gpu: &Gpu, steps: &[&DeviceStep], verdict: Option<&Buf
     }
     let other = |i: usize| others.get(i).map(|step| step.arg()).into();
     let (unused, marks) = (Buffer::new(gpu, 0), mark.is_some());
-    let (grid, dim) = elementwise(count);
     // SAFETY: every access is guarded by the lengths given, which the buffers of a parameter share.
-    unsafe {
-        adam_kernel::launch_unchecked(
-            &gpu.client,
-            grid,
-            dim,
+    launch_unchecked!(
+        gpu.units(count),
+        adam_kernel(
             first.arg(),
             other(0),
             other(1),
             verdict.map(Buffer::arg).into(),
             mark.unwrap_or(&unused).arg(),
-            marks,
-        );
-    }
+            marks
+        )
+    );
 }
 
 /// Enters `at_step` in `verdict`, `[2]`, if no earlier step is entered and the loss or a gradient has a value that is not finite, with
@@ -86,23 +83,8 @@ pub(crate) fn launch_watch(
     let given = given(all.each_ref());
     let [loss, a, b, c, d, e] = all.map(|values| values.map(Buffer::arg).into());
     // SAFETY: every access is guarded by the lengths given; a verdict has two numbers.
-    unsafe {
-        watch_kernel::launch_unchecked(
-            &gpu.client,
-            grid,
-            dim,
-            loss,
-            a,
-            b,
-            c,
-            d,
-            e,
-            verdict.arg(),
-            counts,
-            stride,
-            at_step,
-            first,
-            given,
-        );
-    }
+    launch_unchecked!(
+        (&gpu.client, grid, dim),
+        watch_kernel(loss, a, b, c, d, e, verdict.arg(), counts, stride, at_step, first, given)
+    );
 }

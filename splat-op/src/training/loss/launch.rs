@@ -1,33 +1,29 @@
 //! Launches of the loss.
 
-use cubecl::prelude::{CubeCount, CubeDim};
-
 use super::forward::{
     PlanesLaunch, TermWeightsLaunch, columns_kernel, gradient_kernel, index_kernel, moments_kernel, photograph_kernel,
     strip_of, total_kernel,
 };
 use super::taps::Compared;
-use crate::gpu::{Buffer, Gpu, UNITS, elementwise};
+use crate::gpu::{Buffer, Dispatch, Gpu, UNITS, launch_unchecked};
 
 /// Returns the dispatch and the planes of a pass over `values` values.
-fn pass(values: usize, [width, height]: [usize; 2], vertical: bool) -> (CubeCount, CubeDim, PlanesLaunch) {
+fn pass(gpu: &Gpu, values: usize, [width, height]: [usize; 2], vertical: bool) -> (Dispatch<'_>, PlanesLaunch) {
     let len = if vertical { height } else { width };
-    let (grid, dim) = elementwise(values / len * len.div_ceil(strip_of(vertical)));
-    (grid, dim, PlanesLaunch::new(width as u32, height as u32, (values / (width * height)) as u32))
+    let dispatch = gpu.units(values / len * len.div_ceil(strip_of(vertical)));
+    (dispatch, PlanesLaunch::new(width as u32, height as u32, (values / (width * height)) as u32))
 }
 
 /// Returns the mean `μ` and `σ² + C2` of a photograph's planes of the given width and height.
 pub(crate) fn launch_moments(gpu: &Gpu, photograph: &Buffer<f32>, size: [usize; 2]) -> [Buffer<f32>; 2] {
-    let (client, values) = (&gpu.client, photograph.len);
+    let values = photograph.len;
     let columns: Buffer<f32> = Buffer::new(gpu, 3 * values);
     let [mean, variance] = [(); 2].map(|()| Buffer::new(gpu, values));
-    // SAFETY: strips beyond the last plane and values beyond the line are guarded.
-    unsafe {
-        let (grid, dim, planes) = pass(values, size, true);
-        moments_kernel::launch_unchecked(client, grid, dim, photograph.arg(), photograph.arg(), columns.arg(), planes);
-        let (grid, dim, planes) = pass(values, size, false);
-        photograph_kernel::launch_unchecked(client, grid, dim, columns.arg(), mean.arg(), variance.arg(), planes, 1.0);
-    }
+    let (dispatch, planes) = pass(gpu, values, size, true);
+    // SAFETY: strips beyond the last plane and values beyond the line are guarded, here and below.
+    launch_unchecked!(dispatch, moments_kernel(photograph.arg(), photograph.arg(), columns.arg(), planes));
+    let (dispatch, planes) = pass(gpu, values, size, false);
+    launch_unchecked!(dispatch, photograph_kernel(columns.arg(), mean.arg(), variance.arg(), planes, 1.0));
     [mean, variance]
 }
 
@@ -39,7 +35,7 @@ pub(crate) fn launch_photometric(
     lambda: f64,
     with_gradient: bool,
 ) -> (Buffer<f32>, Option<Buffer<f32>>) {
-    let (client, values) = (&gpu.client, inputs.image.len);
+    let values = inputs.image.len;
     let share = 1.0 / values as f64;
     let weights = || TermWeightsLaunch::new(((1.0 - lambda) * share) as f32, lambda as f32, share as f32, 1.0);
     let [image, truth, mean, variance] = inputs.each_ref().into_array();
@@ -48,15 +44,13 @@ pub(crate) fn launch_photometric(
     let derivatives = Buffer::<f32>::if_needed(gpu, with_gradient, 3 * values);
     let gradient = Buffer::if_needed(gpu, with_gradient, values);
     let moments: Buffer<f32> = Buffer::new(gpu, 3 * values);
-    // SAFETY: strips beyond the last plane and values beyond the line are guarded.
-    unsafe {
-        let (grid, dim, planes) = pass(values, size, true);
-        moments_kernel::launch_unchecked(client, grid, dim, image.arg(), truth.arg(), moments.arg(), planes);
-        let (grid, dim, planes) = pass(values, size, false);
-        index_kernel::launch_unchecked(
-            client,
-            grid,
-            dim,
+    let (dispatch, planes) = pass(gpu, values, size, true);
+    // SAFETY: strips beyond the last plane and values beyond the line are guarded, here and below.
+    launch_unchecked!(dispatch, moments_kernel(image.arg(), truth.arg(), moments.arg(), planes));
+    let (dispatch, planes) = pass(gpu, values, size, false);
+    launch_unchecked!(
+        dispatch,
+        index_kernel(
             image.arg(),
             truth.arg(),
             mean.arg(),
@@ -67,20 +61,16 @@ pub(crate) fn launch_photometric(
             planes,
             weights(),
             cubes as u32,
-        );
-        let (one, dim) = elementwise(1);
-        total_kernel::launch_unchecked(client, one, dim, shares.arg(), total.arg(), cubes as u32);
-    }
+        )
+    );
+    launch_unchecked!(gpu.units(1), total_kernel(shares.arg(), total.arg(), cubes as u32));
     if let (Some(derivatives), Some(gradient)) = (&derivatives, &gradient) {
         // The moments are not read again: their memory takes the derivatives' filtered columns.
         let (image, truth, filtered, gradient) = (image.arg(), truth.arg(), moments.arg(), gradient.arg());
-        // SAFETY: as above.
-        unsafe {
-            let (grid, dim, planes) = pass(3 * values, size, true);
-            columns_kernel::launch_unchecked(client, grid, dim, derivatives.arg(), moments.arg(), planes);
-            let (grid, dim, planes) = pass(values, size, false);
-            gradient_kernel::launch_unchecked(client, grid, dim, image, truth, filtered, gradient, planes, weights());
-        };
+        let (dispatch, planes) = pass(gpu, 3 * values, size, true);
+        launch_unchecked!(dispatch, columns_kernel(derivatives.arg(), moments.arg(), planes));
+        let (dispatch, planes) = pass(gpu, values, size, false);
+        launch_unchecked!(dispatch, gradient_kernel(image, truth, filtered, gradient, planes, weights()));
     }
     (total, gradient)
 }

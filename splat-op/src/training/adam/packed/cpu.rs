@@ -1,6 +1,8 @@
 //! The CPU twin of the step with packed moments, parallel over rows.
 
-use super::{Form, PackedFactors, Packing};
+use super::{
+    BASE, CODE_BITS, CODES_PER_WORD, DROPPED, LARGEST_LEVEL, LARGEST_SECOND, PackedFactors, SECOND_BITS, words_per_row,
+};
 use crate::adam::{Band, Rates};
 use crate::simd::{dispatch, f32_in_f64};
 use crate::tasks;
@@ -38,7 +40,7 @@ struct Scalars {
 /// If the lengths do not fit together.
 pub fn step_on_host(state: HostState, width: usize, band: Option<Band>, step: &PackedFactors) {
     let HostState { param, grad, words } = state;
-    let row_words = step.packing.words_per_row(width);
+    let row_words = words_per_row(width);
     assert_eq!(param.len(), grad.len(), "a gradient has the shape of its parameter");
     assert_eq!(param.len() * row_words, words.len() * width, "each row has its words");
     if param.is_empty() {
@@ -64,10 +66,7 @@ pub fn step_on_host(state: HostState, width: usize, band: Option<Band>, step: &P
             let codes = &mut codes[..param.len()];
             let first = ((task * BLOCKS_PER_TASK + block) * numbers) as u32;
             let numbers = BlockNumbers { param, grad, codes, rates: &rates, first };
-            match step.packing {
-                Packing::Sixteen => step_block::<false>(scalars, numbers, words, width),
-                Packing::Eight => step_block::<true>(scalars, numbers, words, width),
-            }
+            step_block(scalars, numbers, words, width);
         }
     });
 }
@@ -92,56 +91,54 @@ struct BlockNumbers<'a> {
     first: u32,
 }
 
-fn step_block<const EIGHT: bool>(scalars: Scalars, mut block: BlockNumbers, words: &mut [i32], width: usize) {
-    let form = const { if EIGHT { Packing::Eight.form() } else { Packing::Sixteen.form() } };
-    unpack(form, words, block.codes, width);
+fn step_block(scalars: Scalars, mut block: BlockNumbers, words: &mut [i32], width: usize) {
+    unpack(words, block.codes, width);
     if f32_in_f64() {
-        step_codes::<EIGHT>(scalars, &mut block);
+        step_codes(scalars, &mut block);
     } else {
         dispatch!(f32, simd => {
             let _ = simd;
-            step_codes::<EIGHT>(scalars, &mut block);
+            step_codes(scalars, &mut block);
         });
     }
-    pack(form, block.codes, words, width);
+    pack(block.codes, words, width);
 }
 
 /// The codes of whole rows.
-fn unpack(form: Form, words: &[i32], codes: &mut [u32], width: usize) {
-    let per_word = form.codes_per_word() as usize;
-    let mask = u32::MAX >> (32 - form.code);
-    for (codes, words) in codes.chunks_mut(width).zip(words.chunks(width.div_ceil(per_word))) {
+fn unpack(words: &[i32], codes: &mut [u32], width: usize) {
+    let per_word = CODES_PER_WORD as usize;
+    let mask = u32::MAX >> (32 - CODE_BITS);
+    for (codes, words) in codes.chunks_mut(width).zip(words.chunks(words_per_row(width))) {
         for (codes, word) in codes.chunks_mut(per_word).zip(words) {
-            codes.iter_mut().enumerate().for_each(|(i, code)| *code = *word as u32 >> (form.code * i as u32) & mask);
+            codes.iter_mut().enumerate().for_each(|(i, code)| *code = *word as u32 >> (CODE_BITS * i as u32) & mask);
         }
     }
 }
 
 /// The inverse of [`unpack`].
-fn pack(form: Form, codes: &[u32], words: &mut [i32], width: usize) {
-    let per_word = form.codes_per_word() as usize;
-    for (codes, words) in codes.chunks(width).zip(words.chunks_mut(width.div_ceil(per_word))) {
+fn pack(codes: &[u32], words: &mut [i32], width: usize) {
+    let per_word = CODES_PER_WORD as usize;
+    for (codes, words) in codes.chunks(width).zip(words.chunks_mut(words_per_row(width))) {
         for (codes, word) in codes.chunks(per_word).zip(words) {
-            *word = codes.iter().rev().fold(0, |word, code| word << (form.code % 32) | code) as i32;
+            *word = codes.iter().rev().fold(0, |word, code| word << CODE_BITS | code) as i32;
         }
     }
 }
 
 /// Performs the steps of a block of numbers.
 #[inline(always)]
-fn step_codes<const EIGHT: bool>(scalars: Scalars, block: &mut BlockNumbers) {
+fn step_codes(scalars: Scalars, block: &mut BlockNumbers) {
     let BlockNumbers { param, grad, codes, rates, first } = block;
-    let form = const { if EIGHT { Packing::Eight.form() } else { Packing::Sixteen.form() } };
     let Scalars { beta1, beta2, floor, largest, reach, phase } = scalars;
     let count = param.len();
     let (grad, codes, rates) = (&grad[..count], &mut codes[..count], &rates[..count]);
     for i in 0..count {
         let grad = if grad[i].abs() > largest { largest.copysign(grad[i]) } else { grad[i] };
-        let (m, v) = decode(form, codes[i], reach);
+        let (m, v) = decode(codes[i], reach);
         let m = m * beta1 + grad;
         let v = v * beta2 + grad * grad;
         param[i] -= m / (v.sqrt() + floor) * rates[i];
-        codes[i] = encode(form, m, v, reach, threshold(first.wrapping_add(i as u32), phase));
+        codes[i] = encode(m, v, reach, threshold(first.wrapping_add(i as u32), phase));
     }
 }
 
@@ -155,30 +152,30 @@ fn threshold(index: u32, phase: u32) -> u32 {
 
 /// The stored `v`.
 #[inline(always)]
-fn second_of(form: Form, code: u32) -> f32 {
-    let bits = (code + form.base) << form.dropped();
+fn second_of(code: u32) -> f32 {
+    let bits = (code + BASE) << DROPPED;
     f32::from_bits(if code == 0 { 0 } else { bits })
 }
 
 #[inline(always)]
-pub(super) fn decode(form: Form, code: u32, reach: f32) -> (f32, f32) {
-    let v = second_of(form, code & ((1 << form.second) - 1));
-    let level = (code >> form.second & form.largest_level()) as i32 as f32 * (1.0 / form.largest_level() as f32);
+pub(super) fn decode(code: u32, reach: f32) -> (f32, f32) {
+    let v = second_of(code & ((1 << SECOND_BITS) - 1));
+    let level = (code >> SECOND_BITS & LARGEST_LEVEL) as i32 as f32 * (1.0 / LARGEST_LEVEL as f32);
     let m = level * level * reach * v.sqrt();
-    (if code >> (form.code - 1) == 0 { m } else { -m }, v)
+    (if code >> (CODE_BITS - 1) == 0 { m } else { -m }, v)
 }
 
 #[inline(always)]
-pub(super) fn encode(form: Form, m: f32, v: f32, reach: f32, threshold: u32) -> u32 {
-    let bits = (v.to_bits() + (threshold >> (32 - form.dropped()))) >> form.dropped();
-    let second = bits.saturating_sub(form.base).min(form.largest_second());
+pub(super) fn encode(m: f32, v: f32, reach: f32, threshold: u32) -> u32 {
+    let bits = (v.to_bits() + (threshold >> (32 - DROPPED))) >> DROPPED;
+    let second = bits.saturating_sub(BASE).min(LARGEST_SECOND);
     let share = (threshold & 0xfff) as i32 as f32 * (1.0 / 4096.0);
-    let most = form.largest_level() as f32;
-    let unit = reach * second_of(form, second).sqrt();
+    let most = LARGEST_LEVEL as f32;
+    let unit = reach * second_of(second).sqrt();
     let squared = if second == 0 { 0.0 } else { (m.abs() / unit * (most * most)).min(most * most) };
     let low = squared.sqrt().floor();
     let up = squared - low * low > share * (2.0 * low + 1.0);
     let level = (low + if up { 1.0 } else { 0.0 }).min(most) as i32 as u32;
     let sign = if level == 0 { 0 } else { m.to_bits() >> 31 };
-    second | level << form.second | sign << (form.code - 1)
+    second | level << SECOND_BITS | sign << (CODE_BITS - 1)
 }

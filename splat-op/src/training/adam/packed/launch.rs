@@ -1,10 +1,10 @@
 //! The launch of Adam's step with packed moments.
 
-use super::forward::{PackedScalarsLaunch, RowForm, adam_packed_kernel};
-use super::{PackedFactors, Packing};
+use super::PackedFactors;
+use super::forward::{PackedScalarsLaunch, adam_packed_kernel};
 use crate::adam::launch::factors_arg;
 use crate::adam::rule::Band;
-use crate::gpu::{Buffer, Gpu, elementwise};
+use crate::gpu::{Buffer, Gpu, launch_unchecked};
 
 /// The step of one parameter with rows of `width` numbers. Parameter and words change in place.
 #[derive(Clone)]
@@ -23,21 +23,18 @@ pub(crate) fn launch_adam_packed(gpu: &Gpu, step: &DevicePackedStep, verdict: Op
     if words.len == 0 {
         return;
     }
-    let form = Packing::form(factors.packing);
-    let (grid, dim) = elementwise(words.len);
     // SAFETY: every access is guarded by the number of words and the width; each row has its words.
-    unsafe {
-        adam_packed_kernel::launch_unchecked(
-            &gpu.client,
-            grid,
-            dim,
+    launch_unchecked!(
+        gpu.units(words.len),
+        adam_packed_kernel(
             param.arg(),
             grad.arg(),
             words.arg(),
             verdict.map(Buffer::arg).into(),
             PackedScalarsLaunch::new(factors_arg(&factors.factors), factors.reach() as f32, factors.phase()),
             words.len as u32,
-            RowForm { form, width: *width, band: *band },
-        );
-    }
+            *width as u32,
+            *band
+        )
+    );
 }

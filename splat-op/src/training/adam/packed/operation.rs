@@ -5,9 +5,9 @@
 #[cfg(feature = "cube")]
 use burn::backend::TensorMetadata;
 
-use super::PackedFactors;
 #[cfg(feature = "cube")]
 use super::launch::{DevicePackedStep, launch_adam_packed};
+use super::{PackedFactors, words_per_row};
 #[cfg(feature = "cube")]
 use crate::adam::operation::{unsigned, verdict};
 #[cfg(feature = "cube")]
@@ -23,7 +23,7 @@ impl Operation for AdamPacked {
     fn outputs(&self, inputs: &[Option<Spec>]) -> Vec<Option<Spec>> {
         assert_eq!(inputs[0], inputs[1], "a gradient has the shape of its parameter");
         let shapes = [0, 2].map(|i| inputs[i].as_ref().map_or(&[][..], |spec| spec.shape.as_slice()));
-        let words = |rows: &[usize]| [rows[0], self.0.packing.words_per_row(rows[1..].iter().product())];
+        let words = |rows: &[usize]| [rows[0], words_per_row(rows[1..].iter().product())];
         assert_eq!(shapes[1], words(shapes[0]), "the moments have the rows of their parameter");
         vec![inputs[0].clone(), inputs[2].clone()]
     }
