@@ -90,17 +90,9 @@ pub struct PhotoArgs {
          capture's own split if its files have one, otherwise {}]", Split::USUAL
     ))]
     pub test_every: Option<usize>,
-    /// The name of `--test-every` until version 0.1, which elsewhere is an interval between evaluations
-    #[arg(long, hide = true, value_name = "K", value_parser = renamed)]
-    #[serde(skip)]
-    pub eval_every: Option<usize>,
     /// Downsize photographs whose longer side exceeds this, px
     #[arg(long, value_name = "PX", value_parser = value_parser!(u32).range(1..))]
     pub max_side: Option<u32>,
-}
-
-fn renamed(_: &str) -> Result<usize, String> {
-    Err("the split is `--test-every K` now; `--eval-during N` scores the scene every N steps".into())
 }
 
 impl PhotoArgs {

@@ -9,18 +9,12 @@ use anyhow::Result;
 use serde::Serialize;
 use splat_model::capture::{Capture, PointsSeen, Scale};
 use splat_model::effects::plan::{self, Decision, EffectVerdict, Plan};
-use splat_model::effects::survey::{Survey, ViewExposure};
+use splat_model::effects::survey::Survey;
 
 use self::describe::CaptureInfo;
 use crate::reconstruct::scale_said;
 use crate::report::metrics::seconds_since;
 use crate::{input, progress};
-
-/// Columns of the chart on each side of the middle.
-const HALF_CHART: usize = 24;
-
-/// Largest number of lines in the chart. Photographs beyond it are left out evenly.
-const CHART_LINES: usize = 60;
 
 /// Options of `splat inspect`.
 #[derive(Clone, Debug, clap::Args)]
@@ -94,8 +88,13 @@ pub fn text(survey: &Survey, plan: &Plan) -> String {
     };
     let head = format!("{} photographs{looked}, {} points", survey.views, survey.points);
     let decisions: Vec<String> = plan.decisions.iter().map(line).collect();
-    let chart = survey.exposure.as_ref().map(|exposure| chart(&exposure.views)).unwrap_or_default();
-    format!("{head}\n{}\n\n{}\n{chart}", plan::source(survey), decisions.join("\n"))
+    let exposures = survey.exposure.iter().flat_map(|exposure| &exposure.views);
+    let odd = exposures.max_by(|a, b| a.stops().abs().total_cmp(&b.stops().abs()));
+    let odd = odd.map(|view| {
+        let (name, stops) = (&view.name, view.stops());
+        format!("\n\nthe exposure of {name:?} differs most from the median, by {stops:+.2} stops of stored values")
+    });
+    format!("{head}\n{}\n\n{}{}", plan::source(survey), decisions.join("\n"), odd.unwrap_or_default())
 }
 
 /// Formats a decision for people.
@@ -106,26 +105,4 @@ fn line(decision: &Decision) -> String {
         EffectVerdict::AsConfigured => "as configured",
     };
     format!("{:18}  {verdict}: {}\n{:18}  ({})", decision.name, decision.evidence, "", decision.rule)
-}
-
-/// Chart of the photographs' exposure. A bar of `#` to the left of the middle means darker than the capture's median,
-/// to the right brighter; `r`, `g` and `b` mark the channels.
-fn chart(views: &[ViewExposure]) -> String {
-    let values = views.iter().flat_map(|view| view.stops_rgb);
-    let largest = values.map(f64::abs).fold(0.05, f64::max);
-    let every = views.len().div_ceil(CHART_LINES).max(1);
-    let mut text = format!("\nexposure by photograph, -{largest:.2} to +{largest:.2} stops of stored values");
-    for view in views.iter().step_by(every) {
-        let column = |stops: f64| (HALF_CHART as f64 * (1.0 + stops / largest)).round() as usize;
-        let mut bar = vec![' '; 2 * HALF_CHART + 1];
-        let (from, to) = (column(view.stops()).min(HALF_CHART), column(view.stops()).max(HALF_CHART));
-        bar[from..=to].fill('#');
-        bar[HALF_CHART] = '|';
-        for (stops, mark) in view.stops_rgb.into_iter().zip(['r', 'g', 'b']) {
-            bar[column(stops).min(2 * HALF_CHART)] = mark;
-        }
-        let bar: String = bar.into_iter().collect();
-        text.push_str(&format!("\n[{bar}] {:+.2}  {}", view.stops(), view.name));
-    }
-    text
 }

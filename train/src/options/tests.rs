@@ -92,7 +92,6 @@ fn a_file_of_options_is_read_and_the_command_line_comes_first() {
         ("quiet = 3", "expected true or false"),
         ("steps 9", "is not TOML"),
         ("config = \"other.toml\"", "`config` is no option"),
-        ("eval-every = 8", "--test-every"),
     ] {
         fs::write(&file, text).unwrap();
         let error = format!("{:#}", parsed(&["train", "--config", path]).unwrap_err());
@@ -100,12 +99,6 @@ fn a_file_of_options_is_read_and_the_command_line_comes_first() {
     }
     fs::remove_file(&file).unwrap();
     assert!(parsed(&["train", "--config", path]).unwrap_err().to_string().contains(path));
-}
-
-#[test]
-fn old_names_point_to_the_new() {
-    let error = parsed(&["train", "--eval-every", "8"]).unwrap_err().to_string();
-    assert!(error.contains("`--test-every K`"), "{error}");
 }
 
 #[test]

@@ -111,12 +111,6 @@ impl Checkpoints {
                 let _ = fs::remove_file(entry.path());
             }
         }
-        if let Some(other) = other_in(&folder) {
-            let (folder, other) = (folder.display(), other.display());
-            progress::note(&format!(
-                "{folder} holds files that are no checkpoints of this program, such as {other}: they stay there"
-            ));
-        }
         Ok(Self { folder, _lock: lock, failing: false })
     }
 
@@ -236,14 +230,6 @@ pub fn read(path: &Path) -> Result<SavedRun> {
     let trainer = state.take_part("trainer");
     state.finish()?;
     Ok(SavedRun { args, trainer, so_far, path: path.to_owned() })
-}
-
-/// The name of a file or folder beside checkpoints, apart from hidden ones.
-fn other_in(folder: &Path) -> Option<PathBuf> {
-    let steps: Vec<PathBuf> = steps_in(folder).into_iter().map(|(_, path)| path).collect();
-    let entries = fs::read_dir(folder).into_iter().flatten().flatten().filter(|entry| !steps.contains(&entry.path()));
-    let names = entries.map(|entry| PathBuf::from(entry.file_name()));
-    names.filter(|name| !name.to_string_lossy().starts_with('.')).min()
 }
 
 /// Whether the crate `safetensors` gives such a name to a file that it has not completed.
