@@ -6,7 +6,6 @@ use burn::tensor::{Gradients, Int, Tensor};
 use serde::{Deserialize, Serialize};
 
 use super::leaf::Leaf;
-use crate::optim::adam::StepAt;
 use crate::optim::{Adam, MomentBits, Moments};
 use crate::state::{State, StateError};
 
@@ -115,8 +114,8 @@ impl<const D: usize> Learned<D> {
         self.steps += 1;
         let unknown = gradient.clone().is_nan();
         let gradient = gradient.mask_fill(unknown, 0.0);
-        let at = StepAt { step: self.steps, verdict };
-        self.value = Adam::default().step_unless(self.value.clone(), gradient, rate, &mut self.moments, at);
+        let (value, moments) = (self.value.clone(), &mut self.moments);
+        self.value = Adam::default().step_unless(value, gradient, rate, moments, self.steps, verdict);
         self.moved = true;
         true
     }

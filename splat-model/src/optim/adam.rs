@@ -14,13 +14,6 @@ use super::moments::{Moments, Stored};
 /// bounded by the learning rate either way, because Adam is invariant to the gradient's length.
 const LARGEST_GRADIENT: f64 = 1e17;
 
-pub(crate) struct StepAt<'a> {
-    /// Number of the step, counted from 1.
-    pub step: usize,
-    /// `[2]`: the device's verdict. Nothing may change if it holds a step (see [`splat_op::adam`]).
-    pub verdict: Option<&'a Tensor<1, Int>>,
-}
-
 /// The optimiser's constants; its state is in [`Moments`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Adam {
@@ -68,17 +61,18 @@ impl Adam {
         moments: &mut Moments<D>,
         t: usize,
     ) -> Tensor<D> {
-        self.step_unless(param, grad, lr, moments, StepAt { step: t, verdict: None })
+        self.step_unless(param, grad, lr, moments, t, None)
     }
 
-    /// Computes [`Self::step`], but changes nothing if the verdict, `[2]`, holds a step (see [`splat_op::adam`]).
+    /// Computes [`Self::step`], but changes nothing if the device's verdict, `[2]`, holds a step (see [`splat_op::adam`]).
     pub(crate) fn step_unless<const D: usize>(
         &self,
         param: Tensor<D>,
         grad: Tensor<D>,
         lr: impl Into<Rates>,
         moments: &mut Moments<D>,
-        StepAt { step, verdict }: StepAt,
+        step: usize,
+        verdict: Option<&Tensor<1, Int>>,
     ) -> Tensor<D> {
         assert_eq!(param.shape(), grad.shape(), "a gradient has the shape of its parameter");
         let factors = self.factors(lr.into(), step);

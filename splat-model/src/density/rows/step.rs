@@ -6,7 +6,6 @@ use splat_op::adam::{GroupStep, Stepped, has_kernel, step_groups};
 
 use super::{Gradients, Trained};
 use crate::gaussians::{BASE_GROUPS, Group, GroupOptions, SH, parameter};
-use crate::optim::adam::StepAt;
 use crate::optim::moments::{Moments, Stored};
 use crate::optim::{Adam, LearningRates, MomentBits, Rates};
 
@@ -75,7 +74,7 @@ impl Trained {
                 let (param, moments) = (&mut group.blocks[block], &mut moments[block]);
                 let device = param.val().device();
                 if !has_kernel(&grad) || moments.bits() != MomentBits::ThirtyTwo {
-                    let values = adam.step_unless(take(param), grad, rate, moments, StepAt { step, verdict });
+                    let values = adam.step_unless(take(param), grad, rate, moments, step, verdict);
                     *param = parameter(on(&device, values));
                     continue;
                 }

@@ -359,7 +359,7 @@ fn a_group_of_ones_own_is_carried_along() {
         );
         // A checkpoint has the group with its options and its moments.
         let mut state = scene.save().unwrap();
-        let resumed = Trained::load(&mut state, MomentBits::Eight, &device.clone().autodiff()).unwrap();
+        let resumed = Trained::load(&mut state, bits, &device.clone().autodiff()).unwrap();
         state.finish().unwrap();
         assert_eq!(all(&resumed), all(&scene));
         assert_eq!(resumed.gaussians.group("features").unwrap().options(), &options);

@@ -3,7 +3,7 @@
 use glam::{DMat3, DVec3};
 
 use super::cpu::{ShCpuInputs, sh_backward_cpu, sh_cpu};
-use super::launch::{ShDeviceInputs, launch_sh, launch_sh_backward};
+use super::launch::{launch_sh, launch_sh_backward};
 use super::{Shading, coefficients_of};
 use crate::gpu::{Buffer, Gpu};
 use crate::testing::ceiling::{PerturbedReference, rounded, to_f32};
@@ -72,9 +72,9 @@ impl StageInputs {
         Self { tensors, kinds, degree }
     }
 
-    fn upload(&self, gpu: &Gpu) -> (ShDeviceInputs, Buffer<f32>) {
+    fn upload(&self, gpu: &Gpu) -> (Shading<Buffer<f32>>, Buffer<f32>) {
         let buffer = |i: usize| Buffer::from_slice(gpu, &to_f32(&self.tensors[i]));
-        (ShDeviceInputs { sh: buffer(0), means: buffer(1), cam_from_world: buffer(POSE) }, buffer(GRAD))
+        (Shading { sh: buffer(0), means: buffer(1), cam_from_world: buffer(POSE) }, buffer(GRAD))
     }
 
     /// Class of each Gaussian; `None` for one that is not finite.
@@ -224,8 +224,8 @@ fn more_cubes_than_fit_along_one_axis() {
     for (_, gpu) in gpus() {
         let (small, small_grad) = scene.upload(&gpu);
         let [sh, means, grad] = [0, 1, GRAD].map(|i| Buffer::from_slice(&gpu, &repeated(i)));
-        let large = ShDeviceInputs { sh, means, cam_from_world: small.cam_from_world.clone() };
-        let run = |inputs: &ShDeviceInputs, grad: &Buffer<f32>| {
+        let large = Shading { sh, means, cam_from_world: small.cam_from_world.clone() };
+        let run = |inputs: &Shading<Buffer<f32>>, grad: &Buffer<f32>| {
             let found = launch_sh_backward(&gpu, inputs, None, 1, grad, Shading { means: false, ..ALL });
             [launch_sh(&gpu, inputs, None, 1).read(&gpu), found.sh.expect("asked for").read(&gpu)]
         };

@@ -10,17 +10,6 @@ use crate::gpu::reduce::launch_column_sums;
 use crate::gpu::{Buffer, Gpu, UNITS, given, launch_unchecked};
 use crate::project::ProjectSpec;
 
-/// Inputs of `evaluate_sh` on the device, row-major.
-#[derive(Clone, Debug)]
-pub(crate) struct ShDeviceInputs {
-    /// `[N, (degree+1)², 3]`.
-    pub sh: Buffer<f32>,
-    /// `[N, 3]`, world frame.
-    pub means: Buffer<f32>,
-    /// `[3, 4]`.
-    pub cam_from_world: Buffer<f32>,
-}
-
 /// Gaussians whose colours are computed: those whose packed ellipses, `[N, 7]`, can show in a picture.
 pub(crate) type DeviceVisible<'a> = Option<(&'a Buffer<f32>, &'a ProjectSpec)>;
 
@@ -34,7 +23,7 @@ fn frame(visible: DeviceVisible) -> FrameLaunch {
 /// Launches the forward kernel. Returns colours `[N, 3]` from `coefficients` per channel; zero for Gaussians that are not visible.
 pub(crate) fn launch_sh(
     gpu: &Gpu,
-    inputs: &ShDeviceInputs,
+    inputs: &Shading<Buffer<f32>>,
     visible: DeviceVisible,
     coefficients: usize,
 ) -> Buffer<f32> {
@@ -67,7 +56,7 @@ pub(crate) fn launch_sh(
 /// fixed order.
 pub(crate) fn launch_sh_backward(
     gpu: &Gpu,
-    inputs: &ShDeviceInputs,
+    inputs: &Shading<Buffer<f32>>,
     visible: DeviceVisible,
     coefficients: usize,
     grad: &Buffer<f32>,

@@ -2,7 +2,7 @@
 
 use super::Shading;
 use super::cpu::{Visible, sh_cpu};
-use super::launch::{ShDeviceInputs, launch_sh, launch_sh_backward};
+use super::launch::{launch_sh, launch_sh_backward};
 use super::visible_tests::{COEFFICIENTS, StageInputs, check_colours, spec};
 use crate::gpu::{Buffer, Gpu};
 use crate::project::cpu::project_cpu;
@@ -11,10 +11,9 @@ use crate::testing::ceiling::to_f32;
 use crate::testing::gpu::gpus;
 
 /// Inputs, packed ellipses and gradient of the colours.
-fn upload(scene: &StageInputs, spec: &ProjectSpec, gpu: &Gpu) -> (ShDeviceInputs, Buffer<f32>, Buffer<f32>) {
+fn upload(scene: &StageInputs, spec: &ProjectSpec, gpu: &Gpu) -> (Shading<Buffer<f32>>, Buffer<f32>, Buffer<f32>) {
     let buffer = |values: &[f64]| Buffer::from_slice(gpu, &to_f32(values));
-    let inputs =
-        ShDeviceInputs { sh: buffer(&scene.0[4]), means: buffer(&scene.0[0]), cam_from_world: buffer(&scene.0[5]) };
+    let inputs = Shading { sh: buffer(&scene.0[4]), means: buffer(&scene.0[0]), cam_from_world: buffer(&scene.0[5]) };
     (inputs, buffer(&project_cpu(scene.geometry(), spec)), buffer(scene.grad()))
 }
 

@@ -4,7 +4,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use burn::tensor::{DType, Int, Tensor};
 
-use super::launch::{DeviceState, DeviceStep, launch_adam, launch_watch};
+use super::launch::{DeviceStep, launch_adam, launch_watch};
 use super::packed::{PackedFactors, PackedStep, step_packed};
 use super::{Band, Factors, Rates, Stepped, VERDICT};
 use crate::gpu::{Buffer, Gpu};
@@ -42,11 +42,11 @@ fn step(inputs: &[Vec<f64>], band: Option<Band>) -> Vec<Vec<f64>> {
 
 fn on_device(gpu: &Gpu, tensors: &[Vec<f64>], band: Option<Band>) -> DeviceStep {
     let [param, grad, m, v] = [0, 1, 2, 3].map(|i| Buffer::from_slice(gpu, &to_f32(&tensors[i])));
-    DeviceStep { state: DeviceState { param, m, v }, grad, factors: FACTORS, band }
+    DeviceStep { param, m, v, grad, factors: FACTORS, band }
 }
 
 fn read(gpu: &Gpu, step: &DeviceStep) -> [Vec<f32>; 3] {
-    [&step.state.param, &step.state.m, &step.state.v].map(|buffer| buffer.read(gpu))
+    [&step.param, &step.m, &step.v].map(|buffer| buffer.read(gpu))
 }
 
 #[test]

@@ -4,18 +4,13 @@ use super::forward::{AdamParamLaunch, StepFactorsLaunch, WatchedCountsLaunch, ad
 use super::rule::{Band, Factors, WATCHED};
 use crate::gpu::{Buffer, Gpu, given, launch_unchecked, search};
 
-/// A parameter and its moments on the device, all of one length.
+/// The step of one parameter: itself and its moments, which change in place, its gradient, all of one length, and its factors. `band` has the
+/// first of the two rates.
 #[derive(Clone)]
-pub(crate) struct DeviceState {
+pub(crate) struct DeviceStep {
     pub param: Buffer<f32>,
     pub m: Buffer<f32>,
     pub v: Buffer<f32>,
-}
-
-/// The step of one parameter: its state, which changes in place, its gradient, and its factors. `band` has the first of the two rates.
-#[derive(Clone)]
-pub(crate) struct DeviceStep {
-    pub state: DeviceState,
     pub grad: Buffer<f32>,
     pub factors: Factors,
     pub band: Option<Band>,
@@ -23,10 +18,9 @@ pub(crate) struct DeviceStep {
 
 impl DeviceStep {
     fn arg(&self) -> AdamParamLaunch {
-        let Self { state, grad, factors, band } = self;
+        let Self { param, m, v, grad, factors, band } = self;
         let factors = factors_arg(factors);
-        let (param, m, v) = (state.param.arg(), state.m.arg(), state.v.arg());
-        AdamParamLaunch::new(param, m, v, grad.arg(), factors, grad.len as u32, *band)
+        AdamParamLaunch::new(param.arg(), m.arg(), v.arg(), grad.arg(), factors, grad.len as u32, *band)
     }
 }
 

@@ -10,7 +10,7 @@ use burn::tensor::DType;
 use burn_cubecl::tensor::CubeTensor;
 
 #[cfg(feature = "cube")]
-use super::launch::{DeviceState, DeviceStep, launch_adam, launch_watch};
+use super::launch::{DeviceStep, launch_adam, launch_watch};
 use super::rule::{Factors, VERDICT};
 #[cfg(feature = "cube")]
 use crate::backend::cube::{buffer, owned};
@@ -38,7 +38,7 @@ fn prepared(args: &mut GpuArgs, first: usize, factors: Factors) -> DeviceStep {
     let [param, m, v] = [first, first + 2, first + 3].map(|i| owned(args.take(i)));
     let band = factors.rate.band(param.shape().as_slice());
     let [param, m, v] = [param, m, v].map(buffer);
-    DeviceStep { state: DeviceState { param, m, v }, grad, factors, band }
+    DeviceStep { param, m, v, grad, factors, band }
 }
 
 /// One step of some parameters, unless the verdict names a step. Takes, optionally, the verdict, `[2]`, and the mark, `[1]`, and of each
@@ -74,7 +74,7 @@ impl Operation for AdamGroups {
         if let Some((before, (step, mark))) = before {
             launch_adam(&gpu, &[before, step], verdict.as_ref(), Some(&unsigned(mark, 1)));
         }
-        let states = steps.into_iter().flat_map(|DeviceStep { state: DeviceState { param, m, v }, .. }| [param, m, v]);
+        let states = steps.into_iter().flat_map(|DeviceStep { param, m, v, .. }| [param, m, v]);
         [mark.map(|mark| mark.handle)].into_iter().chain(states.map(|buffer| Some(buffer.handle))).collect()
     }
 }

@@ -26,7 +26,7 @@ pub fn argsort(keys: Tensor<1, Int>, bits: u32) -> Tensor<1, Int> {
         return tensors::argsort(keys);
     }
     let keys = if keys.dtype() == DType::I32 { keys } else { keys.cast(DType::I32) };
-    apply(operation::Argsort { bits: bits.clamp(1, ALL_BITS) }, [keys.into()]).int(0)
+    apply(operation::Argsort { bits: bits.clamp(1, ALL_BITS), are_floats: false }, [keys.into()]).int(0)
 }
 
 /// Returns the order of `keys`, `[N]`: numbers that are not negative, nor −0, without autodiff. NaN comes last.
@@ -35,5 +35,5 @@ pub fn argsort_floats(keys: Tensor<1>) -> Tensor<1, Int> {
     if is_tensor_code() {
         return tensors::argsort_floats(keys);
     }
-    apply(operation::ArgsortFloats, [keys.into()]).int(0)
+    apply(operation::Argsort { bits: ALL_BITS, are_floats: true }, [keys.into()]).int(0)
 }
