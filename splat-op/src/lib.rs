@@ -53,7 +53,6 @@ mod check;
 mod counters;
 mod effects;
 pub mod error;
-pub mod exact;
 #[cfg(feature = "cube")]
 mod gpu;
 mod limits;

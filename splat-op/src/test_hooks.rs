@@ -24,6 +24,11 @@ pub fn of_packed(packed: Tensor<2>, intrinsics: crate::Intrinsics) -> crate::Pro
     crate::Projected::of(packed, intrinsics)
 }
 
+/// Returns the slopes `[low, high]` along x and y at which a render with these options clamps the Jacobian.
+pub fn slope_limits(camera: &crate::Intrinsics, options: &crate::RenderOptions) -> [[f64; 2]; 2] {
+    camera.slope_limits(options.of_project(camera).jacobian_margin)
+}
+
 /// Runs `work`. There are no kernels to count.
 #[cfg(not(feature = "cube"))]
 pub fn launches(work: impl FnOnce()) -> BTreeMap<&'static str, usize> {

@@ -2,7 +2,7 @@
 
 use burn::tensor::{DType, Device};
 use glam::{DMat3, DVec3};
-use splat_op::exact::{ExactGaussian, ExactPose, ExactView, render_exact};
+use splat_hard_cases::exact::{ExactGaussian, ExactPose, ExactView, render_exact};
 use splat_op::{Extras, Intrinsics, Projection, RenderOptions, evaluate_sh, render};
 use splat_tests::compare::relative_error;
 use splat_tests::cpu_devices;

@@ -2,12 +2,12 @@
 
 use burn::tensor::{DType, Device};
 use glam::{DMat3, DVec3};
-use splat_op::exact::{ExactGaussian, ExactPose, render_exact};
 use splat_op::{CameraModel, Projection, RenderOptions};
 
 use crate::case::{CaseKind, CaseOutcome, HardCase, Processor, TestDevice};
 use crate::compare::relative_error;
 use crate::evaluate::{OF_NO_SPLAT, Outputs, culled, evaluate};
+use crate::exact::{ExactGaussian, ExactPose, render_exact};
 use crate::number::Wide;
 use crate::panorama::asymmetries;
 use crate::random::Random;

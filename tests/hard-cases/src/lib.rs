@@ -8,6 +8,7 @@
 
 pub mod ceiling;
 pub mod compare;
+pub mod exact;
 pub mod random;
 pub mod tensors;
 

@@ -8,7 +8,7 @@ mod panoramas;
 
 use burn::tensor::{DType, Device, Tensor};
 use glam::{DAffine3, DQuat, DVec3};
-use splat_op::exact::{ExactGaussian, ExactPixel, ExactPose};
+use splat_hard_cases::exact::{ExactGaussian, ExactPixel, ExactPose};
 use splat_op::{Camera, Colour, Extras, Intrinsics, RenderOptions, Rendered, Splats};
 use splat_tests::random::Random;
 use splat_tests::scene::{host, tensor};

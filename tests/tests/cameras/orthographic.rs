@@ -2,7 +2,7 @@
 
 use burn::tensor::DType;
 use glam::DVec3;
-use splat_op::exact::render_exact;
+use splat_hard_cases::exact::render_exact;
 use splat_op::sh::harmonics;
 use splat_op::{Camera, CameraModel, Extras, Intrinsics, Projection, SplatError, evaluate_sh, normals, render_view};
 use splat_tests::random::Random;

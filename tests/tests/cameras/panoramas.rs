@@ -3,7 +3,7 @@
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
 use glam::{DMat3, DVec2};
-use splat_op::exact::ExactView;
+use splat_hard_cases::exact::ExactView;
 use splat_op::{Panorama, Projection, SplatError};
 
 use super::gradients::{Inputs, check_gradients};

@@ -6,7 +6,7 @@ mod masks;
 
 use burn::tensor::{Bool, DType, Device, Tensor};
 use glam::{DAffine3, DMat3, DQuat, DVec3};
-use splat_op::exact::{ExactGaussian, ExactPose, render_exact};
+use splat_hard_cases::exact::{ExactGaussian, ExactPose, render_exact};
 use splat_op::{
     Camera, Colour, Extras, Intrinsics, Projection, RenderOptions, SplatError, Splats, normals, project, render,
     render_each, render_view,
@@ -67,7 +67,8 @@ fn far_plane_and_radii_cull_as_in_the_reference() {
     for projection in [Projection::Affine, Projection::RayMax] {
         let options = OPTIONS.with_projection(projection).with_expected_depth(true);
         let count = |options: &RenderOptions| {
-            let sum = |pixels: Vec<splat_op::exact::ExactPixel>| pixels.iter().map(|pixel| pixel.alpha).sum::<f64>();
+            let sum =
+                |pixels: Vec<splat_hard_cases::exact::ExactPixel>| pixels.iter().map(|pixel| pixel.alpha).sum::<f64>();
             sum(render_exact(&of, &pose, &CAMERA, &[0.0; 2], options))
         };
         let all = options.with_far(f64::INFINITY).with_radius_clip(0.0);

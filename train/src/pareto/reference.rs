@@ -10,8 +10,8 @@ use burn::tensor::DType;
 use glam::{DMat3, DVec3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use splat_hard_cases::exact::{ExactGaussian, ExactPose, ExactView};
 use splat_model::capture::Photo;
-use splat_op::exact::{ExactGaussian, ExactPose, ExactView};
 use splat_op::{Camera, Intrinsics, RenderOptions};
 
 use super::subject::{DeviceScene, GradientSums, cotangent, host};

@@ -11,11 +11,16 @@ mod lens;
 mod ray;
 
 use glam::{DMat2, DMat3, DQuat, DVec2, DVec3};
+use splat_op::test_hooks::slope_limits;
+use splat_op::{CameraModel, Intrinsics, Projection, RenderOptions};
 
 use self::ray::{Ray, Solid};
-use crate::camera::{CameraModel, Intrinsics};
-use crate::options::{Projection, RenderOptions};
-use crate::project::{COMPENSATION_MIN, RADIUS_SIGMAS};
+
+/// Half of an ellipse's extent, which `radius_clip` compares, in standard deviations.
+const RADIUS_SIGMAS: f64 = 3.0;
+
+/// Least factor of the compensation of `antialias`.
+const COMPENSATION_MIN: f64 = 0.005;
 
 /// One Gaussian with activated parameters.
 #[derive(Clone, Debug, PartialEq)]
@@ -118,7 +123,7 @@ impl<'a> ExactView<'a> {
 
     /// Renders a position of the picture, px, as [`Self::pixel`] renders the centre of a pixel.
     pub fn position(&self, px: DVec2, background: &[f64]) -> ExactPixel {
-        let needs_ray = self.options.along_rays() || self.sorted_per_pixel;
+        let needs_ray = self.options.projection == Projection::RayMax || self.sorted_per_pixel;
         let ray = if needs_ray { lens::ray(&self.camera, px) } else { None };
         let seen = self.ellipses.iter().map(|ellipse| match ray {
             Some(ray) => ellipse.on_ray(px, ray, &self.options, self.sorted_per_pixel),
@@ -143,7 +148,7 @@ impl<'a> ExactEllipse<'a> {
     fn on_ray(&self, px: DVec2, ray: Ray, options: &RenderOptions, by_pixel: bool) -> LayerInPixel<'a> {
         let (mut seen, solid) = (self.at(px, 1.0), &self.solid);
         let met = solid.meet(solid.on_screen_ray(ray));
-        if options.along_rays() {
+        if options.projection == Projection::RayMax {
             // A maximum behind the camera is not visible.
             seen.alpha = if met.at > 0.0 { self.opacity * met.value } else { 0.0 };
             seen.depth = met.at;
@@ -188,7 +193,7 @@ fn project<'a>(
 
     // The Jacobian of a perspective camera is evaluated at most the margin outside the picture, and within the picture for
     // `RayMax`, which takes no more than the compensation from it. Other Jacobians are not clamped.
-    let [[low_x, high_x], [low_y, high_y]] = camera.slope_limits(options.of_project(camera).jacobian_margin);
+    let [[low_x, high_x], [low_y, high_y]] = slope_limits(camera, options);
     let parallel = camera.model == CameraModel::Orthographic;
     let held = match camera.model.is_fisheye() || parallel {
         true => mean_cam,

@@ -4,9 +4,9 @@
 use std::ops::{Add, Div, Mul, Sub};
 
 use glam::{DMat2, DVec2, DVec3};
+use splat_op::{CameraModel, Intrinsics};
 
 use super::ray::Ray;
-use crate::camera::{CameraModel, Intrinsics};
 
 /// Dual number: a value and its gradient with respect to `(x, y, z)`.
 #[derive(Clone, Copy, Debug)]
@@ -102,6 +102,7 @@ fn seen_within(camera: &Intrinsics, max_radius: f64, point: DVec3) -> Option<[Du
             let [du, dv] = tangential(p1, p2);
             (one + k1 * r2 + k2 * r4 + k3 * r6 + k4 * r8, [du + sx1 * r2, dv + sy1 * r2])
         }
+        other => unimplemented!("the exact projection of {other:?}"),
     };
     let [fx, fy, cx, cy] = [camera.fx, camera.fy, camera.cx, camera.cy].map(number);
     Some([fx * (u * radial + du) + cx, fy * (v * radial + dv) + cy])
