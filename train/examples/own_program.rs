@@ -1,17 +1,18 @@
 //! The program `splat` with a loss, a density strategy, an effect and a format of captures of one's own:
-//! `cargo run --release -p splat-train --example own_program -- train CAPTURE --loss squares --strategy still --effects=+dim`.
+//! `cargo run --release -p splat-train --example own_program -- train CAPTURE --loss squares --strategy budget --effects=+dim`.
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use burn::tensor::Tensor;
+use burn::tensor::{DType, Device, Tensor};
 use glam::{DAffine3, DQuat, DVec3};
 use rand::Rng;
 use splat_model::capture::{Capture, CaptureError, CaptureFormat, Pictures, View};
-use splat_model::density::rows::Trained;
-use splat_model::density::{RefineReport, Strategy, StrategyContext};
+use splat_model::density::rows::{RowEdit, Trained};
+use splat_model::density::{Observed, RefineReport, Signals, Strategy, StrategyContext, counts, largest, picked};
 use splat_model::effects::{Effect, EffectContext, RenderInput};
 use splat_model::gaussians::{GroupOptions, RowsError};
 use splat_model::loss::photometric;
+use splat_model::state::{State, StateError};
 use splat_model::trainer::{LossInputs, TrainError, Trainer};
 use splat_op::{Intrinsics, Rendered};
 use splat_train::registry::{Registry, main_with};
@@ -27,21 +28,66 @@ fn brightness(trainer: Trainer) -> Result<Trainer, TrainError> {
     }))
 }
 
-/// Keeps the Gaussians that a run starts with.
-struct Still;
+/// At regular intervals clones the Gaussians with the largest accumulated gradients of their centres, up to a budget, and prunes nearly
+/// transparent ones.
+struct Budget {
+    every: usize,
+    most: usize,
+    /// `[N]`: accumulated length of the gradient of each centre since the last change of rows.
+    pulled: Option<Tensor<1>>,
+}
 
-impl Strategy for Still {
-    fn acts_at(&self, _: usize) -> bool {
-        false
+impl Strategy for Budget {
+    fn listens_at(&self, _step: usize) -> Signals {
+        Signals { gradient: true, ..Signals::default() }
+    }
+
+    fn observe(&mut self, seen: Observed) {
+        let Some(gradient) = seen.gradient else { return };
+        let length = gradient.square().sum_dim(1).sqrt().squeeze_dim::<1>(1);
+        self.pulled = Some(match self.pulled.take() {
+            Some(pulled) => pulled + length,
+            None => length,
+        });
+    }
+
+    fn acts_at(&self, step: usize) -> bool {
+        step.is_multiple_of(self.every)
     }
 
     fn act(
         &mut self,
-        _: &mut Trained,
-        _: &StrategyContext,
-        _: &mut dyn Rng,
+        scene: &mut Trained,
+        at: &StrategyContext,
+        _rng: &mut dyn Rng,
     ) -> Result<Option<RefineReport>, RowsError> {
-        Ok(None)
+        if !self.acts_at(at.step) || at.step == at.steps {
+            return Ok(None);
+        }
+        let Some(pulled) = self.pulled.take() else { return Ok(None) };
+        // All of this is on the device; only the number of rows to keep is read.
+        let rows = scene.gaussians.len();
+        let device = pulled.device();
+        // The logit of 0.01.
+        let stays = scene.gaussians.logit_opacities().inner().greater_elem(-4.6);
+        let [kept] = counts([stays.clone()]);
+        let cloned = self.most.saturating_sub(kept).min(kept / 5);
+        let (clones, _) = largest(&pulled, &stays, cloned);
+        let order = Tensor::arange(0..rows as i64, (&device, DType::I32));
+        let keep = picked(&order, &stays, kept);
+        scene.edit(&RowEdit::new(keep, picked(&order, &clones, cloned)))?;
+        Ok(Some(RefineReport { cloned, pruned: rows - kept, ..RefineReport::default() }))
+    }
+
+    // Saved so that an interrupted run continues without a difference.
+    fn save(&self, to: &mut State) -> Result<(), StateError> {
+        self.pulled.iter().for_each(|pulled| to.put("pulled", pulled.clone()));
+        Ok(())
+    }
+
+    fn load(&mut self, from: &mut State, device: &Device) -> Result<(), StateError> {
+        self.pulled = if from.has("pulled") { Some(from.take("pulled", device)?) } else { None };
+        Ok(())
     }
 }
 
@@ -96,7 +142,10 @@ impl CaptureFormat for Table {
 pub fn registry() -> Registry {
     let squares = || |seen: &LossInputs| (seen.image.clone() - seen.truth.image()).square().mean();
     let registry = Registry::new().loss("squares", squares).loss_with("brightness", brightness);
-    registry.strategy("still", |_, _| Still).effect("dim", |_: &Trainer| Dim).capture_format(Table)
+    registry
+        .strategy("budget", |_, _| Budget { every: 10, most: 20_000, pulled: None })
+        .effect("dim", |_: &Trainer| Dim)
+        .capture_format(Table)
 }
 
 fn main() -> ExitCode {

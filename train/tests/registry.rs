@@ -32,13 +32,13 @@ fn registered_parts_are_chosen_by_their_names() {
     let folders = ["demo", "once", "again"].map(fresh);
     let [demo, out, again] = folders.each_ref().map(|folder| folder.to_str().unwrap());
     succeed(&["demo", "--out", demo, "--views", "8", "--width", "64", "--height", "48"]);
-    let parts = ["--loss", "squares", "--strategy", "still", "--effects=none,+dim"];
+    let parts = ["--loss", "squares", "--strategy", "budget", "--effects=none,+dim"];
     let options = ["--steps", "12", "--checkpoint-every", "5", "--max-side", "48", "--device", "cpu"];
     succeed(&[&["train", demo, "--out", out][..], &parts, &options].concat());
     let read = |folder: &Path, name: &str| fs::read(folder.join(name)).unwrap();
     let (toml, metrics) = (read(&folders[1], "run.toml"), read(&folders[1], "metrics.json"));
     let toml = String::from_utf8(toml).unwrap();
-    for line in ["loss = \"squares\"", "strategy = \"still\"", "effects = \"dim\""] {
+    for line in ["loss = \"squares\"", "strategy = \"budget\"", "effects = \"dim\""] {
         assert!(toml.contains(line), "{line} is not in\n{toml}");
     }
     let metrics: serde_json::Value = serde_json::from_slice(&metrics).unwrap();

@@ -1,7 +1,7 @@
 //! The interface of density control strategies, which decide how many Gaussians a run has and where.
 //!
 //! A custom strategy is a type that implements [`Strategy`] and is passed to
-//! [`Trainer::with_strategy`](crate::trainer::Trainer::with_strategy). `examples/custom_strategy.rs` is a complete example.
+//! [`Trainer::with_strategy`](crate::trainer::Trainer::with_strategy). `train/examples/own_program.rs` has a complete one.
 
 use burn::tensor::{Device, Int, Tensor};
 use rand::Rng;
