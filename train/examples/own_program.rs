@@ -1,15 +1,15 @@
 //! The program `splat` with a loss, a density strategy, an effect and a format of captures of one's own:
-//! `cargo run --release -p splat-train --example own_program -- train CAPTURE --loss squares --strategy budget --effects=+dim`.
+//! `cargo run --release -p splat-train --example own_program -- train CAPTURE --loss squares --strategy budget --effects=+filter`.
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use burn::tensor::{DType, Device, Tensor};
+use burn::tensor::{DType, Device, Gradients, Tensor};
 use glam::{DAffine3, DQuat, DVec3};
 use rand::Rng;
 use splat_model::capture::{Capture, CaptureError, CaptureFormat, Pictures, View};
 use splat_model::density::rows::{RowEdit, Trained};
 use splat_model::density::{Observed, RefineReport, Signals, Strategy, StrategyContext, counts, largest, picked};
-use splat_model::effects::{Effect, EffectContext, RenderInput};
+use splat_model::effects::{Effect, EffectContext, Leaf, Learned, RenderInput};
 use splat_model::gaussians::{GroupOptions, RowsError};
 use splat_model::loss::photometric;
 use splat_model::state::{State, StateError};
@@ -91,16 +91,35 @@ impl Strategy for Budget {
     }
 }
 
-/// Shows every photograph through a grey filter.
-struct Dim;
+/// Learns, together with the scene, which share of the light of photographs 1, 3, 5 and so on, counted from 0, a filter removed.
+struct Filter(Learned<1>);
 
-impl Effect for Dim {
+impl Effect for Filter {
     fn name(&self) -> &'static str {
-        "dim"
+        "filter"
     }
 
-    fn image(&mut self, image: Tensor<3>, _: &RenderInput, _: &Rendered<3>, _: EffectContext) -> Tensor<3> {
-        image * 0.8
+    fn image(&mut self, image: Tensor<3>, _: &RenderInput, _: &Rendered<3>, at: EffectContext) -> Tensor<3> {
+        if at.view.is_multiple_of(2) {
+            return image;
+        }
+        image * (self.0.tracked().neg() + 1.0).reshape([1, 1, 1])
+    }
+
+    fn leaves(&mut self, _: EffectContext) -> Vec<Leaf> {
+        vec![self.0.leaf()]
+    }
+
+    fn step(&mut self, gradients: &mut Gradients, at: EffectContext) {
+        self.0.step(gradients, 0.01, at.verdict);
+    }
+
+    fn save(&self, to: &mut State) -> Result<(), StateError> {
+        self.0.save(to)
+    }
+
+    fn load(&mut self, from: &mut State, _: &Device) -> Result<(), StateError> {
+        self.0.load(from)
     }
 }
 
@@ -144,7 +163,9 @@ pub fn registry() -> Registry {
     let registry = Registry::new().loss("squares", squares).loss_with("brightness", brightness);
     registry
         .strategy("budget", |_, _| Budget { every: 10, most: 20_000, pulled: None })
-        .effect("dim", |_: &Trainer| Dim)
+        .effect("filter", |trainer: &Trainer| {
+            Filter(Learned::new(Tensor::zeros([1], &trainer.gaussians().means().inner().device())))
+        })
         .capture_format(Table)
 }
 

@@ -32,17 +32,17 @@ fn registered_parts_are_chosen_by_their_names() {
     let folders = ["demo", "once", "again"].map(fresh);
     let [demo, out, again] = folders.each_ref().map(|folder| folder.to_str().unwrap());
     succeed(&["demo", "--out", demo, "--views", "8", "--width", "64", "--height", "48"]);
-    let parts = ["--loss", "squares", "--strategy", "budget", "--effects=none,+dim"];
+    let parts = ["--loss", "squares", "--strategy", "budget", "--effects=none,+filter"];
     let options = ["--steps", "12", "--checkpoint-every", "5", "--max-side", "48", "--device", "cpu"];
     succeed(&[&["train", demo, "--out", out][..], &parts, &options].concat());
     let read = |folder: &Path, name: &str| fs::read(folder.join(name)).unwrap();
     let (toml, metrics) = (read(&folders[1], "run.toml"), read(&folders[1], "metrics.json"));
     let toml = String::from_utf8(toml).unwrap();
-    for line in ["loss = \"squares\"", "strategy = \"budget\"", "effects = \"dim\""] {
+    for line in ["loss = \"squares\"", "strategy = \"budget\"", "effects = \"filter\""] {
         assert!(toml.contains(line), "{line} is not in\n{toml}");
     }
     let metrics: serde_json::Value = serde_json::from_slice(&metrics).unwrap();
-    assert_eq!(metrics["effects"]["registered"][0], "dim");
+    assert_eq!(metrics["effects"]["registered"][0], "filter");
     // The file gives the same run again, in this program alone.
     let config = folders[1].join("run.toml");
     let config = config.to_str().unwrap();
@@ -50,7 +50,7 @@ fn registered_parts_are_chosen_by_their_names() {
     assert_eq!(read(&folders[2], "scene.ply"), read(&folders[1], "scene.ply"));
     let refused = Command::new(env!("CARGO_BIN_EXE_splat")).args(["train", "--config", config]).output().unwrap();
     let said = String::from_utf8(refused.stderr).unwrap();
-    assert!(!refused.status.success() && said.contains("there is no effect \"dim\""), "{said}");
+    assert!(!refused.status.success() && said.contains("there is no effect \"filter\""), "{said}");
 }
 
 /// A capture in a format of one's own trains, with a loss that brings a group of its own.

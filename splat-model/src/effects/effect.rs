@@ -1,7 +1,7 @@
 //! The interface of effects: models of what happens between the scene and its photographs, with or without parameters.
 //!
 //! A custom effect is a type that implements [`Effect`] and is passed to
-//! [`Trainer::with_effect`](crate::trainer::Trainer::with_effect). `examples/custom_effect.rs` is a complete example.
+//! [`Trainer::with_effect`](crate::trainer::Trainer::with_effect). `train/examples/own_program.rs` has a complete one.
 
 use std::any::Any;
 use std::rc::Rc;
