@@ -7,7 +7,7 @@ use crate::sh::SH_DEGREE_MAX;
 /// Options of a render. Start from a preset and change fields with the builders `with_…`.
 ///
 /// *Model choices* define the function and are judged against photographs; *numerical dials* approximate that function
-/// and are judged against [`crate::exact`] under the same choices. The two are never mixed.
+/// and are judged against an exact render under the same choices. The two are never mixed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct RenderOptions {
