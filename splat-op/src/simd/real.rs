@@ -74,6 +74,13 @@ pub trait Real:
     /// Returns `2^−q` for `0 <= q <= EXP2_MAX`, within 2 ulp; arbitrary elsewhere. `constants` are [`Self::EXP2`], one copy in
     /// each lane.
     fn exp2_lanes<S: Simd, L: SimdFloat<S, Element = Self>>(q: L, constants: &[L; EXP2_CONSTANTS]) -> L;
+    /// Writes the sum over the lanes of each vector, with the bits of `reduce_sum`.
+    #[inline(always)]
+    fn reduce_sums<S: Simd>(vectors: &[Self::Block<S>], sums: &mut [Self]) {
+        for (sum, vector) in sums.iter_mut().zip(vectors) {
+            *sum = vector.reduce_sum();
+        }
+    }
     /// Returns `eˣ` within 1 ulp: zero or infinite beyond the range of the float type, arbitrary for NaN.
     fn exp_lanes<S: Simd>(x: Self::Lanes<S>) -> Self::Lanes<S>;
 
@@ -170,6 +177,26 @@ impl Real for f32 {
         }
         // `to_bits` would do, but is a function of its own.
         p * (shifted.bitcast::<L::Bits>() << 23).bitcast::<L>()
+    }
+
+    /// Four vectors at a time, whose shuffles they share.
+    #[inline(always)]
+    fn reduce_sums<S: Simd>(vectors: &[f32x16<S>], sums: &mut [f32]) {
+        let (fours, rest) = vectors.as_chunks::<4>();
+        let (sums_of_fours, sums_of_rest) = sums.split_at_mut(4 * fours.len());
+        for (four, sums) in fours.iter().zip(sums_of_fours.as_chunks_mut::<4>().0) {
+            let quarters = each!(*four, |vector| {
+                let (low, high) = vector.split();
+                let (low, high) = (low + high).split();
+                low + high
+            });
+            let pairs =
+                each!([0, 2], |i| quarters[i].unzip_low(quarters[i + 1]) + quarters[i].unzip_high(quarters[i + 1]));
+            (pairs[0].unzip_low(pairs[1]) + pairs[0].unzip_high(pairs[1])).store_slice(sums);
+        }
+        for (sum, vector) in sums_of_rest.iter_mut().zip(rest) {
+            *sum = vector.reduce_sum();
+        }
     }
 
     #[inline(always)]

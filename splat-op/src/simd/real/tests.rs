@@ -1,5 +1,6 @@
 use super::*;
 use crate::simd::dispatch;
+use crate::testing::random::Random;
 
 #[test]
 fn exp2_stays_within_two_ulp() {
@@ -36,4 +37,22 @@ fn exp_stays_within_one_ulp() {
     });
     // Subnormal values lose digits, but not their magnitude.
     assert!((exp(-95.0) / (-95.0_f32).exp() - 1.0).abs() < 1e-3);
+}
+
+#[test]
+fn sums_of_several_vectors_are_those_of_each() {
+    fn sums<S: Simd, F: Real>(simd: S, count: usize) -> [Vec<F>; 2] {
+        let mut random = Random::new(7);
+        let mut vector = || F::Block::<S>::from_fn(simd, |_| F::of(random.between(-1.0, 1.0)));
+        let vectors: Vec<_> = (0..count).map(|_| vector()).collect();
+        let mut found = vec![F::ZERO; count];
+        F::reduce_sums(&vectors, &mut found);
+        [found, vectors.iter().map(|vector| vector.reduce_sum()).collect()]
+    }
+    for count in [0, 1, 4, 9, 11] {
+        let [found, expected] = dispatch!(f32, simd => sums::<_, f32>(simd, count));
+        assert_eq!(found, expected, "{count}");
+        let [found, expected] = dispatch!(f64, simd => sums::<_, f64>(simd, count));
+        assert_eq!(found, expected, "{count}");
+    }
 }

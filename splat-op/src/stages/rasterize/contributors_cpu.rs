@@ -4,10 +4,10 @@ use fearless_simd::prelude::*;
 
 use super::footprint::EllipseFootprint;
 use super::layer_cpu::{Thresholds, Transmittances};
-use super::pixels::{SIMD_BLOCK, SIMD_ROWS, TilePixels, TileView, len, row_and_column};
+use super::pixels::{SIMD_BLOCK, SIMD_BLOCK_ROW, TilePixels, TileView, len, row_and_column};
 use super::prepared::Prepared;
 use super::splat_cpu::{Footprint, FootprintLanes};
-use super::tile_blocks::{TileBlocks, TileWindow};
+use super::tile_blocks::{Blocks, TileBlocks};
 use super::{Layers, MEDIAN, RasterizeSpec};
 use crate::intersect::{IntersectionLists, TILE_PIXELS, TILE_SIZE};
 use crate::rasterize_rays::footprint::RayFootprint;
@@ -88,12 +88,9 @@ fn of_tile<S: Simd, F: Real, P: Footprint<F>, const LONG: bool>(
         }
         let footprint = &view.footprints[gaussian as usize];
         let splat = footprint.lanes(simd, corner[1]);
-        let [middle, half] = footprint.bounds();
-        let window = TileWindow::around(blocks.met(simd, middle, half));
-        for part in (window.first_column * SIMD_BLOCK..window.end_column * SIMD_BLOCK).step_by(len::<S, F>()) {
-            let column = splat.column(pixels.x(simd, part));
-            for row in (window.first_row..window.end_row).step_by(SIMD_ROWS) {
-                let first = row * TILE_SIZE + part;
+        for block in Blocks(footprint.met(simd, &blocks)) {
+            for first in (block * SIMD_BLOCK..(block + 1) * SIMD_BLOCK).step_by(len::<S, F>()) {
+                let column = splat.column(pixels.x(simd, first % SIMD_BLOCK_ROW));
                 let before = transmittance.load::<S, LONG>(simd, first);
                 let layer = thresholds.layer::<_, LONG>(&splat, &column, &pixels, first, before);
                 transmittance.store::<S, LONG>(layer.transmittance, first);

@@ -254,18 +254,18 @@ impl<F: Real> TilePlanes<F> {
             for row in 0..TILE_SIZE.min(height - origin[1]) {
                 let first = (source * height + origin[1] + row) * width + origin[0];
                 let values = &grad[first..first + TILE_SIZE.min(width - origin[0])];
-                for (half, values) in values.chunks(SIMD_WIDTH).enumerate() {
-                    // Eight values are copied as a vector, fewer of them by a call.
-                    let eight = values.as_array().copied().unwrap_or_else(|| {
-                        let mut eight = [F::ZERO; SIMD_WIDTH];
-                        eight[..values.len()].copy_from_slice(values);
-                        eight
+                for (four, values) in values.chunks(SIMD_WIDTH).enumerate() {
+                    let place = in_block_order(row * (TILE_SIZE / SIMD_WIDTH) + four);
+                    // Four values are copied as a vector, fewer of them by a call.
+                    let four = values.as_array().copied().unwrap_or_else(|| {
+                        let mut four = [F::ZERO; SIMD_WIDTH];
+                        four[..values.len()].copy_from_slice(values);
+                        four
                     });
-                    let place = in_block_order(row * (TILE_SIZE / SIMD_WIDTH) + half);
-                    self.planes[plane].as_chunks_mut().0[place] = eight;
+                    self.planes[plane].as_chunks_mut().0[place] = four;
                     if plane < features {
                         let background_rho = &mut self.background_rho.as_chunks_mut::<SIMD_WIDTH>().0[place];
-                        background_rho.iter_mut().zip(eight).for_each(|(sum, g)| *sum += g * background[plane]);
+                        background_rho.iter_mut().zip(four).for_each(|(sum, g)| *sum += g * background[plane]);
                     }
                 }
             }

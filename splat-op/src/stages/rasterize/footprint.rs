@@ -3,10 +3,13 @@
 use fearless_simd::prelude::*;
 
 use super::Layers;
-use super::pixels::TilePixels;
+use super::pixels::{TilePixels, lanes, len};
 use super::splat_cpu::{Footprint, FootprintLanes, FootprintView, PairSums, SplatAt};
+use super::tile_blocks::{SIMD_BLOCKS, TileBlocks};
+use crate::intersect::TILE_SIZE;
 use crate::intersect::extent::{half_extent, widened_limit};
 use crate::project::{self, Ellipse};
+use crate::simd::each;
 use crate::simd::real::Real;
 
 /// `√(log₂e / 2)`. In whitened coordinates scaled by it, a Gaussian is `2^−(u² + v²)`.
@@ -26,8 +29,10 @@ pub(crate) struct EllipseFootprint<F> {
     opacity: F,
     /// Largest `u² + v²`: beyond it the alpha is certainly below `alpha_min`, or not a number.
     extent: F,
-    /// Half the width and height of the bounding box, px.
-    half: [F; 2],
+    /// [`Self::extent`] with a margin for the rounding of [`Self::met`].
+    bound: F,
+    /// `∂x/∂y` of the least `u² + v²` in each row, px per px.
+    slope: F,
 }
 
 impl<F: Real> Footprint<F> for EllipseFootprint<F> {
@@ -43,20 +48,48 @@ impl<F: Real> Footprint<F> for EllipseFootprint<F> {
             return Self::default();
         }
         let limit = widened_limit(ellipse.opacity, F::of(view.spec.options.alpha_min));
-        Self {
-            mean_px: ellipse.mean_px,
-            inverse_u: F::of(WHITEN) / ellipse.sigma_u,
-            inverse_v: F::of(WHITEN) / ellipse.sigma_v,
-            shear: ellipse.shear,
-            opacity: ellipse.opacity,
-            extent: (limit * F::of(WHITEN * WHITEN)).min_of(F::EXP2_MAX),
-            half: half_extent(&ellipse, limit),
-        }
+        let extent = (limit * F::of(WHITEN * WHITEN)).min_of(F::EXP2_MAX);
+        let (inverse_u, inverse_v) = (F::of(WHITEN) / ellipse.sigma_u, F::of(WHITEN) / ellipse.sigma_v);
+        // With `p = shear sigma_u / sigma_v` the slope is `p / (1 + p²)` times `sigma_u / sigma_v`; both parts of the fraction are
+        // divided by the larger of 1 and `p`.
+        let ratio = inverse_v / inverse_u;
+        let p = ellipse.shear * ratio;
+        let scale = F::ONE / p.abs().max_of(F::ONE);
+        let scaled = p * scale;
+        let slope = ratio * scale * scaled / (scale * scale + scaled * scaled);
+        // The largest coordinates of a tile that the ellipse meets, and their roundings.
+        let [far_x, far_y] = half_extent(&ellipse, limit).map(|half| half + F::of(2.0 * TILE_SIZE as f64));
+        let far_v = far_y + ellipse.shear.abs() * far_x;
+        let slip = F::of(8.0) * F::EPSILON * (far_x * inverse_u + far_v * inverse_v);
+        let reach = extent.sqrt() + slip;
+        let bound = if slope.finite() && reach.finite() { reach * reach } else { F::MAX };
+        let (shear, opacity) = (ellipse.shear, ellipse.opacity);
+        Self { mean_px: ellipse.mean_px, inverse_u, inverse_v, shear, opacity, extent, bound, slope }
     }
 
+    /// The least `u² + v²` over a rectangle lies on a side that faces the ellipse's centre, or is zero if it holds the centre. On a side
+    /// it is the least value of a parabola. Both sides nearest to the centre are tried, whether they face it or not.
     #[inline(always)]
-    fn bounds(&self) -> [[F; 2]; 2] {
-        [self.mean_px, self.half]
+    fn met<S: Simd>(&self, simd: S, blocks: &TileBlocks<F>) -> u16 {
+        let splat = |value| F::Block::<S>::splat(simd, value);
+        let [mean_x, mean_y] = each!(self.mean_px, |px| splat(px));
+        let (zero, shear, slope, bound) = (splat(F::ZERO), splat(self.shear), splat(self.slope), splat(self.bound));
+        let mut met = 0;
+        for block in (0..SIMD_BLOCKS).step_by(len::<S, F>()) {
+            let [left, top] = each!([0, 1], |axis| lanes::<S, F>(simd, &blocks.first[axis], block));
+            let [right, bottom] = each!([0, 1], |axis| lanes::<S, F>(simd, &blocks.last[axis], block));
+            let ([left, right], [top, bottom]) = ([left - mean_x, right - mean_x], [top - mean_y, bottom - mean_y]);
+            let (near_x, near_y) = (zero.max(left).min(right), zero.max(top).min(bottom));
+            let sides =
+                [[near_x, (shear * near_x).max(top).min(bottom)], [(slope * near_y).max(left).min(right), near_y]];
+            let [beside, above] = each!(sides, |[dx, dy]| {
+                let u = dx * splat(self.inverse_u);
+                let v = (-shear).mul_add(dx, dy) * splat(self.inverse_v);
+                v.mul_add(v, u * u)
+            });
+            met |= ((beside.simd_le(bound) | above.simd_le(bound)).to_bitmask() as u16) << block;
+        }
+        met
     }
 
     #[inline(always)]
@@ -148,3 +181,6 @@ impl<S: Simd, F: Real> FootprintLanes<S, F> for EllipseLanes<S, F> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

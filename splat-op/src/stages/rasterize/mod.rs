@@ -66,7 +66,7 @@ mod testing;
 mod tests;
 mod tile;
 mod tile_backward;
-mod tile_blocks;
+pub(crate) mod tile_blocks;
 #[cfg(feature = "cube")]
 pub(crate) mod trace;
 

@@ -7,10 +7,10 @@ use crate::intersect::{TILE_PIXELS, TILE_SIZE};
 use crate::simd::real::Real;
 
 /// Number of pixels along a row of a block.
-pub(crate) const SIMD_WIDTH: usize = 8;
+pub(crate) const SIMD_WIDTH: usize = 4;
 
 /// Number of rows of a block. The widest SIMD vectors hold a block's 16 pixels; narrower ones hold a part of it.
-pub(crate) const SIMD_ROWS: usize = 2;
+pub(crate) const SIMD_ROWS: usize = 4;
 
 /// Number of pixels in a block of a tile.
 pub(crate) const SIMD_BLOCK: usize = SIMD_WIDTH * SIMD_ROWS;
@@ -25,23 +25,23 @@ pub(crate) type Plane<F> = [F; TILE_PIXELS];
 #[inline(always)]
 pub(super) fn in_rows<F: Real>(plane: &Plane<F>) -> Plane<F> {
     let mut rows = [F::ZERO; TILE_PIXELS];
-    for (eight, values) in rows.as_chunks_mut::<SIMD_WIDTH>().0.iter_mut().enumerate() {
-        *values = plane.as_chunks::<SIMD_WIDTH>().0[in_block_order(eight)];
+    for (four, values) in rows.as_chunks_mut::<SIMD_WIDTH>().0.iter_mut().enumerate() {
+        *values = plane.as_chunks::<SIMD_WIDTH>().0[in_block_order(four)];
     }
     rows
 }
 
-/// Returns the place, in the order of blocks, of the eight pixels at place `eight` in the order of rows.
-pub(super) const fn in_block_order(eight: usize) -> usize {
-    let (row, column) = (eight / (TILE_SIZE / SIMD_WIDTH), eight % (TILE_SIZE / SIMD_WIDTH));
+/// Returns the place, in the order of blocks, of the four pixels at place `four` in the order of rows.
+pub(super) const fn in_block_order(four: usize) -> usize {
+    let (row, column) = (four / (TILE_SIZE / SIMD_WIDTH), four % (TILE_SIZE / SIMD_WIDTH));
     (row / SIMD_ROWS * (TILE_SIZE / SIMD_WIDTH) + column) * SIMD_ROWS + row % SIMD_ROWS
 }
 
 /// Returns the row and the column in the tile of the pixel at a place.
 pub(super) const fn row_and_column(place: usize) -> [usize; 2] {
-    let (block, eight) = (place / SIMD_BLOCK, place % SIMD_BLOCK / SIMD_WIDTH);
+    let (block, row) = (place / SIMD_BLOCK, place % SIMD_BLOCK / SIMD_WIDTH);
     let across = TILE_SIZE / SIMD_WIDTH;
-    [block / across * SIMD_ROWS + eight, block % across * SIMD_WIDTH + place % SIMD_WIDTH]
+    [block / across * SIMD_ROWS + row, block % across * SIMD_WIDTH + place % SIMD_WIDTH]
 }
 
 /// Number of lanes of a vector of pixels.
@@ -107,8 +107,8 @@ impl<F: Real> TilePixels<F> {
         let mut planes = Box::new([[F::ZERO; TILE_PIXELS]; 2]);
         for row in 0..size[1] {
             let slopes = &slopes[(origin[1] + row) * width + origin[0]..][..size[0]];
-            for (half, slopes) in slopes.chunks(SIMD_WIDTH).enumerate() {
-                let first = in_block_order(row * (TILE_SIZE / SIMD_WIDTH) + half) * SIMD_WIDTH;
+            for (four, slopes) in slopes.chunks(SIMD_WIDTH).enumerate() {
+                let first = in_block_order(row * (TILE_SIZE / SIMD_WIDTH) + four) * SIMD_WIDTH;
                 for (at, slope) in (first..).zip(slopes) {
                     let sees = slope[0] < LEAST_NO_RAY;
                     planes[0][at] = F::of(if sees { slope[0] } else { 0.0 });

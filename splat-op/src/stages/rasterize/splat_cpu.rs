@@ -4,6 +4,7 @@
 use fearless_simd::prelude::*;
 
 use super::pixels::TilePixels;
+use super::tile_blocks::TileBlocks;
 use super::{Layers, MOMENTS, RasterizeSpec};
 use crate::intersect::PixelBox;
 use crate::ray_space::{LensLimits, SLOPES};
@@ -31,8 +32,8 @@ pub(crate) trait Footprint<F: Real>: Copy + Default + Send + Sync + 'static {
     /// Reads Gaussian `i`.
     fn read(inputs: &Layers<&[F]>, i: usize, view: &FootprintView<F>) -> Self;
 
-    /// Returns the middle of a box beyond which it does not show, and half of its width and height, px.
-    fn bounds(&self) -> [[F; 2]; 2];
+    /// Returns the blocks of a tile in which it may show, a bit for each.
+    fn met<S: Simd>(&self, simd: S, blocks: &TileBlocks<F>) -> u16;
 
     /// Returns its constants for the tile whose upper border is at `top` px.
     fn lanes<S: Simd>(&self, simd: S, top: F) -> Self::Broadcast<S>;
@@ -75,6 +76,9 @@ pub(crate) struct SplatAt<S: Simd, F: Real, P> {
     pub point: P,
 }
 
+/// The largest number of channels that is known at compile time.
+const MOST_FEATURES: usize = 4;
+
 /// Sums of a Gaussian over pixels.
 pub(crate) struct PairSums<S: Simd, F: Real> {
     /// Of `h, h u, h v, h u², h u v, h v²`.
@@ -91,13 +95,14 @@ impl<S: Simd, F: Real> PairSums<S, F> {
         Self { moments: [zero; MOMENTS], slopes: [zero; SLOPES], absolute: [zero; 2] }
     }
 
-    /// Writes the totals to a row: moments, then behind the columns of `channels` the first `slopes`, and sums of absolute values where
-    /// there is room.
+    /// Writes the totals to a row: moments and `features`, then behind the columns of `channels` the first `slopes`, and sums of absolute
+    /// values where there is room.
     #[inline(always)]
-    pub fn store(&self, row: &mut [F], channels: usize, slopes: usize) {
-        for (to, sum) in row.iter_mut().zip(self.moments) {
-            *to = sum.reduce_sum();
-        }
+    pub fn store<const C: usize>(&self, features: &[F::Block<S>; C], row: &mut [F], channels: usize, slopes: usize) {
+        let mut sums = [self.moments[0]; MOMENTS + MOST_FEATURES];
+        sums[..MOMENTS].copy_from_slice(&self.moments);
+        sums[MOMENTS..MOMENTS + C].copy_from_slice(features);
+        F::reduce_sums(&sums[..MOMENTS + C], &mut row[..MOMENTS + C]);
         let behind = &mut row[MOMENTS + channels..];
         for (to, sum) in behind.iter_mut().zip(self.slopes).take(slopes) {
             *to = sum.reduce_sum();

@@ -3,10 +3,10 @@
 use fearless_simd::prelude::*;
 
 use super::layer_cpu::{Thresholds, Transmittances};
-use super::pixels::{Plane, SIMD_BLOCK, SIMD_ROWS, TilePixels, TileView, in_rows, lanes, len, store};
+use super::pixels::{Plane, SIMD_BLOCK, SIMD_BLOCK_ROW, TilePixels, TileView, in_rows, lanes, len, store};
 use super::splat_cpu::{Footprint, FootprintLanes};
-use super::tile_blocks::{TileBlocks, TileWindow};
-use crate::intersect::{TILE_PIXELS, TILE_SIZE};
+use super::tile_blocks::{Blocks, TileBlocks};
+use crate::intersect::TILE_PIXELS;
 use crate::simd::real::Real;
 
 /// Number of Gaussians between two checkpoints of a tile's transmittances.
@@ -89,7 +89,6 @@ pub(super) struct TileTrace<F> {
 struct TilePass<'a, S: Simd, F: Real> {
     thresholds: &'a Thresholds<S, F>,
     pixels: &'a TilePixels<F>,
-    blocks: &'a TileBlocks<F>,
     /// Upper border of the tile, px.
     top: F,
     /// Whether depth is the last channel.
@@ -105,30 +104,28 @@ struct TilePassed {
 }
 
 impl<S: Simd, F: Real> TilePass<'_, S, F> {
-    /// Adds the colours of a Gaussian to `sums` and updates the transmittances. Without `FINITE` only the pixels that see it are added
-    /// to: zero times a colour that is not finite is undefined.
+    /// Adds the colours of a Gaussian to `sums` in the blocks that it meets, and updates the transmittances. Without `FINITE` only the
+    /// pixels that see it are added to: zero times a colour that is not finite is undefined.
     #[inline(always)]
     fn add<P: Footprint<F>, const C: usize, const LONG: bool, const FINITE: bool>(
         &self,
         footprint: &P,
         colour: &[F],
+        met: Blocks,
         transmittance: &mut Transmittances<F>,
         sums: &mut [Plane<F>],
     ) -> TilePassed {
-        let Self { thresholds, pixels, blocks, .. } = self;
+        let Self { thresholds, pixels, .. } = self;
         let (simd, channels) = (thresholds.zero.token(), if C == 0 { colour.len() } else { C });
         let splat = footprint.lanes(simd, self.top);
-        let [middle, half] = footprint.bounds();
-        let window = TileWindow::around(blocks.met(simd, middle, half));
         let colour_lanes = colour_lanes::<S, F, C>(simd, colour);
         let mut passed = TilePassed { reached: 0, finished: 0 };
-        for part in (window.first_column * SIMD_BLOCK..window.end_column * SIMD_BLOCK).step_by(len::<S, F>()) {
-            let column = splat.column(pixels.x(simd, part));
-            for row in (window.first_row..window.end_row).step_by(SIMD_ROWS) {
-                let place = row * TILE_SIZE + part;
+        for block in met {
+            for place in (block * SIMD_BLOCK..(block + 1) * SIMD_BLOCK).step_by(len::<S, F>()) {
+                let column = splat.column(pixels.x(simd, place % SIMD_BLOCK_ROW));
                 let before = transmittance.load::<S, LONG>(simd, place);
                 let layer = thresholds.layer::<_, LONG>(&splat, &column, pixels, place, before);
-                passed.reached |= if layer.near.any_true() { 1 << (place / SIMD_BLOCK) } else { 0 };
+                passed.reached |= u16::from(layer.near.any_true()) << block;
                 transmittance.store::<S, LONG>(layer.transmittance, place);
                 let weight = layer.alpha * before[0];
                 for (channel, sum) in sums.iter_mut().enumerate() {
@@ -165,17 +162,21 @@ pub(super) fn rasterize_tile<S: Simd, F: Real, P: Footprint<F>, const C: usize, 
     let channels = if C == 0 { view.channels } else { C };
     let corner = view.corner();
     let (pixels, blocks) = (&TilePixels::new(view), &TileBlocks::new(corner));
-    let tile = TilePass { thresholds, pixels, blocks, top: corner[1], depth: view.depth };
+    let tile = TilePass { thresholds, pixels, top: corner[1], depth: view.depth };
     let mut transmittance = Transmittances::new(pixels.open);
     let mut open = view.open(&pixels.open);
     let (sums, final_transmittance) = planes.as_chunks_mut::<TILE_PIXELS>().0.split_at_mut(channels);
     sums.as_flattened_mut().fill(F::ZERO);
     let mut finished_sums = Vec::new();
-    let mut near = Near::<F, P, C>::default();
+    let (mut near, mut met) = (Near::<F, P, C>::default(), [0; CHECKPOINT_EVERY]);
     let mut summed = 0;
     for (i, &gaussian) in view.gaussians.iter().enumerate() {
         if i % CHECKPOINT_EVERY == 0 {
             near.gather(view, &view.gaussians[i..]);
+            // Before the loops over the blocks, so that the processor knows early where each of them ends.
+            for (met, footprint) in met.iter_mut().zip(&near.footprints).take(view.gaussians.len() - i) {
+                *met = footprint.met(thresholds.zero.token(), blocks);
+            }
             if let Some(trace) = trace.as_deref_mut().filter(|_| i > 0) {
                 transmittance.keep::<LONG>(&mut trace.checkpoints);
             }
@@ -185,12 +186,12 @@ pub(super) fn rasterize_tile<S: Simd, F: Real, P: Footprint<F>, const C: usize, 
             move_into(sums.as_flattened_mut(), &mut finished_sums);
             summed = 0;
         }
-        let footprint = &near.footprints[i % CHECKPOINT_EVERY];
+        let (footprint, met) = (&near.footprints[i % CHECKPOINT_EVERY], Blocks(met[i % CHECKPOINT_EVERY]));
         let colour = if C == 0 { view.colour(gaussian) } else { &near.colours[i % CHECKPOINT_EVERY] };
         let TilePassed { reached, finished } = if view.finite || is_finite(colour) {
-            tile.add::<P, C, LONG, true>(footprint, colour, &mut transmittance, sums)
+            tile.add::<P, C, LONG, true>(footprint, colour, met, &mut transmittance, sums)
         } else {
-            tile.add::<P, C, LONG, false>(footprint, colour, &mut transmittance, sums)
+            tile.add::<P, C, LONG, false>(footprint, colour, met, &mut transmittance, sums)
         };
         summed += usize::from(reached != 0);
         if let Some(trace) = trace.as_deref_mut() {

@@ -11,7 +11,7 @@ use super::layer_cpu::{Thresholds, Transmittances};
 use super::pixels::{Plane, SIMD_BLOCK, SIMD_BLOCK_ROW, TilePixels, TileView, lanes, len, store};
 use super::splat_cpu::{Footprint, FootprintLanes, PairSums};
 use super::tile::{CHECKPOINT_EVERY, Near, TileTrace, colour_lanes};
-use super::tile_blocks::FIRST_COLUMN;
+use super::tile_blocks::Blocks;
 use crate::intersect::TILE_PIXELS;
 use crate::simd::real::Real;
 
@@ -31,26 +31,16 @@ pub(super) struct TileGrad<'a, F> {
 
 /// Buffers that one thread reuses from tile to tile, sized for a chunk whose Gaussians show in every pixel.
 pub(super) struct TileScratch<F> {
-    /// Transmittances before a Gaussian, then its alphas, for each pair of a Gaussian of the chunk and a vector of pixels that
-    /// it reaches. The last pass over the Gaussian replaces the transmittances by its weights.
+    /// Transmittances before a Gaussian, then its alphas, for each vector of pixels of each block that it reaches. The last pass over the
+    /// Gaussian replaces the transmittances by its weights.
     layers: Vec<F>,
-    /// Place in the tile of each pair's pixels.
-    places: Vec<u16>,
-    /// First pair of each Gaussian of the chunk.
-    starts: [usize; CHECKPOINT_EVERY + 1],
+    /// Index in `layers` of the first value of each Gaussian of the chunk.
+    starts: [usize; CHECKPOINT_EVERY],
 }
-
-/// The least number of lanes of a vector, that of f64.
-const LEAST_LANES: usize = 8;
 
 impl<F: Real> Default for TileScratch<F> {
     fn default() -> Self {
-        const VALUES: usize = CHECKPOINT_EVERY * TILE_PIXELS;
-        Self {
-            layers: vec![F::ZERO; 2 * VALUES],
-            places: vec![0; VALUES / LEAST_LANES],
-            starts: [0; CHECKPOINT_EVERY + 1],
-        }
+        Self { layers: vec![F::ZERO; 2 * CHECKPOINT_EVERY * TILE_PIXELS], starts: [0; CHECKPOINT_EVERY] }
     }
 }
 
@@ -104,17 +94,14 @@ impl<'a, S: Simd, F: Real> BackwardPass<'a, S, F> {
                 *final_transmittance = transmittance.kept;
             }
             for (i, &gaussian) in gaussians.iter().enumerate().rev() {
-                let layers = scratch.starts[i]..scratch.starts[i + 1];
-                if layers.is_empty() {
+                if reached[i] == 0 {
                     continue;
                 }
                 let row = &mut intersections[(first + i) * columns..(first + i + 1) * columns];
-                let pair = 2 * len::<S, F>();
-                let (values, places) =
-                    (&mut scratch.layers[layers.start * pair..layers.end * pair], &scratch.places[layers]);
                 let splat = near.footprints[i].lanes(simd, self.top);
                 let colour = if C == 0 { view.colour(gaussian) } else { &near.colours[i] };
-                self.backwards::<P, C, LONG>(&splat, colour, values, places, &mut rho, row);
+                let layers = &mut scratch.layers[scratch.starts[i]..];
+                self.backwards::<P, C, LONG>(&splat, colour, Blocks(reached[i]), layers, &mut rho, row);
             }
         }
     }
@@ -130,44 +117,34 @@ impl<'a, S: Simd, F: Real> BackwardPass<'a, S, F> {
     ) {
         let Self { thresholds, pixels, .. } = self;
         let simd = thresholds.alpha_max.token();
-        let mut met = 0;
-        for (i, (footprint, &reached)) in near.iter().zip(reached).enumerate() {
-            scratch.starts[i] = met;
+        let TileScratch { layers, starts } = scratch;
+        let mut at = 0;
+        for ((footprint, &reached), start) in near.iter().zip(reached).zip(starts) {
+            *start = at;
             let splat = footprint.lanes(simd, self.top);
-            for first in (0..SIMD_BLOCK_ROW).step_by(SIMD_BLOCK) {
-                let in_column = reached & FIRST_COLUMN << (first / SIMD_BLOCK);
-                if in_column == 0 {
-                    continue;
-                }
-                for part in (0..SIMD_BLOCK).step_by(len::<S, F>()) {
-                    let column = splat.column(pixels.x(simd, first + part));
-                    let mut blocks = in_column;
-                    while blocks != 0 {
-                        let place = blocks.trailing_zeros() as usize * SIMD_BLOCK + part;
-                        blocks &= blocks - 1;
-                        let before = transmittance.load::<S, LONG>(simd, place);
-                        let layer = thresholds.layer::<_, LONG>(&splat, &column, pixels, place, before);
-                        transmittance.store::<S, LONG>(layer.transmittance, place);
-                        store(before[0], &mut scratch.layers, met * 2 * len::<S, F>());
-                        store(layer.alpha, &mut scratch.layers, (met * 2 + 1) * len::<S, F>());
-                        scratch.places[met] = place as u16;
-                        met += 1;
-                    }
+            for block in Blocks(reached) {
+                for place in (block * SIMD_BLOCK..(block + 1) * SIMD_BLOCK).step_by(len::<S, F>()) {
+                    let column = splat.column(pixels.x(simd, place % SIMD_BLOCK_ROW));
+                    let before = transmittance.load::<S, LONG>(simd, place);
+                    let layer = thresholds.layer::<_, LONG>(&splat, &column, pixels, place, before);
+                    transmittance.store::<S, LONG>(layer.transmittance, place);
+                    store(before[0], layers, at);
+                    store(layer.alpha, layers, at + len::<S, F>());
+                    at += 2 * len::<S, F>();
                 }
             }
         }
-        scratch.starts[reached.len()] = met;
     }
 
     /// Passes one Gaussian back to front: writes its sums over the pixels that it shows in to `row`, and updates `rho` to
-    /// its value in front of the Gaussian. `layers` and `places` are those of [`TileScratch`].
+    /// its value in front of the Gaussian. `layers` begin with its own of [`TileScratch`].
     #[inline(always)]
     fn backwards<P: Footprint<F>, const C: usize, const LONG: bool>(
         &self,
         splat: &P::Broadcast<S>,
         colour: &[F],
+        blocks: Blocks,
         layers: &mut [F],
-        places: &[u16],
         rho: &mut Transmittances<F>,
         row: &mut [F],
     ) {
@@ -184,55 +161,58 @@ impl<'a, S: Simd, F: Real> BackwardPass<'a, S, F> {
         // Along rays depth has a factor at each pixel.
         let bends = |channel: usize| P::ALONG_RAYS && grad.depth && channel + 1 == channels;
         let layer_len = 2 * len::<S, F>();
-        for (i, &place) in places.iter().enumerate() {
-            let (layer, place) = (&mut layers[i * layer_len..][..layer_len], place as usize);
-            let [behind, lost] = rho.load::<S, LONG>(simd, place);
-            let before = lanes::<S, F>(simd, layer, 0);
-            let alpha = lanes::<S, F>(simd, layer, len::<S, F>());
-            let column = splat.column(pixels.x(simd, place % SIMD_BLOCK_ROW));
-            let at = splat.at(&column, pixels, place);
-            let mut along = plane(channels, place);
-            for channel in 0..channels {
-                let mut colour =
-                    if C == 0 { F::Block::<S>::splat(simd, colour[channel]) } else { colour_lanes[channel] };
-                if bends(channel) {
-                    colour *= at.depth_factor;
+        let mut first = 0;
+        for block in blocks {
+            for place in (block * SIMD_BLOCK..(block + 1) * SIMD_BLOCK).step_by(len::<S, F>()) {
+                let layer = &mut layers[first..first + layer_len];
+                first += layer_len;
+                let [behind, lost] = rho.load::<S, LONG>(simd, place);
+                let before = lanes::<S, F>(simd, layer, 0);
+                let alpha = lanes::<S, F>(simd, layer, len::<S, F>());
+                let column = splat.column(pixels.x(simd, place % SIMD_BLOCK_ROW));
+                let at = splat.at(&column, pixels, place);
+                let mut along = plane(channels, place);
+                for channel in 0..channels {
+                    let mut colour =
+                        if C == 0 { F::Block::<S>::splat(simd, colour[channel]) } else { colour_lanes[channel] };
+                    if bends(channel) {
+                        colour *= at.depth_factor;
+                    }
+                    along = plane(channel, place).mul_add(colour, along);
                 }
-                along = plane(channel, place).mul_add(colour, along);
-            }
-            let weight = alpha * before;
-            let mut ahead = along - behind;
-            // What is not finite may lie behind any Gaussian.
-            if !grad.finite {
-                ahead = alpha.simd_gt(zero).select(ahead, zero);
-            }
-            let change = if LONG { alpha.mul_add(ahead, (-alpha).mul_add(lost, lost)) } else { alpha * ahead };
-            let stepped = if LONG { behind + change } else { alpha.mul_add(ahead, behind) };
-            rho.store::<S, LONG>([stepped, change - (stepped - behind)], place);
-            let free = alpha.simd_lt(alpha_max);
-            let h = free.select(weight * ahead, zero);
+                let weight = alpha * before;
+                let mut ahead = along - behind;
+                // What is not finite may lie behind any Gaussian.
+                if !grad.finite {
+                    ahead = alpha.simd_gt(zero).select(ahead, zero);
+                }
+                let change = if LONG { alpha.mul_add(ahead, (-alpha).mul_add(lost, lost)) } else { alpha * ahead };
+                let stepped = if LONG { behind + change } else { alpha.mul_add(ahead, behind) };
+                rho.store::<S, LONG>([stepped, change - (stepped - behind)], place);
+                let free = alpha.simd_lt(alpha_max);
+                let h = free.select(weight * ahead, zero);
 
-            let of_depth = if bends(channels - 1) { Some(weight * plane(channels - 1, place)) } else { None };
-            splat.add(&mut sums, &at.point, h, of_depth, grad.absolute);
-            if C == 0 {
-                store(weight, layer, 0);
-            } else {
-                for channel in 0..C {
-                    features[channel] = plane(channel, place).mul_add(weight, features[channel]);
+                let of_depth = if bends(channels - 1) { Some(weight * plane(channels - 1, place)) } else { None };
+                splat.add(&mut sums, &at.point, h, of_depth, grad.absolute);
+                if C == 0 {
+                    store(weight, layer, 0);
+                } else {
+                    for channel in 0..C {
+                        features[channel] = plane(channel, place).mul_add(weight, features[channel]);
+                    }
                 }
             }
         }
-        sums.store(row, channels, P::EXTRA_COLUMNS);
-        for channel in 0..channels {
-            let sum = if C == 0 {
-                let mut sum = zero;
-                for (i, &place) in places.iter().enumerate() {
-                    sum = plane(channel, place as usize).mul_add(lanes::<S, F>(simd, &layers[i * layer_len..], 0), sum);
+        sums.store(&features, row, channels, P::EXTRA_COLUMNS);
+        for channel in C..channels {
+            let mut sum = zero;
+            let mut first = 0;
+            for block in blocks {
+                for place in (block * SIMD_BLOCK..(block + 1) * SIMD_BLOCK).step_by(len::<S, F>()) {
+                    sum = plane(channel, place).mul_add(lanes::<S, F>(simd, layers, first), sum);
+                    first += layer_len;
                 }
-                sum
-            } else {
-                features[channel]
-            };
+            }
             row[MOMENTS + channel] = sum.reduce_sum();
         }
     }

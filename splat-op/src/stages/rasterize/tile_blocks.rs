@@ -11,16 +11,13 @@ const SIMD_ACROSS: usize = TILE_SIZE / SIMD_WIDTH;
 
 /// Number of blocks in a tile.
 pub(crate) const SIMD_BLOCKS: usize = SIMD_ACROSS * (TILE_SIZE / SIMD_ROWS);
-const _: () = assert!(SIMD_ACROSS == 2 && SIMD_BLOCKS == u16::BITS as usize);
-
-/// The blocks of a tile's first column, a bit for each.
-pub(super) const FIRST_COLUMN: u16 = 0x5555;
+const _: () = assert!(SIMD_ACROSS == 4 && SIMD_BLOCKS == u16::BITS as usize);
 
 /// The blocks of a tile, to be compared with boxes.
 pub(crate) struct TileBlocks<F> {
     /// For each block the centres of its first and last pixels along x and y, px.
-    first: [[F; SIMD_BLOCKS]; 2],
-    last: [[F; SIMD_BLOCKS]; 2],
+    pub(super) first: [[F; SIMD_BLOCKS]; 2],
+    pub(super) last: [[F; SIMD_BLOCKS]; 2],
 }
 
 impl<F: Real> TileBlocks<F> {
@@ -59,26 +56,19 @@ impl<F: Real> TileBlocks<F> {
     }
 }
 
-/// Rectangle within a tile, in rows and columns of blocks.
+/// The numbers of the blocks that have a bit.
 #[derive(Clone, Copy)]
-pub(super) struct TileWindow {
-    pub first_row: usize,
-    pub end_row: usize,
-    pub first_column: usize,
-    pub end_column: usize,
-}
+pub(super) struct Blocks(pub u16);
 
-impl TileWindow {
-    /// Returns the smallest rectangle that holds the blocks with a bit.
+impl Iterator for Blocks {
+    type Item = usize;
+
     #[inline(always)]
-    pub fn around(blocks: u16) -> Self {
-        let rows_before = |bits: u32| bits as usize / SIMD_ACROSS * SIMD_ROWS;
-        Self {
-            first_row: rows_before(blocks.trailing_zeros()),
-            end_row: rows_before(u16::BITS - blocks.leading_zeros() + SIMD_ACROSS as u32 - 1),
-            first_column: usize::from(blocks & FIRST_COLUMN == 0),
-            end_column: if blocks & !FIRST_COLUMN == 0 { 1 } else { SIMD_ACROSS },
-        }
+    fn next(&mut self) -> Option<usize> {
+        let first = self.0.trailing_zeros() as usize;
+        let any = self.0 != 0;
+        self.0 &= self.0.wrapping_sub(1);
+        any.then_some(first)
     }
 }
 

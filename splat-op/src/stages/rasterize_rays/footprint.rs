@@ -10,6 +10,7 @@ use crate::rasterize::Layers;
 use crate::rasterize::footprint::WHITEN;
 use crate::rasterize::pixels::{TilePixels, lanes};
 use crate::rasterize::splat_cpu::{Footprint, FootprintLanes, FootprintView, PairSums, SplatAt};
+use crate::rasterize::tile_blocks::TileBlocks;
 use crate::ray_space::{LensFrame, SLOPES, beyond, columns};
 use crate::simd::each;
 use crate::simd::real::Real;
@@ -106,8 +107,9 @@ impl<F: Real> Footprint<F> for RayFootprint<F> {
     }
 
     #[inline(always)]
-    fn bounds(&self) -> [[F; 2]; 2] {
-        self.bounds.map(|pair| pair.map(|px| F::of(px.into())))
+    fn met<S: Simd>(&self, simd: S, blocks: &TileBlocks<F>) -> u16 {
+        let [middle, half] = self.bounds.map(|pair| pair.map(|px| F::of(px.into())));
+        blocks.met(simd, middle, half)
     }
 
     #[inline(always)]

@@ -7,9 +7,10 @@ use crate::gpu::{Buffer, cubes};
 use crate::intersect::launch::launch_intersect;
 use crate::intersect::{Cut, TILE_PIXELS};
 use crate::options::RenderOptions;
-use crate::project::{COLUMNS, Ellipse};
+use crate::project::COLUMNS;
 use crate::rasterize::RasterizeSpec;
 use crate::rasterize::launch::frame;
+use crate::rasterize::testing::any_ellipse;
 use crate::testing::gpu::gpu;
 use crate::testing::random::Random;
 use cubecl::prelude::CubeDim;
@@ -32,33 +33,6 @@ fn pixels_kernel(inputs: SplatInputs, tiles: &[u32], sees: &mut [u32], frame: Ra
 
 const SIZE: usize = 4096;
 
-/// Ellipses near the tile at `corner` px: of ordinary size, or of any size, shape and distance.
-fn ellipse(random: &mut Random, corner: [f64; 2], ordinary: bool, opacity: [f64; 2]) -> Ellipse<f64> {
-    let mut logarithmic = |low: f64, high: f64| low * (high / low).powf(random.between(0.0, 1.0));
-    let (sigma_u, sigma_v) = match ordinary {
-        true => (logarithmic(0.55, 20.0), logarithmic(0.55, 20.0)),
-        false => (logarithmic(1e-3, 1e6), logarithmic(1e-3, 1e5)),
-    };
-    let (steepest, away) = match ordinary {
-        true => (2.0, logarithmic(0.1, 3.0) * sigma_u),
-        false => (logarithmic(1e-3, 1e4), logarithmic(1e-3, 8.0) * sigma_u),
-    };
-    let opacity = logarithmic(opacity[0], opacity[1]);
-    let shear = random.between(-steepest, steepest);
-    // The axis of long ellipses passes through or near the tile.
-    let along = if random.between(0.0, 1.0) < 0.5 { away } else { -away };
-    let across = random.between(-4.0, 4.0) * sigma_v;
-    let place = [0, 1].map(|axis| corner[axis] + random.between(-2.0, 18.0));
-    Ellipse {
-        mean_px: [place[0] - along, place[1] - shear * along - across],
-        sigma_u,
-        shear,
-        sigma_v,
-        depth: 1.0,
-        opacity,
-    }
-}
-
 /// Returns the numbers of pixels that see an alpha, of those whose block is not met, of blocks with such pixels and of
 /// blocks met.
 fn counts(random: &mut Random, options: RenderOptions, ordinary: bool, opacity: [f64; 2]) -> Option<[usize; 4]> {
@@ -68,7 +42,7 @@ fn counts(random: &mut Random, options: RenderOptions, ordinary: bool, opacity: 
     let tiles: Vec<u32> = (0..COUNT).map(|i| (i * 7919 % (across * across)) as u32).collect();
     let rows = tiles.iter().flat_map(|&tile| {
         let corner = [tile as usize % across, tile as usize / across].map(|tile| (tile * TILE_SIZE) as f64);
-        ellipse(random, corner, ordinary, opacity).to_row()
+        any_ellipse(random, corner, ordinary, opacity).to_row()
     });
     let rows: Vec<f32> = rows.map(|v| v as f32).collect();
     assert_eq!(rows.len(), COUNT * COLUMNS);
