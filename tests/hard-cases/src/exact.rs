@@ -10,9 +10,10 @@
 mod lens;
 mod ray;
 
+use burn::tensor::Tensor;
 use glam::{DMat2, DMat3, DQuat, DVec2, DVec3};
 use splat_op::test_hooks::slope_limits;
-use splat_op::{CameraModel, Intrinsics, Projection, RenderOptions};
+use splat_op::{Camera, CameraModel, Intrinsics, Projection, RenderOptions, SplatError, Splats, colours};
 
 use self::ray::{Ray, Solid};
 
@@ -44,6 +45,35 @@ pub struct ExactPose {
     pub rotation: DMat3,
     /// Translation, camera-from-world, scene units.
     pub translation: DVec3,
+}
+
+/// Reads the Gaussians that can be rendered, with their colours as seen by `camera`, and its pose. Digits are those of the tensors.
+///
+/// # Errors
+/// If the splats have no shape of [`Splats`].
+pub fn read(splats: &Splats, camera: &Camera) -> Result<(Vec<ExactGaussian>, ExactPose), SplatError> {
+    fn host<const D: usize>(tensor: Tensor<D>) -> Vec<f64> {
+        tensor.into_data().iter::<f64>().collect()
+    }
+    let colours = host(colours(splats, camera)?);
+    let (means, rotations) = (host(splats.means.clone()), host(splats.rotations.clone()));
+    let (scales, opacities) = (host(splats.scales.clone()), host(splats.opacities.clone()));
+    let channels = colours.len() / opacities.len().max(1);
+    let gaussian = |i: usize| ExactGaussian {
+        mean: DVec3::from_slice(&means[3 * i..]),
+        rotation: std::array::from_fn(|k| rotations[4 * i + k]),
+        scale: DVec3::from_slice(&scales[3 * i..]),
+        opacity: opacities[i],
+        features: colours[channels * i..channels * (i + 1)].to_vec(),
+    };
+    let rows = host(camera.cam_from_world.clone());
+    let row = |i: usize| DVec3::from_slice(&rows[4 * i..]);
+    let pose = ExactPose {
+        rotation: DMat3::from_cols(row(0), row(1), row(2)).transpose(),
+        translation: DVec3::new(rows[3], rows[7], rows[11]),
+    };
+    // Gaussians of opacity 0 are masked; their other values may be anything.
+    Ok(((0..opacities.len()).filter(|&i| opacities[i] > 0.0).map(gaussian).collect(), pose))
 }
 
 /// One pixel of the reference render.

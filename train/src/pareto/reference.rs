@@ -7,12 +7,11 @@
 
 use anyhow::{Result, ensure};
 use burn::tensor::DType;
-use glam::{DMat3, DVec3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use splat_hard_cases::exact::{ExactGaussian, ExactPose, ExactView};
+use splat_hard_cases::exact::{self, ExactView};
 use splat_model::capture::Photo;
-use splat_op::{Camera, Intrinsics, RenderOptions};
+use splat_op::{Intrinsics, RenderOptions};
 
 use super::subject::{DeviceScene, GradientSums, cotangent, host};
 
@@ -62,9 +61,10 @@ const TOLERANCE: f64 = 1e-9;
 /// # Errors
 /// If the two differ by more than rounding: no error measured against the reference would mean anything.
 fn check(place: &DeviceScene, view: usize, options: &RenderOptions, picture: &[f64]) -> Result<f64> {
+    debug_assert_eq!(place.dtype, DType::F64);
     let camera = &place.cameras[view];
-    let gaussians = gaussians(place, camera)?;
-    let exact = ExactView::new(&gaussians, &pose(camera), &camera.intrinsics, options);
+    let (gaussians, pose) = exact::read(&place.splats, camera)?;
+    let exact = ExactView::new(&gaussians, &pose, &camera.intrinsics, options);
     let background = place.background.map(f64::from);
     let mut largest = 0.0_f64;
     for [x, y] in checked_pixels(&camera.intrinsics, view) {
@@ -91,33 +91,6 @@ fn checked_pixels(camera: &Intrinsics, view: usize) -> impl Iterator<Item = [usi
             random.random_range(start..end.max(start + 1)).min(side - 1)
         })
     })
-}
-
-/// Returns the Gaussians that can be rendered, with their colours as seen by `camera`.
-fn gaussians(place: &DeviceScene, camera: &Camera) -> Result<Vec<ExactGaussian>> {
-    debug_assert_eq!(place.dtype, DType::F64);
-    let splats = &place.splats;
-    let colours = host(splat_op::colours(splats, camera)?);
-    let (means, rotations) = (host(splats.means.clone()), host(splats.rotations.clone()));
-    let (scales, opacities) = (host(splats.scales.clone()), host(splats.opacities.clone()));
-    let gaussian = |i: usize| ExactGaussian {
-        mean: DVec3::from_slice(&means[3 * i..]),
-        rotation: std::array::from_fn(|k| rotations[4 * i + k]),
-        scale: DVec3::from_slice(&scales[3 * i..]),
-        opacity: opacities[i],
-        features: colours[3 * i..3 * i + 3].to_vec(),
-    };
-    // Gaussians of opacity 0 are masked; their other values may be anything.
-    Ok((0..opacities.len()).filter(|&i| opacities[i] > 0.0).map(gaussian).collect())
-}
-
-fn pose(camera: &Camera) -> ExactPose {
-    let rows = host(camera.cam_from_world.clone());
-    let row = |i: usize| DVec3::from_slice(&rows[4 * i..]);
-    ExactPose {
-        rotation: DMat3::from_cols(row(0), row(1), row(2)).transpose(),
-        translation: DVec3::new(rows[3], rows[7], rows[11]),
-    }
 }
 
 #[cfg(test)]

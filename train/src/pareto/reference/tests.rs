@@ -1,4 +1,4 @@
-use glam::DAffine3;
+use glam::{DAffine3, DVec3};
 use splat_model::accuracy::Dial;
 use splat_model::gaussians::GaussianRows;
 use splat_op::{CameraModel, Projection};
