@@ -11,7 +11,7 @@ use burn::tensor::{Device, Gradients, Int, Tensor, activation};
 use splat_op::{Colour, RawSplats, Splats, activate};
 
 pub use self::group::{Group, values_of};
-pub(crate) use self::group::{joined, parameter, row_blocks};
+pub(crate) use self::group::{joined, row_blocks};
 pub use self::options::{Activation, BASE_GROUPS, GroupOptions, NewRows, RowsError};
 pub(crate) use self::options::{SH, check_name};
 use self::rows::interleaved;
@@ -96,7 +96,7 @@ impl Gaussians {
             (false, true) => new.inner(),
             _ => new,
         };
-        self.groups.push(Group::of_blocks(group.name(), vec![parameter(values)], *group.options()));
+        self.groups.push(Group::of_blocks(group.name(), vec![Param::from_tensor(values)], *group.options()));
         Ok(self)
     }
 

@@ -68,9 +68,7 @@ pub fn from_points(points: &PointCloud) -> GaussianRows {
         log_scales: squared.iter().map(|d| [0.5 * d.max(floor).ln(); 3]).collect(),
         logit_opacities: vec![logit; count],
         sh_dc: points.colours.iter().map(dc).collect(),
-        sh_rest: Vec::new(),
-        sh_degree: 0,
-        groups: Vec::new(),
+        ..GaussianRows::default()
     }
 }
 
@@ -99,7 +97,7 @@ pub fn distinct(points: &PointCloud) -> PointCloud {
         let corner = |i: usize| [0, 1, 2].map(|axis| if i >> axis & 1 == 0 { -1.0 } else { 1.0 });
         !(0..8).any(|i| taken.contains(&cell(position, corner(i)))) && taken.insert(cell(position, [0.0; 3]))
     };
-    picked(points, rows().filter(is_new))
+    points.picked(rows().filter(is_new))
 }
 
 /// Mean squared distance of each point to its three nearest neighbours, or to all other points if they are fewer.
@@ -171,18 +169,13 @@ pub fn focus(poses: &[DAffine3]) -> Option<DVec3> {
 
 /// Returns the points in Morton order, so that neighbours are next to each other (see [`morton_order`]).
 pub fn ordered(points: &PointCloud) -> PointCloud {
-    picked(points, morton_order(&points.positions).iter().map(|&row| row as usize))
+    points.picked(morton_order(&points.positions).iter().map(|&row| row as usize))
 }
 
 /// Returns the whole cloud, or every `k`th of its points if it holds more than `most`.
 pub fn thinned(points: &PointCloud, most: usize) -> PointCloud {
     let count = points.positions.len();
-    picked(points, (0..count).step_by(count.div_ceil(most.max(1)).max(1)))
-}
-
-fn picked(points: &PointCloud, rows: impl Iterator<Item = usize>) -> PointCloud {
-    let (positions, colours) = rows.map(|row| (points.positions[row], points.colours[row])).unzip();
-    PointCloud { positions, colours }
+    points.picked((0..count).step_by(count.div_ceil(most.max(1)).max(1)))
 }
 
 #[cfg(test)]

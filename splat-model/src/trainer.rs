@@ -198,7 +198,7 @@ impl Trainer {
     /// rank checks that all begin from the same version, options, photographs and state. From then on every rank has to take the same
     /// steps. Steps wait for the device. Rank 0 always renders the first view of a batch; a rank without a view waits.
     pub fn with_ranks(self, ranks: Rc<dyn Ranks>) -> Self {
-        let guard = if ranks.count() > 1 { Guard::at_once() } else { self.guard };
+        let guard = if ranks.count() > 1 { Guard::default() } else { self.guard };
         Self { ranks, guard, ..self }
     }
 
@@ -298,7 +298,7 @@ impl Trainer {
         let Batch { loss, gradients, passes, held } = self.differentiate_batch()?;
         let first = passes[0].0[0];
         let done = step as f64 / steps as f64;
-        let rates = self.config.step_rates().after(done);
+        let rates = self.config.learning_rates.for_batch(self.config.batch).after(done);
         let rates = StepRates { rates, means: rates.means * self.extent, done, views: self.config.batch };
         let adam = Adam::default().for_batch(self.config.batch);
         self.scene.step(gradients, &adam, &rates, step, held.as_ref());

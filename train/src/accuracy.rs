@@ -33,23 +33,19 @@ impl ModelArgs {
     /// Returns the default configuration of a run with these model choices.
     pub fn config(&self) -> TrainConfig {
         let antialias = self.antialias.unwrap_or_default();
-        TrainConfig { antialias, dials: self.dials(), ..TrainConfig::default() }
+        let projection = match self.projection.unwrap_or_default() {
+            ProjectionArg::Affine => Projection::Affine,
+            ProjectionArg::RayMax => Projection::RayMax,
+        };
+        let standard = RenderOptions::standard();
+        let dials = Setting::between(&standard, &standard.with_projection(projection));
+        TrainConfig { antialias, dials, ..TrainConfig::default() }
     }
 
     /// Returns these choices, and where there is none, that of a scene's training.
     pub fn or(&self, trained: &TrainedAs) -> Self {
         let projection = if trained.ray_max { ProjectionArg::RayMax } else { ProjectionArg::Affine };
         Self { antialias: self.antialias.or(Some(trained.antialias)), projection: self.projection.or(Some(projection)) }
-    }
-
-    /// The dials turned from the standard setting, apart from [`Self::antialias`].
-    fn dials(&self) -> Setting {
-        let projection = match self.projection.unwrap_or_default() {
-            ProjectionArg::Affine => Projection::Affine,
-            ProjectionArg::RayMax => Projection::RayMax,
-        };
-        let standard = RenderOptions::standard();
-        Setting::between(&standard, &standard.with_projection(projection))
     }
 }
 

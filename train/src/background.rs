@@ -29,18 +29,10 @@ fn colour(text: &str) -> Option<[f32; 3]> {
 
 /// The value of `splat train --background`.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum TrainBackground {
-    /// A constant colour.
-    Colour([f32; 3]),
-    /// A new random colour at each step.
-    Random,
-    /// A learned colour.
-    Learned,
-    /// Learned light from infinity.
-    Environment {
-        /// Degree of the spherical harmonics.
-        degree: usize,
-    },
+pub struct TrainBackground {
+    pub backdrop: Backdrop,
+    /// The colour of a fixed backdrop, else black.
+    colour: [f32; 3],
 }
 
 /// Default degree of the environment's spherical harmonics.
@@ -51,16 +43,17 @@ impl FromStr for TrainBackground {
 
     fn from_str(text: &str) -> Result<Self, String> {
         let degree = |digit: &str| digit.parse().ok().filter(|degree| *degree <= splat_op::sh::SH_DEGREE_MAX);
-        let found = match text {
-            "random" => Some(Self::Random),
-            "learned" => Some(Self::Learned),
-            "environment" => Some(Self::Environment { degree: ENVIRONMENT_DEGREE }),
+        let backdrop = match text {
+            "random" => Some(Backdrop::Random),
+            "learned" => Some(Backdrop::Learned),
+            "environment" => Some(Backdrop::Environment { degree: ENVIRONMENT_DEGREE }),
             _ => match text.strip_prefix("environment:") {
-                Some(digit) => degree(digit).map(|degree| Self::Environment { degree }),
-                None => colour(text).map(Self::Colour),
+                Some(digit) => degree(digit).map(|degree| Backdrop::Environment { degree }),
+                None => colour(text).map(|_| Backdrop::Fixed),
             },
         };
-        found.ok_or_else(|| {
+        let colour = colour(text).unwrap_or_default();
+        backdrop.map(|backdrop| Self { backdrop, colour }).ok_or_else(|| {
             format!(
                 "{text:?} is not a background, expected black, white, three numbers from 0 to 1 such as 0.5,0.5,0.5, random, \
                  learned, environment, or environment:D with a degree from 0 to 4"
@@ -71,11 +64,12 @@ impl FromStr for TrainBackground {
 
 impl std::fmt::Display for TrainBackground {
     fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self {
-            Self::Colour([r, g, b]) => write!(out, "{r},{g},{b}"),
-            Self::Random => out.write_str("random"),
-            Self::Learned => out.write_str("learned"),
-            Self::Environment { degree } => write!(out, "environment:{degree}"),
+        let Self { backdrop, colour: [r, g, b] } = self;
+        match backdrop {
+            Backdrop::Fixed => write!(out, "{r},{g},{b}"),
+            Backdrop::Random => out.write_str("random"),
+            Backdrop::Learned => out.write_str("learned"),
+            Backdrop::Environment { degree } => write!(out, "environment:{degree}"),
         }
     }
 }
@@ -83,15 +77,7 @@ impl std::fmt::Display for TrainBackground {
 impl TrainBackground {
     /// Applies the background to the configuration of a run.
     pub fn configure(self, config: &mut TrainConfig) {
-        config.backdrop = match self {
-            Self::Colour(colour) => {
-                config.background = colour;
-                Backdrop::Fixed
-            }
-            Self::Random => Backdrop::Random,
-            Self::Learned => Backdrop::Learned,
-            Self::Environment { degree } => Backdrop::Environment { degree },
-        };
+        (config.backdrop, config.background) = (self.backdrop, self.colour);
     }
 }
 

@@ -131,10 +131,10 @@ pub struct ChosenEffects {
     #[serde(skip_serializing_if = "Vec::is_empty")]
     registered: Vec<String>,
     /// The plan; null where nothing was left to decide.
-    plan: Option<Plan>,
+    pub plan: Option<Plan>,
     /// The survey that the plan is based on.
     #[serde(skip)]
-    survey: Option<Survey>,
+    pub survey: Option<Survey>,
 }
 
 impl ChosenEffects {
@@ -197,11 +197,6 @@ impl ChosenEffects {
         let samples =
             depth::from_maps(capture, views, progress::note)?.unwrap_or_else(|| depth::from_tracks(capture, views));
         Ok(trainer.with_depths(samples))
-    }
-
-    /// Survey and plan that decided on the effects; `None` where nothing was left to decide.
-    pub fn grounds(&self) -> Option<(&Survey, &Plan)> {
-        self.survey.as_ref().zip(self.plan.as_ref())
     }
 }
 

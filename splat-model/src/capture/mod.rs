@@ -47,7 +47,7 @@ pub use tracks::{Observation, Tracks};
 use crate::ply::WorldFrame;
 
 /// A capture as its files describe it. Pictures are not decoded yet.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Capture {
     /// Name of the [format](CaptureFormat).
     pub format: &'static str,
@@ -148,21 +148,7 @@ impl Capture {
         }
         let positions = positions.iter().map(|&position| (position - origin).as_vec3().to_array()).collect();
         let points = PointCloud { positions, colours };
-        let (format, tracks, scale, split, masks, focus, files, remarks) = Default::default();
-        Self {
-            format,
-            folder: folder.to_owned(),
-            views,
-            points,
-            tracks,
-            origin,
-            scale,
-            split,
-            masks,
-            focus,
-            files,
-            remarks,
-        }
+        Self { folder: folder.to_owned(), views, points, origin, ..Self::default() }
     }
 
     /// What a file of a scene in this capture's world states about it.
@@ -253,6 +239,12 @@ pub struct PointCloud {
 }
 
 impl PointCloud {
+    /// The points of these indices, in their order.
+    pub fn picked(&self, points: impl Iterator<Item = usize>) -> Self {
+        let (positions, colours) = points.map(|point| (self.positions[point], self.colours[point])).unzip();
+        Self { positions, colours }
+    }
+
     /// Drops the points from `count` on.
     pub fn truncate(&mut self, count: usize) {
         self.positions.truncate(count);

@@ -43,7 +43,7 @@ pub(super) struct Place<'a> {
     pub file: &'a Path,
     pub at: PlaceInFile,
     /// The `file_path` of a frame in JSON; empty where it is not known.
-    path: &'a str,
+    pub path: &'a str,
 }
 
 /// An entry of COLMAP's files is of a kind: "camera", "image" or "point".
@@ -74,11 +74,6 @@ impl fmt::Display for Place<'_> {
 impl<'a> Place<'a> {
     pub fn new(file: &'a Path, at: PlaceInFile) -> Self {
         Self { file, at, path: "" }
-    }
-
-    /// The place as messages name it once the frame's `file_path` is known.
-    pub fn of_path(self, path: &'a str) -> Self {
-        Self { path, ..self }
     }
 
     /// The error for a field with an invalid value.

@@ -206,7 +206,7 @@ impl Reading {
     fn add_frame(&mut self, file: &Path, index: usize, frame: &Fields, of_file: &Fields) -> Result<(), CaptureError> {
         let place = Place::new(file, PlaceInFile::Frame(index));
         let stated = place.required("file_path", frame.file_path.as_deref(), "the path of a picture")?;
-        let place = place.of_path(stated);
+        let place = Place { path: stated, ..place };
         let cam_from_world = camera::pose(&place, frame.matrix(&place)?)?;
         let stated = place.path("file_path", stated)?;
         let name = self.names.find(&self.folder, &stated, &PICTURES);

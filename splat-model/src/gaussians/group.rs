@@ -34,7 +34,7 @@ impl Group {
         if values.dims()[1] == 0 {
             return Err(RowsError::empty(name));
         }
-        Ok(Self::of_blocks(name, vec![parameter(values)], options))
+        Ok(Self::of_blocks(name, vec![Param::from_tensor(values)], options))
     }
 
     pub(crate) fn of_blocks(name: &str, blocks: Vec<Param<Tensor<2>>>, options: GroupOptions) -> Self {
@@ -46,11 +46,11 @@ impl Group {
         let blocks = row_blocks(name, count, width, device);
         if blocks.len() == 1 {
             let values = tensor(numbers, [count, width], device);
-            return Self::of_blocks(name, vec![parameter(values)], GroupOptions::default());
+            return Self::of_blocks(name, vec![Param::from_tensor(values)], GroupOptions::default());
         }
         let of = |rows: Range<usize>| {
             let part = numbers[width * rows.start..width * rows.end].to_vec();
-            parameter(tensor(part, [rows.len(), width], device))
+            Param::from_tensor(tensor(part, [rows.len(), width], device))
         };
         Self::of_blocks(name, blocks.into_iter().map(of).collect(), GroupOptions::default())
     }
@@ -126,11 +126,6 @@ impl Group {
         let plain = |block: &Param<Tensor<2>>| Param::from_tensor(block.val().inner());
         Self { blocks: self.blocks.iter().map(plain).collect(), name: self.name.clone(), options: self.options }
     }
-}
-
-/// A parameter, tracked on an autodiff device and plain elsewhere.
-pub(crate) fn parameter<const D: usize>(values: Tensor<D>) -> Param<Tensor<D>> {
-    Param::from_tensor(values)
 }
 
 /// Divides the rows of a group into blocks that a device can hold; at least one. Only spherical harmonics have several: the render

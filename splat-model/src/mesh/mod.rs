@@ -33,26 +33,22 @@ use thiserror::Error;
 pub use self::depth::DepthPicture;
 pub use self::volume::Volume;
 
-/// Options of a mesh.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct MeshOptions {
-    /// Side of a voxel, scene units. `None`: the median width of a pixel on the surface, or larger where the voxels would not fit into
-    /// `memory`.
-    pub voxel: Option<f64>,
-    /// Distance from the surface at which the field is cut off, voxels, at least 2. More is smoother, and closes thin things.
-    pub truncation: f64,
-    /// Connected components of fewer triangles are dropped.
-    pub min_component: usize,
-    /// Whether voxels that no view has seen count as empty, so that the surface closes: where nothing was seen it is as thick as the
-    /// truncation. Otherwise it ends there.
-    pub watertight: bool,
-    /// Bytes that voxels may take.
-    pub memory: usize,
-}
-
-impl Default for MeshOptions {
-    fn default() -> Self {
-        Self { voxel: None, truncation: 4.0, min_component: 200, watertight: false, memory: 1 << 30 }
+options! {
+    /// Options of a mesh.
+    #[derive(Copy)]
+    pub struct MeshOptions {
+        /// Side of a voxel, scene units. `None`: the median width of a pixel on the surface, or larger where the voxels would not fit into
+        /// `memory`.
+        pub voxel: Option<f64> = None,
+        /// Distance from the surface at which the field is cut off, voxels, at least 2. More is smoother, and closes thin things.
+        pub truncation: f64 = 4.0,
+        /// Connected components of fewer triangles are dropped.
+        pub min_component: usize = 200,
+        /// Whether voxels that no view has seen count as empty, so that the surface closes: where nothing was seen it is as thick as the
+        /// truncation. Otherwise it ends there.
+        pub watertight: bool = false,
+        /// Bytes that voxels may take.
+        pub memory: usize = 1 << 30,
     }
 }
 

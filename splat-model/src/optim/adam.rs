@@ -14,21 +14,17 @@ use super::moments::{Moments, Stored};
 /// bounded by the learning rate either way, because Adam is invariant to the gradient's length.
 const LARGEST_GRADIENT: f64 = 1e17;
 
-/// The optimiser's constants; its state is in [`Moments`].
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Adam {
-    /// Share of the first moment that is kept per step, 0.9.
-    pub beta1: f64,
-    /// Share of the second moment that is kept per step, 0.999.
-    pub beta2: f64,
-    /// Added to the root of the second moment, 1e-15: the value of the original implementation. Gradients of single Gaussians
-    /// are tiny, and the usual 1e-8 would shorten their steps.
-    pub eps: f64,
-}
-
-impl Default for Adam {
-    fn default() -> Self {
-        Self { beta1: 0.9, beta2: 0.999, eps: 1e-15 }
+options! {
+    /// The optimiser's constants; its state is in [`Moments`].
+    #[derive(Copy)]
+    pub struct Adam {
+        /// Share of the first moment that is kept per step, 0.9.
+        pub beta1: f64 = 0.9,
+        /// Share of the second moment that is kept per step, 0.999.
+        pub beta2: f64 = 0.999,
+        /// Added to the root of the second moment, 1e-15: the value of the original implementation. Gradients of single Gaussians
+        /// are tiny, and the usual 1e-8 would shorten their steps.
+        pub eps: f64 = 1e-15,
     }
 }
 

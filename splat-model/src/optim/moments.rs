@@ -1,6 +1,7 @@
 //! Adam's moments, in 32 or 8 bits each.
 
 use std::fmt;
+use std::ops::Range;
 use std::str::FromStr;
 
 use burn::tensor::kind::Basic;
@@ -146,20 +147,15 @@ impl<const D: usize> Moments<D> {
         }
     }
 
-    pub(crate) fn rows(&self, first: usize, count: usize, device: &Device) -> Self {
-        fn of<const R: usize, K: Basic>(
-            all: &Tensor<R, K>,
-            first: usize,
-            count: usize,
-            device: &Device,
-        ) -> Tensor<R, K> {
+    pub(crate) fn rows(&self, rows: Range<usize>, device: &Device) -> Self {
+        fn of<const R: usize, K: Basic>(all: &Tensor<R, K>, rows: &Range<usize>, device: &Device) -> Tensor<R, K> {
             let all = all.clone();
-            let part = if count == all.dims()[0] { all } else { all.narrow(0, first, count) };
+            let part = if rows.len() == all.dims()[0] { all } else { all.narrow(0, rows.start, rows.len()) };
             part.to_device(device)
         }
         match self.stored() {
-            Stored::Full { m, v } => Self::full(of(m, first, count, device), of(v, first, count, device)),
-            Stored::Packed(words) => Self::packed(of(words, first, count, device)),
+            Stored::Full { m, v } => Self::full(of(m, &rows, device), of(v, &rows, device)),
+            Stored::Packed(words) => Self::packed(of(words, &rows, device)),
         }
     }
 

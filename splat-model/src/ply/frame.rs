@@ -52,51 +52,36 @@ impl From<DVec3> for WorldFrame {
 
 /// The frame that the comments of a header state.
 pub(crate) fn world_frame(path: &Path, header: &Header) -> Result<WorldFrame, FileError> {
-    let mut world = WorldFrame::default();
-    if let Some(numbers) = comment(path, header, ORIGIN_COMMENT, "three finite numbers", |numbers| {
-        numbers.iter().all(|number| number.is_finite())
-    })? {
-        world.origin = DVec3::from_array(numbers);
-    }
-    let metres = comment(path, header, SCALE_COMMENT, "a positive number", |&[metres]| is_scale(metres))?;
-    world.metres_per_unit = metres.map(|[metres]| metres);
-    if let Some(text) = text_after(header, TRAINED_COMMENT) {
-        let read = serde_json::from_str::<TrainedAs>(text).ok();
-        world.trained =
-            read.filter(|trained| trained.background.iter().all(|value| value.is_finite())).ok_or_else(|| {
-                let expected = serde_json::to_string(&TrainedAs::default()).unwrap_or_default();
-                FileError::new(
-                    path,
-                    format!(
-                        "comment `{TRAINED_COMMENT}{}`, expected {expected}; correct or remove that line",
-                        brief(text)
-                    ),
-                )
-            })?;
-    }
-    Ok(world)
+    let origin = comment(path, header, ORIGIN_COMMENT, "three finite numbers", |text| {
+        numbers(text).filter(|numbers: &[f64; 3]| numbers.iter().all(|number| number.is_finite()))
+    })?;
+    let metres_per_unit = comment(path, header, SCALE_COMMENT, "a positive number", |text| {
+        numbers(text).map(|[metres]| metres).filter(|metres| is_scale(*metres))
+    })?;
+    let expected = serde_json::to_string(&TrainedAs::default()).unwrap_or_default();
+    let trained = comment(path, header, TRAINED_COMMENT, &expected, |text| {
+        let trained = serde_json::from_str::<TrainedAs>(text).ok();
+        trained.filter(|trained| trained.background.iter().all(|value| value.is_finite()))
+    })?;
+    let origin = origin.map(DVec3::from_array).unwrap_or_default();
+    Ok(WorldFrame { origin, metres_per_unit, trained: trained.unwrap_or_default() })
 }
 
-/// The rest of the first comment with a prefix, if there is one.
-fn text_after<'a>(header: &'a Header, prefix: &str) -> Option<&'a str> {
-    header.comments.iter().find_map(|comment| comment.trim().strip_prefix(prefix))
-}
-
-/// The numbers of the first comment with a prefix, if there is one.
-fn comment<const N: usize>(
+/// Reads the rest of the first comment with a prefix, if there is one.
+fn comment<T>(
     path: &Path,
     header: &Header,
     prefix: &str,
     expected: &str,
-    valid: impl Fn(&[f64; N]) -> bool,
-) -> Result<Option<[f64; N]>, FileError> {
-    let Some(text) = text_after(header, prefix) else { return Ok(None) };
+    read: impl Fn(&str) -> Option<T>,
+) -> Result<Option<T>, FileError> {
+    let text = header.comments.iter().find_map(|comment| comment.trim().strip_prefix(prefix));
+    let wrong = |text| format!("comment `{prefix}{}`, expected {expected}; correct or remove that line", brief(text));
+    text.map(|text| read(text).ok_or_else(|| FileError::new(path, wrong(text)))).transpose()
+}
+
+/// The numbers of a text, if there are as many.
+fn numbers<const N: usize>(text: &str) -> Option<[f64; N]> {
     let numbers: Option<Vec<f64>> = text.split_whitespace().map(|word| word.parse().ok()).collect();
-    match numbers.and_then(|numbers| numbers.try_into().ok()).filter(valid) {
-        Some(numbers) => Ok(Some(numbers)),
-        None => Err(FileError::new(
-            path,
-            format!("comment `{prefix}{}`, expected {expected}; correct or remove that line", brief(text)),
-        )),
-    }
+    numbers?.try_into().ok()
 }

@@ -111,11 +111,6 @@ impl TrainConfig {
         if prunes_later { self.opacity_weight } else { 0.0 }
     }
 
-    /// The learning rates, adapted to the batch size.
-    pub(super) fn step_rates(&self) -> LearningRates {
-        self.learning_rates.for_batch(self.batch)
-    }
-
     /// Render options of a run whose cameras see a scene of `extent` (see [`scene_extent`](crate::optim::scene_extent)).
     pub fn render_options(&self, extent: f64) -> RenderOptions {
         self.dials.apply(RenderOptions::standard().with_antialias(self.antialias).with_near(near_plane(extent)))
@@ -128,15 +123,21 @@ impl TrainConfig {
     /// code.
     pub fn check(&self) -> Result<(), TrainError> {
         let along_rays = self.dials.apply(RenderOptions::standard()).projection != Projection::Affine;
+        let refuse = |what: String| Err(TrainError::Option(what));
         match () {
             () if self.steps == 0 => Err(TrainError::NoSteps),
-            () if self.batch == 0 => Err(TrainError::NoBatch),
+            () if self.batch == 0 => refuse("`batch` is 0, expected at least 1: give `--batch N`".into()),
             () if !self.resolution.is_valid() => Err(TrainError::Resolution(self.resolution)),
-            () if self.sh_degree > SH_DEGREE_MAX => Err(TrainError::ShDegree(self.sh_degree)),
-            () if along_rays && self.optics.any() => Err(TrainError::Ellipses),
-            () if self.plain && self.moment_bits != MomentBits::ThirtyTwo => {
-                Err(TrainError::PlainMoments(self.moment_bits))
-            }
+            () if self.sh_degree > SH_DEGREE_MAX => refuse(format!("`sh_degree` is {}, expected 0 to 4", self.sh_degree)),
+            () if along_rays && self.optics.any() => refuse(
+                "motion blur and rolling shutters change ellipses on the screen, which `--projection ray-max` does not \
+                 compute: leave out one of them (`--effects=-NAME`)"
+                    .into(),
+            ),
+            () if self.plain && self.moment_bits != MomentBits::ThirtyTwo => refuse(format!(
+                "`moment_bits` is {} and `plain` is set, expected 32 bits: those of fewer have no tensor code",
+                self.moment_bits
+            )),
             () => Ok(()),
         }
     }

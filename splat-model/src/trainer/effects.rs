@@ -46,7 +46,8 @@ pub(super) fn of(
         Backdrop::Random => stack.put(RandomBackground),
         Backdrop::Learned => stack.put(LearnedBackground::new(config.background, device)),
         Backdrop::Environment { degree } if degree > SH_DEGREE_MAX => {
-            return Err(TrainError::EnvironmentDegree(degree));
+            let found = format!("the degree of `backdrop.environment` is {degree}, expected 0 to 4");
+            return Err(TrainError::Option(found));
         }
         Backdrop::Environment { degree } => {
             let poses: Vec<_> = photos.iter().map(|photo| photo.cam_from_world).collect();

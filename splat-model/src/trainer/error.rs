@@ -7,7 +7,6 @@ use super::Resolution;
 use super::ranks::RankError;
 use crate::capture::{CaptureError, PointsSeen};
 use crate::gaussians::RowsError;
-use crate::optim::MomentBits;
 use crate::state::StateError;
 
 /// The reason why a run cannot start or continue.
@@ -20,30 +19,15 @@ pub enum TrainError {
     /// `steps` is zero.
     #[error("`steps` is 0, expected at least 1: give `--steps N`")]
     NoSteps,
-    /// `batch` is zero.
-    #[error("`batch` is 0, expected at least 1: give `--batch N`")]
-    NoBatch,
-    /// The degree of the spherical harmonics is too high.
-    #[error("`sh_degree` is {0}, expected 0 to 4")]
-    ShDegree(usize),
-    /// The degree of the environment is too high.
-    #[error("the degree of `backdrop.environment` is {0}, expected 0 to 4")]
-    EnvironmentDegree(usize),
+    /// An option is out of range or does not fit another.
+    #[error("{0}")]
+    Option(String),
     /// The schedule of the photographs' size is out of range.
     #[error(
         "`resolution` is {} from {}, expected a power of two up to {} and a share from 0 to 1: see `--coarsest`",
         .0.coarsest_divisor, .0.full_from, Resolution::DIVISOR_MAX
     )]
     Resolution(Resolution),
-    /// Effects on ellipses with a render that has none.
-    #[error(
-        "motion blur and rolling shutters change ellipses on the screen, which `--projection ray-max` does not \
-         compute: leave out one of them (`--effects=-NAME`)"
-    )]
-    Ellipses,
-    /// Moments of few bits in tensor code.
-    #[error("`moment_bits` is {0} and `plain` is set, expected 32 bits: those of fewer have no tensor code")]
-    PlainMoments(MomentBits),
     /// A background cannot be learned from a photograph with transparent parts.
     #[error(
         "photograph `{0}` has transparent parts, which do not show a background to learn: train with `--effects=-alpha` \

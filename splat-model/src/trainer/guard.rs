@@ -26,7 +26,9 @@ pub struct Fault {
     pub what: String,
 }
 
-/// Checks every step. Used by the trainer and available to custom training loops.
+/// Checks every step. Used by the trainer and available to custom training loops. The default one checks each step before it is taken,
+/// on any device: on a GPU it waits for the device in every step.
+#[derive(Default)]
 pub struct Guard {
     /// Whether the device computes asynchronously.
     waits: bool,
@@ -42,12 +44,7 @@ pub struct Guard {
 impl Guard {
     /// A guard for a run on `device`.
     pub fn new(device: &Device) -> Self {
-        Self { waits: splat_op::is_gpu(device), verdict: None, names: Vec::new(), unread: Vec::new() }
-    }
-
-    /// A guard that checks each step before it is taken, on any device. On a GPU it waits for the device in every step.
-    pub(super) fn at_once() -> Self {
-        Self { waits: false, verdict: None, names: Vec::new(), unread: Vec::new() }
+        Self { waits: splat_op::is_gpu(device), ..Self::default() }
     }
 
     /// Checks the loss, `[1]`, and the gradients of a step, counted from 1, on photograph number `view`, before the step is
@@ -63,10 +60,10 @@ impl Guard {
         loss: &Tensor<1>,
         gradients: &Gradients,
     ) -> Result<Option<Tensor<1, Int>>, Fault> {
+        let gradients: Vec<_> = gradients.blocks().collect();
         if self.waits {
             let none = || Tensor::zeros([VERDICT], (&loss.device().inner(), DType::I32));
             let verdict = self.verdict.take().unwrap_or_else(none);
-            let gradients: Vec<_> = gradients.blocks().collect();
             let verdict = match has_kernel(loss) {
                 true => {
                     let values: Vec<_> = gradients.iter().map(|(_, values)| *values).collect();
@@ -79,7 +76,6 @@ impl Guard {
             self.unread.push((step, view));
             return Ok(Some(verdict));
         }
-        let gradients: Vec<_> = gradients.blocks().collect();
         let (watched, flags): (Vec<usize>, Vec<Tensor<1, Int>>) = flags(loss, &gradients).into_iter().unzip();
         // One reading for all: each costs more than the check of a small parameter.
         let flags: Vec<i32> = read_back(Tensor::cat(flags, 0)).iter().collect();

@@ -3,11 +3,12 @@ use super::*;
 #[test]
 fn words_mean_what_they_say() {
     let of = |text: &str| text.parse::<TrainBackground>().unwrap();
-    assert_eq!(of("white"), TrainBackground::Colour([1.0; 3]));
-    assert_eq!(of("0.25, 0,1"), TrainBackground::Colour([0.25, 0.0, 1.0]));
-    assert_eq!(of("environment"), TrainBackground::Environment { degree: 3 });
-    assert_eq!(of("environment:0"), TrainBackground::Environment { degree: 0 });
-    assert_eq!([of("random"), of("learned")], [TrainBackground::Random, TrainBackground::Learned]);
+    let fixed = |colour| TrainBackground { backdrop: Backdrop::Fixed, colour };
+    assert_eq!(of("white"), fixed([1.0; 3]));
+    assert_eq!(of("0.25, 0,1"), fixed([0.25, 0.0, 1.0]));
+    assert_eq!(of("environment").backdrop, Backdrop::Environment { degree: 3 });
+    assert_eq!(of("environment:0").backdrop, Backdrop::Environment { degree: 0 });
+    assert_eq!(["random", "learned"].map(|text| of(text).backdrop), [Backdrop::Random, Backdrop::Learned]);
     let mut config = TrainConfig::default();
     of("white").configure(&mut config);
     assert_eq!((config.background, config.backdrop), ([1.0; 3], Backdrop::Fixed));

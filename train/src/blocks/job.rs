@@ -4,8 +4,8 @@ use std::path::Path;
 
 use anyhow::{Context, Result, bail, ensure};
 use clap::Parser;
+use splat_model::effects::background::Backdrop;
 
-use crate::background::TrainBackground;
 use crate::options::{Cli, Command};
 use crate::parts::StrategyName;
 use crate::train::TrainArgs;
@@ -36,7 +36,7 @@ pub fn training(capture: &Path, options: &[String]) -> Result<TrainArgs> {
          surroundings: choose another strategy"
     );
     ensure!(
-        !matches!(args.background, Some(TrainBackground::Learned | TrainBackground::Environment { .. })),
+        !args.background.is_some_and(|of| matches!(of.backdrop, Backdrop::Learned | Backdrop::Environment { .. })),
         "after `--`: each block would learn a background of its own, and a scene has one: choose a colour or `random`"
     );
     Ok(args)

@@ -1,7 +1,6 @@
 //! What the trainer's thread and the server's thread share.
 
 use std::borrow::Cow;
-use std::io::Cursor;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
@@ -63,6 +62,7 @@ pub struct WorstView {
     pub step: usize,
 }
 
+#[derive(Default)]
 pub struct Shared {
     page: Vec<u8>,
     /// The time until which somebody looks. It has a lock of its own, because the trainer asks after each step.
@@ -93,12 +93,7 @@ impl Shared {
     /// The state before a run's next step, with the step and the file of its present scene.
     pub fn new(page: String, scene_step: usize, ply: Vec<u8>) -> Self {
         let shown = Shown { status: b"null".to_vec(), scene_step, ply, ..Shown::default() };
-        Self {
-            page: page.into_bytes(),
-            watched_until: Mutex::new(None),
-            stops: AtomicBool::new(false),
-            shown: Mutex::new(shown),
-        }
+        Self { page: page.into_bytes(), shown: Mutex::new(shown), ..Self::default() }
     }
 
     /// Whether a browser has asked lately.
@@ -130,10 +125,10 @@ impl Shared {
     }
 
     pub fn show_worst(&self, picture: &RgbImage) {
-        let mut file = Cursor::new(Vec::new());
+        let mut file = Vec::new();
         // Writing to memory does not fail.
         if picture.write_with_encoder(JpegEncoder::new_with_quality(&mut file, QUALITY)).is_ok() {
-            self.lock().worst = file.into_inner();
+            self.lock().worst = file;
         }
     }
 

@@ -68,13 +68,6 @@ pub struct Ingredients {
     pub options: BTreeMap<String, String>,
 }
 
-impl Ingredients {
-    /// Whether these give the same reconstruction, wherever the files are.
-    fn give_the_same_as(&self, other: &Self) -> bool {
-        (&self.files, &self.options) == (&other.files, &other.options)
-    }
-}
-
 #[derive(Debug, Default, Serialize, Deserialize)]
 struct Stamp {
     ingredients: Ingredients,
@@ -102,8 +95,11 @@ impl Workspace {
     pub fn is_finished(folder: &Path, ingredients: &Ingredients) -> Result<bool> {
         let shown = folder.display();
         match stamp_in(folder) {
-            Some(stamp) if stamp.ingredients.give_the_same_as(ingredients) => {
-                Ok(stamp.finished.contains(&Stage::Model))
+            // The same files may be elsewhere now.
+            Some(Stamp { ingredients: Ingredients { files, options, .. }, finished, .. })
+                if (&files, &options) == (&ingredients.files, &ingredients.options) =>
+            {
+                Ok(finished.contains(&Stage::Model))
             }
             Some(_) => bail!(
                 "{shown} holds a reconstruction of other photographs, or with other options: move it away, or choose another `--out`"

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use super::{Block, Bounds};
 use crate::capture::read::{Place, PlaceInFile, quoted};
 use crate::capture::strays::picked;
-use crate::capture::{Capture, CaptureError, PointCloud, Split};
+use crate::capture::{Capture, CaptureError, Split};
 use crate::json;
 use crate::replace::replace;
 
@@ -123,11 +123,9 @@ impl BlockFile {
             if chosen[view] == Some(true) { &mut split.test } else { &mut split.train }.push(now);
         }
         let of_block = || self.points.iter().map(|&point| point as usize);
-        let (positions, colours) =
-            of_block().map(|point| (capture.points.positions[point], capture.points.colours[point])).unzip();
         let tracks = capture.tracks.picked(of_block(), &place);
         let (views, masks) = (picked(capture.views, &place), picked(capture.masks, &place));
-        let (points, split, focus) = (PointCloud { positions, colours }, Some(split), Some(self.region));
+        let (points, split, focus) = (capture.points.picked(of_block()), Some(split), Some(self.region));
         Capture { views, points, tracks, masks, split, focus, ..capture }
     }
 }

@@ -24,20 +24,16 @@ pub(super) use self::file::{is_there, load};
 pub use self::merge::keep;
 use super::{Capture, Split};
 
-/// Options of [`plan`].
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct BlockOptions {
-    /// Number of blocks, at least 1.
-    pub blocks: usize,
-    /// Width of the margin around a cell, as a share of the cell's size along each axis: 0.05.
-    pub margin: f64,
-    /// Least share of a block's points that a photograph sees, or else of its own points that lie in the block: 0.1.
-    pub min_share: f64,
-}
-
-impl Default for BlockOptions {
-    fn default() -> Self {
-        Self { blocks: 1, margin: 0.05, min_share: 0.1 }
+options! {
+    /// Options of [`plan`].
+    #[derive(Copy)]
+    pub struct BlockOptions {
+        /// Number of blocks, at least 1.
+        pub blocks: usize = 1,
+        /// Width of the margin around a cell, as a share of the cell's size along each axis: 0.05.
+        pub margin: f64 = 0.05,
+        /// Least share of a block's points that a photograph sees, or else of its own points that lie in the block: 0.1.
+        pub min_share: f64 = 0.1,
     }
 }
 

@@ -23,10 +23,6 @@ impl ModelFiles {
             ["cameras", "images", "points3D"].map(|name| model.join(name).with_extension(extension));
         Self { cameras, images, points }
     }
-
-    fn are_complete(&self) -> bool {
-        self.cameras.exists() && self.images.exists()
-    }
 }
 
 /// Whether a folder holds a model; its points may be missing.
@@ -84,7 +80,7 @@ pub(in crate::capture) fn models_in(folder: &Path) -> Vec<PathBuf> {
 pub(super) fn of_model(model: &Path) -> Result<ModelFiles, CaptureError> {
     let [binary, text] = ["bin", "txt"].map(|extension| ModelFiles::encoded(model, extension));
     for (files, other) in [(&binary, &text), (&text, &binary)] {
-        if files.are_complete() {
+        if files.cameras.exists() && files.images.exists() {
             let points = if files.points.exists() { &files.points } else { &other.points };
             return Ok(ModelFiles { points: points.clone(), ..files.clone() });
         }

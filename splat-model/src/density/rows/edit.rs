@@ -2,11 +2,12 @@
 
 use std::ops::Range;
 
+use burn::module::Param;
 use burn::tensor::{Device, Int, Tensor};
 
 use super::step::{on, take};
 use crate::density::pick::{all_rows, rows_on};
-use crate::gaussians::{Gaussians, Group, NewRows, RowsError, parameter, row_blocks};
+use crate::gaussians::{Gaussians, Group, NewRows, RowsError, row_blocks};
 use crate::optim::moments::{Moments, Stored, followed, gathered, grown};
 
 /// One edit of all rows of a scene, on its device: where each row comes from, which rows are new, and what is different in them.
@@ -101,7 +102,7 @@ impl RowEdit {
                     followed(&old, &source, kept, new)
                 }
             };
-            parameter(on(&device, grown(values, width)))
+            Param::from_tensor(on(&device, grown(values, width)))
         };
         group.blocks = blocks.iter().map(of_block).collect();
     }

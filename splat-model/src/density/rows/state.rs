@@ -1,11 +1,12 @@
 //! What a checkpoint keeps of a scene in training: for each group its values and moments, each as one array.
 
+use burn::module::Param;
 use burn::tensor::{Device, Tensor};
 
 use super::Trained;
 use super::step::on;
 use crate::density::pick::all_rows;
-use crate::gaussians::{BASE_GROUPS, Gaussians, Group, GroupOptions, SH, joined, parameter, row_blocks};
+use crate::gaussians::{BASE_GROUPS, Gaussians, Group, GroupOptions, SH, joined, row_blocks};
 use crate::optim::{MomentBits, Moments};
 use crate::state::{State, StateError};
 
@@ -36,7 +37,7 @@ impl Trained {
                     let values = group.blocks.iter().map(|block| untracked(block.val()).to_device(&host)).collect();
                     let rows = group.blocks.iter().map(|block| block.val().dims()[0]);
                     let parts: Vec<_> =
-                        blocks.iter().zip(rows).map(|(m, rows)| m.rows(0, rows, &host).take()).collect();
+                        blocks.iter().zip(rows).map(|(m, rows)| m.rows(0..rows, &host).take()).collect();
                     part.put("values", joined(values));
                     Moments::<2>::gathered(&parts, &all_rows(count, &host), count).save(part);
                 }
@@ -87,7 +88,7 @@ fn load_group(
     let [count, width] = values.dims();
     let block = |rows: std::ops::Range<usize>| {
         let part = if rows.len() == count { values.clone() } else { values.clone().narrow(0, rows.start, rows.len()) };
-        (parameter(on(device, part.to_device(&plain))), moments.rows(rows.start, rows.len(), &plain))
+        (Param::from_tensor(on(device, part.to_device(&plain))), moments.rows(rows, &plain))
     };
     let (blocks, moments) = row_blocks(name, count, width, device).into_iter().map(block).unzip();
     Ok((Group::of_blocks(name, blocks, GroupOptions::default()), moments))

@@ -5,7 +5,7 @@ use burn::tensor::{DType, Device, Int, Shape, Tensor};
 use splat_op::adam::{GroupStep, Stepped, has_kernel, step_groups};
 
 use super::{Gradients, Trained};
-use crate::gaussians::{BASE_GROUPS, Group, GroupOptions, SH, parameter};
+use crate::gaussians::{BASE_GROUPS, Group, GroupOptions, SH};
 use crate::optim::moments::{Moments, Stored};
 use crate::optim::{Adam, LearningRates, MomentBits, Rates};
 
@@ -75,7 +75,7 @@ impl Trained {
                 let device = param.val().device();
                 if !has_kernel(&grad) || moments.bits() != MomentBits::ThirtyTwo {
                     let values = adam.step_unless(take(param), grad, rate, moments, step, verdict);
-                    *param = parameter(on(&device, values));
+                    *param = Param::from_tensor(on(&device, values));
                     continue;
                 }
                 tracked = Some(device);
@@ -95,7 +95,7 @@ impl Trained {
         });
         let (stepped, mark) = step_groups(together, verdict, mark);
         for ((place, block), Stepped { param, m, v }) in places.into_iter().zip(stepped) {
-            self.gaussians.groups[place].blocks[block] = parameter(on(&device, param));
+            self.gaussians.groups[place].blocks[block] = Param::from_tensor(on(&device, param));
             self.moments[place][block] = Moments::full(m, v);
         }
         self.mark = mark.map(|mark| (self.gaussians.sh_id(), mark));
@@ -109,7 +109,7 @@ pub(super) fn on<const D: usize>(device: &Device, values: Tensor<D>) -> Tensor<D
 
 pub(super) fn replace<const D: usize>(param: &mut Param<Tensor<D>>, values: Tensor<D>) {
     let device = param.val().device();
-    *param = parameter(on(&device, values));
+    *param = Param::from_tensor(on(&device, values));
 }
 
 /// Moves the values out of a parameter, so that no other reference exists. Nothing is allocated for the parameter that stays.

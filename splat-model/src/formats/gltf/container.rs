@@ -3,6 +3,7 @@
 use std::io::{self, Write};
 use std::path::Path;
 
+use glam::Vec3;
 use serde_json::{Map, Value, json};
 
 use super::HalfTurn;
@@ -53,14 +54,11 @@ pub(super) fn turned(vectors: &[[f32; 3]]) -> impl ExactSizeIterator<Item = [f32
 
 /// The attribute of positions, with their bounds, which the format asks for.
 pub(super) fn positions(means: &[[f32; 3]]) -> Attribute {
-    let (mut low, mut high) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
-    for mean in turned(means) {
-        low = [0, 1, 2].map(|axis| low[axis].min(mean[axis]));
-        high = [0, 1, 2].map(|axis| high[axis].max(mean[axis]));
-    }
+    let low = turned(means).map(Vec3::from).fold(Vec3::INFINITY, Vec3::min);
+    let high = turned(means).map(Vec3::from).fold(Vec3::NEG_INFINITY, Vec3::max);
     let mut found = floats("POSITION", turned(means));
-    found.accessor["min"] = json!(low.map(f64::from));
-    found.accessor["max"] = json!(high.map(f64::from));
+    found.accessor["min"] = json!(low.as_dvec3().to_array());
+    found.accessor["max"] = json!(high.as_dvec3().to_array());
     found
 }
 

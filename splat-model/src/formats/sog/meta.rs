@@ -8,7 +8,7 @@ use serde_json::{Map, Value};
 pub struct Meta {
     pub version: u32,
     #[serde(default)]
-    pub asset: Asset,
+    pub asset: Value,
     pub count: usize,
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub antialias: bool,
@@ -20,12 +20,6 @@ pub struct Meta {
     pub sh_n: Option<Harmonics>,
     #[serde(default, skip_serializing_if = "Map::is_empty", deserialize_with = "any")]
     pub extras: Map<String, Value>,
-}
-
-#[derive(Default, Deserialize, Serialize)]
-pub struct Asset {
-    #[serde(default)]
-    pub generator: String,
 }
 
 /// Ranges of the centres by axis, of the compressed coordinates ([`super::compressed`]).

@@ -6,11 +6,12 @@ use std::path::Path;
 use image::codecs::webp::WebPEncoder;
 use image::{ExtendedColorType, ImageEncoder};
 use rayon::prelude::*;
+use serde_json::json;
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, DateTime, ZipWriter};
 
 use super::codebook::{Quantised, quantise};
-use super::meta::{Asset, Harmonics, Means, Meta, PictureFiles, ValueCodes};
+use super::meta::{Harmonics, Means, Meta, PictureFiles, ValueCodes};
 use super::palette::palette;
 use super::{LARGEST, META, PER_ROW, PLACES, compressed};
 use crate::FileError;
@@ -92,7 +93,7 @@ fn pack(rows: &GaussianRows, scene: &SceneFile, options: SogOptions) -> io::Resu
     });
     let meta = Meta {
         version: 2,
-        asset: Asset { generator: concat!("splat ", env!("CARGO_PKG_VERSION")).into() },
+        asset: json!({ "generator": concat!("splat ", env!("CARGO_PKG_VERSION")) }),
         count,
         antialias: scene.trained.antialias,
         means: Means { mins: means.mins, maxs: means.maxs, files: ["means_l.webp", "means_u.webp"].map(name) },

@@ -1,6 +1,5 @@
 //! Photographs and renders of test views, downsized for a page.
 
-use std::io::Cursor;
 use std::path::Path;
 
 use base64::Engine;
@@ -83,9 +82,9 @@ impl PictureComparison {
 
 /// Encodes a picture as a `data:` address.
 fn address(picture: &RgbImage) -> Option<String> {
-    let mut file = Cursor::new(Vec::new());
+    let mut file = Vec::new();
     picture.write_with_encoder(JpegEncoder::new_with_quality(&mut file, QUALITY)).ok()?;
-    Some(format!("data:image/jpeg;base64,{}", BASE64_STANDARD.encode(file.into_inner())))
+    Some(format!("data:image/jpeg;base64,{}", BASE64_STANDARD.encode(file)))
 }
 
 #[cfg(test)]

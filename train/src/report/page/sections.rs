@@ -101,7 +101,7 @@ pub fn effects(chosen: Option<&ChosenEffects>) -> String {
         "<section>\n<h2>Survey and effects</h2>\n<p>Effects: {on} (<code>--effects {}</code>).</p>\n",
         escape(&chosen.asked)
     );
-    match chosen.grounds() {
+    match chosen.survey.as_ref().zip(chosen.plan.as_ref()) {
         Some((survey, plan)) => _ = writeln!(text, "<pre>{}</pre>", escape(&inspect::text(survey, plan))),
         None => text.push_str("<p>The capture was not surveyed: nothing was left to decide.</p>\n"),
     }
