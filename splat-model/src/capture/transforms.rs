@@ -173,11 +173,8 @@ impl Reading {
     /// The names of a file's pictures, and whether each is there.
     fn pictures(&mut self, frames: &[Fields]) -> Vec<(String, bool)> {
         let stated = frames.iter().filter_map(|frame| below(frame.file_path.as_deref()?));
-        let mut pictures: Vec<(String, bool)> = stated.map(|name| (name, false)).collect();
-        pictures
-            .iter_mut()
-            .for_each(|(name, is_there)| *is_there = self.names.find(&self.folder, name, &PICTURES).is_some());
-        pictures
+        let mut is_there = |name: &str| self.names.find(&self.folder, name, &PICTURES).is_some();
+        stated.map(|name| (name.clone(), is_there(&name))).collect()
     }
 
     /// Whether any picture of the frames for testing is there: BlenderNeRF writes their poses alone.

@@ -45,7 +45,7 @@ impl Beginning {
                 return Err(FileError::foreign(path, what, remedy));
             }
             () if line == b"ply" => Self::Ply,
-            () => return Err(unknown(path, &first)),
+            () => return Err(unknown(path, line)),
         })
     }
 }
@@ -58,11 +58,10 @@ fn gunzipped(path: &Path) -> Option<Vec<u8>> {
 }
 
 /// The error for a file that begins so and is no scene.
-fn unknown(path: &Path, first: &[u8]) -> FileError {
+fn unknown(path: &Path, line: &[u8]) -> FileError {
     match FileKind::of(path).filter(|kind| !matches!(kind.class, FileClass::Scene | FileClass::Text)) {
         Some(FileKind { what, remedy, .. }) => FileError::foreign(path, what, remedy),
         None => {
-            let line = first.split(|byte| *byte == b'\n').next().unwrap_or_default().trim_ascii();
             let found = String::from_utf8_lossy(line).escape_debug().to_string();
             FileError::new(
                 path,

@@ -66,10 +66,8 @@ impl PixelRays {
         let depth = depth.permute([2, 0, 1]);
         // The distance of neighbouring pixels' points, where the surface faces the camera.
         let depth_there = depth.clone().detach().narrow(1, 1, height - 2).narrow(2, 1, width - 2);
-        let spacing = match &self.origin {
-            Some(_) => depth_there.ones_like() * (2.0 / self.intrinsics.fx),
-            None => depth_there * (2.0 / self.intrinsics.fx),
-        };
+        let apart = if self.origin.is_some() { depth_there.ones_like() } else { depth_there };
+        let spacing = apart * (2.0 / self.intrinsics.fx);
         let scale = spacing.clone().lower_equal_elem(0.0);
         let scale = spacing.mask_fill(scale.clone(), 1.0).recip().mask_fill(scale, 0.0);
         let mut points = direction * depth;

@@ -262,21 +262,17 @@ pub(crate) fn brief(message: &str) -> String {
     text
 }
 
-/// The parser's message about a header, without the parser's state.
-fn header_detail(message: &str) -> String {
-    let says = message.split("Error: ParseError").next().unwrap_or(message);
-    format!(
-        "{}, expected lines `format`, `element`, `property`, `comment` and `obj_info` in the form of the format",
-        brief(says)
-    )
-}
-
 fn parse_header(path: &Path, text: &[u8]) -> Result<Header, FileError> {
     // Comments may be in any encoding, and everything else is ascii.
     let text = String::from_utf8_lossy(text);
+    let wrong = |message: &str| {
+        let says = message.split("Error: ParseError").next().unwrap_or(message);
+        let forms = "lines `format`, `element`, `property`, `comment` and `obj_info` in the form of the format";
+        format!("{}, expected {forms}", brief(says))
+    };
     let header = Parser::<DefaultElement>::new()
         .read_header(&mut Reader::new(text.as_bytes()))
-        .map_err(|error| header_error(path, &header_detail(&error.to_string())))?;
+        .map_err(|error| header_error(path, &wrong(&error.to_string())))?;
     // The parser keeps the last of two equal names, so every row would be misread.
     let declared = |keyword: &str| text.lines().filter(|line| line.split_whitespace().next() == Some(keyword)).count();
     let properties = header.elements.values().map(|element| element.properties.len()).sum::<usize>();

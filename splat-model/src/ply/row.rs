@@ -39,11 +39,6 @@ pub(super) fn names(degree: usize) -> Vec<String> {
     names
 }
 
-/// The names of a group's properties: the group's name, for rows of several numbers followed by `_0`, `_1` and so on.
-fn names_of(name: &str, width: usize) -> Vec<String> {
-    if width == 1 { vec![name.to_owned()] } else { (0..width).map(|i| format!("{name}_{i}")).collect() }
-}
-
 /// The groups, without rows, of properties that are none of the original code's, in the order of their first properties. Properties
 /// whose numbers are not 0, 1 and so on are groups of their own.
 pub(super) fn further_groups<'a>(properties: impl Iterator<Item = &'a String>) -> Vec<GroupRows> {
@@ -77,9 +72,12 @@ fn is_number_below(text: &str, most: usize) -> bool {
     text.parse::<usize>().is_ok_and(|i| i < most && i.to_string() == text)
 }
 
-/// The properties of groups, in their order.
+/// The names of the properties of groups: a group's name, for rows of several numbers followed by `_0`, `_1` and so on.
 pub(super) fn group_names(groups: &[GroupRows]) -> impl Iterator<Item = String> {
-    groups.iter().flat_map(|group| names_of(&group.name, group.width))
+    groups.iter().flat_map(|GroupRows { name, width, .. }| match *width {
+        1 => vec![name.clone()],
+        width => (0..width).map(|i| format!("{name}_{i}")).collect(),
+    })
 }
 
 /// Appends the values of Gaussian `i` to `out`, in the order of [`names`]. All fields must have that row.

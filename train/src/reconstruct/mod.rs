@@ -141,11 +141,6 @@ pub fn run(args: &ReconstructArgs) -> Result<()> {
     Ok(())
 }
 
-/// Whether a folder is a reconstruction of this program.
-fn is_in(folder: &Path) -> bool {
-    folder.join(cache::STAMP).exists()
-}
-
 /// The folder of a reconstruction without `--out`: it serves every later run on the same photographs.
 pub fn own_folder(source: &Path) -> PathBuf {
     let name = name_of(source);
@@ -166,7 +161,7 @@ pub fn name_of(source: &Path) -> String {
     };
     let name = name.unwrap_or(OsStr::new("capture")).to_string_lossy().into_owned();
     match name.strip_suffix(&format!("-{FOLDER}")) {
-        Some(short) if is_in(source) => short.to_owned(),
+        Some(short) if source.join(cache::STAMP).exists() => short.to_owned(),
         _ => name,
     }
 }

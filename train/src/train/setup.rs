@@ -150,13 +150,10 @@ fn own_folder(capture: Option<&Path>) -> PathBuf {
     };
     let name = OsStr::new(&name);
     let (first, free) = (Path::new(OUT).join(name), output::free_folder(Path::new(OUT), name, may_hold));
-    match free == first {
-        true => progress::note(&format!("writing to {}", free.display())),
-        false => progress::note(&format!(
-            "{} is not empty and is kept: writing to {} (`--out` names another folder)",
-            first.display(),
-            free.display()
-        )),
-    }
+    let (shown, taken) = (free.display(), first.display());
+    progress::note(&match free == first {
+        true => format!("writing to {shown}"),
+        false => format!("{taken} is not empty and is kept: writing to {shown} (`--out` names another folder)"),
+    });
     free
 }

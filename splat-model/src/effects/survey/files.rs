@@ -33,7 +33,7 @@ pub fn input_files(capture: &Capture) -> Vec<PathBuf> {
 
 pub(super) fn evidence(capture: &Capture, views: &[usize], glances: &[Glance]) -> FileEvidence {
     let masked: Vec<f64> = glances.iter().filter_map(|glance| glance.masked).collect();
-    let transparent = glances.iter().filter(|glance| glance.transparent > 0.0).count();
+    let transparent = glances.iter().filter(|glance| glance.transparent).count();
     let seen = |view: &usize| glances.binary_search_by_key(view, |glance| glance.view).is_ok();
     let unseen = views.par_iter().filter(|view| !seen(view));
     FileEvidence {

@@ -13,8 +13,8 @@ pub(super) struct Glance {
     pub view: usize,
     /// See [`super::BlurEvidence`]. `None` for a picture of one colour.
     pub sharpness: Option<f64>,
-    /// Share of the picture that is not opaque.
-    pub transparent: f64,
+    /// Whether a part of the picture is not opaque.
+    pub transparent: bool,
     /// Share of the picture that a mask excludes. `None` without a mask.
     pub masked: Option<f64>,
 }
@@ -41,7 +41,7 @@ pub(super) fn look(
         let glance = Glance {
             view,
             sharpness: super::detail::sharpness(&photo),
-            transparent: photo.alpha.as_deref().map_or(0.0, transparent),
+            transparent: photo.alpha.as_deref().is_some_and(|alpha| alpha.iter().any(|&alpha| alpha != u8::MAX)),
             masked: photo.mask.as_deref().map(masks::excluded_share),
         };
         Ok((glance, samples))
@@ -83,8 +83,4 @@ fn sample(photo: &Photo, at_px: [f64; 2]) -> Option<ColourSample> {
         }
     }
     Some(sample)
-}
-
-fn transparent(alpha: &[u8]) -> f64 {
-    alpha.iter().filter(|&&alpha| alpha != u8::MAX).count() as f64 / alpha.len().max(1) as f64
 }

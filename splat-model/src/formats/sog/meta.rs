@@ -1,7 +1,7 @@
 //! `meta.json`.
 
-use serde::{Deserialize, Deserializer, Serialize};
-use serde_json::{Map, Value};
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
 
 /// The document of a scene.
 #[derive(Deserialize, Serialize)]
@@ -18,8 +18,8 @@ pub struct Meta {
     pub sh0: ValueCodes,
     #[serde(rename = "shN", skip_serializing_if = "Option::is_none")]
     pub sh_n: Option<Harmonics>,
-    #[serde(default, skip_serializing_if = "Map::is_empty", deserialize_with = "any")]
-    pub extras: Map<String, Value>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub extras: Option<Value>,
 }
 
 /// Ranges of the centres by axis, of the compressed coordinates ([`super::compressed`]).
@@ -52,12 +52,4 @@ pub struct Harmonics {
     pub codebook: Vec<f32>,
     /// The palette, and the indices in it.
     pub files: [String; 2],
-}
-
-/// Reads an object; anything else counts as an empty one.
-fn any<'a, D: Deserializer<'a>>(input: D) -> Result<Map<String, Value>, D::Error> {
-    Ok(match Value::deserialize(input)? {
-        Value::Object(object) => object,
-        _ => Map::new(),
-    })
 }

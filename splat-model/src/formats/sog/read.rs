@@ -39,12 +39,11 @@ pub fn read(path: &Path) -> Result<SceneFile, FileError> {
         return Err(FileError::foreign(path, what, "unpack it, and name the scene in it"));
     }
     let mut load = |name: &str| {
-        let entry = archive
-            .by_name(name)
-            .map_err(|error| format!("`{}` in its archive: {}", brief(name), brief(&error.to_string())))?;
+        let told = |error: String| format!("`{}` in its archive: {}", brief(name), brief(&error));
+        let entry = archive.by_name(name).map_err(|error| told(error.to_string()))?;
         let mut found = Vec::new();
         let size = entry.take(EXPANSION_MAX * bytes).read_to_end(&mut found);
-        size.map_err(|error| format!("`{}` in its archive: {}", brief(name), brief(&error.to_string())))?;
+        size.map_err(|error| told(error.to_string()))?;
         Ok(found)
     };
     let meta = load(META).map_err(broken)?;
@@ -100,7 +99,7 @@ fn scene(json: &[u8], bytes: u64, load: &mut dyn FnMut(&str) -> Result<Vec<u8>, 
     if let Some(harmonics) = &meta.sh_n {
         higher(harmonics, &mut rows, &mut picture)?;
     }
-    let WorldFrame { origin, metres_per_unit, trained } = extras::world(&meta.extras.into());
+    let WorldFrame { origin, metres_per_unit, trained } = extras::world(&meta.extras.unwrap_or_default());
     Ok(SceneFile { rows, origin, metres_per_unit, trained: TrainedAs { antialias: meta.antialias, ..trained } })
 }
 

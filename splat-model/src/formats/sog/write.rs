@@ -6,7 +6,7 @@ use std::path::Path;
 use image::codecs::webp::WebPEncoder;
 use image::{ExtendedColorType, ImageEncoder};
 use rayon::prelude::*;
-use serde_json::json;
+use serde_json::{Value, json};
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, DateTime, ZipWriter};
 
@@ -101,7 +101,7 @@ fn pack(rows: &GaussianRows, scene: &SceneFile, options: SogOptions) -> io::Resu
         quats: PictureFiles { files: [name("quats.webp")] },
         sh0: ValueCodes { codebook: colours.codebook, files: [name("sh0.webp")] },
         sh_n,
-        extras: extras::of(scene.world()),
+        extras: Some(extras::of(scene.world())).filter(|extras| !extras.is_empty()).map(Value::Object),
     };
     let encoded = pictures.par_iter().map(|picture| Ok((picture.name, picture.encoded()?)));
     let mut files = encoded.collect::<io::Result<Vec<_>>>()?;
