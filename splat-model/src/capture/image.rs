@@ -105,8 +105,7 @@ impl Photo {
             Some(alpha) => {
                 let (colours, _) = self.rgb.as_chunks::<3>();
                 let pixels = colours.iter().zip(alpha).flat_map(|(&[r, g, b], &alpha)| [r, g, b, alpha]).collect();
-                let (rgb, alpha) = split_alpha(resize_with_alpha(picture(size, pixels), to_width, to_height));
-                (rgb, Some(alpha))
+                split_alpha(resize_with_alpha(picture(size, pixels), to_width, to_height))
             }
             None => {
                 let rgb: RgbImage = picture(size, self.rgb);
@@ -130,10 +129,11 @@ fn picture<P: Pixel<Subpixel = u8>>([width, height]: [usize; 2], bytes: Vec<u8>)
     ImageBuffer::from_raw(width as u32, height as u32, bytes).expect("a photograph has as many bytes as its size says")
 }
 
-fn split_alpha(picture: RgbaImage) -> (Vec<u8>, Vec<u8>) {
+fn split_alpha(picture: RgbaImage) -> (Vec<u8>, Option<Vec<u8>>) {
     let pixels = picture.into_raw();
     let (pixels, _) = pixels.as_chunks::<4>();
-    (pixels.iter().flat_map(|&[r, g, b, _]| [r, g, b]).collect(), pixels.iter().map(|&[.., alpha]| alpha).collect())
+    let alpha = pixels.iter().map(|&[.., alpha]| alpha).collect();
+    (pixels.iter().flat_map(|&[r, g, b, _]| [r, g, b]).collect(), Some(alpha))
 }
 
 /// Decodes the picture of a view and, if its longer side exceeds `max_side` px, downsizes it to that (Lanczos, a = 3).
@@ -148,10 +148,7 @@ pub fn load(view: &View, max_side: Option<u32>) -> Result<Photo, CaptureError> {
     let picture = decode(&view.image_path, &view.intrinsics)?;
     let size = [picture.width(), picture.height()];
     let (rgb, alpha) = match with_alpha(&picture) {
-        Some(rgba) => {
-            let (rgb, alpha) = split_alpha(rgba);
-            (rgb, Some(alpha))
-        }
+        Some(rgba) => split_alpha(rgba),
         None => (picture.into_rgb8().into_raw(), None),
     };
     let View { ref name, intrinsics, cam_from_world, .. } = *view;

@@ -94,9 +94,10 @@ pub(crate) fn check_left(path: &Path, usable: usize, of: usize) -> Result<(), Fi
 
 /// Refuses rows that do not fit together, and a frame that has no meaning.
 pub(crate) fn check(path: &Path, rows: &GaussianRows, world: WorldFrame) -> Result<(), FileError> {
+    let unfit =
+        |what: &str| FileError::new(path, format!("not written: {what}; make all fields describe the same Gaussians"));
     let refuse = |field: &str, found: String, expected: String| {
-        let expected = format!("expected {expected}; make all fields describe the same Gaussians");
-        Err(FileError::new(path, format!("not written: `{field}` is {found}, {expected}")))
+        Err(unfit(&format!("`{field}` is {found}, expected {expected}")))
     };
     if rows.sh_degree > MAX_DEGREE {
         return refuse("sh_degree", rows.sh_degree.to_string(), format!("0 to {MAX_DEGREE}"));
@@ -110,9 +111,7 @@ pub(crate) fn check(path: &Path, rows: &GaussianRows, world: WorldFrame) -> Resu
     if world.trained.background.iter().any(|value| !value.is_finite()) {
         return refuse("trained.background", format!("{:?}", world.trained.background), "three finite numbers".into());
     }
-    let unfit =
-        |error| FileError::new(path, format!("not written: {error}; make all fields describe the same Gaussians"));
-    rows.check().map_err(unfit)?;
+    rows.check().map_err(|error| unfit(&error.to_string()))?;
     match twice(&rows.groups) {
         Some(name) => {
             refuse("groups", format!("two properties `{name}`"), "names that give every property one name".into())

@@ -27,11 +27,10 @@ impl Lpips {
     /// If the file cannot be read or is not a safetensors file, if its tensors belong to no supported network, or if one of
     /// them is missing, has another shape or type, or holds values that are not finite or, in a linear layer, negative.
     pub fn read(path: &Path, device: &Device) -> Result<Self, FileError> {
-        let error = |detail: String| FileError::new(path, detail);
         let io = |reason| FileError::io(path, "read the weights of LPIPS")(reason);
         let format = |found: String| {
             let advice = "docs/METRICS.md describes the tensors and has the command that exports them";
-            error(format!("{found}; {advice}"))
+            FileError::new(path, format!("{found}; {advice}"))
         };
         let mut bytes = Vec::new();
         File::open(path).map_err(io)?.take(MOST_BYTES + 1).read_to_end(&mut bytes).map_err(io)?;
