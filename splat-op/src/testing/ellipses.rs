@@ -1,12 +1,16 @@
 //! Random packed ellipses for `intersect` and `rasterize`, without a projection.
 
+#[cfg(feature = "cube")]
 use super::random::Random;
 use crate::camera::Intrinsics;
-use crate::project::{COLUMNS, Ellipse};
+use crate::project::COLUMNS;
+#[cfg(feature = "cube")]
+use crate::project::Ellipse;
 use crate::ray_space::{DEPTH_SLOPE, beyond};
 
 /// `[count, 7]` ellipses in and around a picture, round and thin, from below a pixel to most of the picture; a tenth are culled.
 /// The values are exact in f32.
+#[cfg(feature = "cube")]
 pub fn ellipses(seed: u64, count: usize, camera: &Intrinsics, opacity: [f64; 2]) -> Vec<f64> {
     let (width, height) = (camera.width as f64, camera.height as f64);
     // Sizes shrink with the count, so that the number of layers hardly depends on it.

@@ -2,7 +2,6 @@
 
 pub mod blending;
 pub mod ceiling;
-#[cfg(feature = "cube")]
 pub mod ellipses;
 pub mod finite;
 #[cfg(feature = "cube")]
@@ -16,8 +15,10 @@ pub fn devices() -> Vec<burn::tensor::Device> {
     use burn::tensor::Device;
 
     #[expect(deprecated, reason = "NdArray is the second CPU backend that the project supports")]
-    let mut devices = vec![Device::flex(), Device::ndarray()];
+    let cpu = [Device::flex(), Device::ndarray()];
     #[cfg(feature = "cube")]
-    devices.extend(gpu::device());
-    devices
+    let gpu = gpu::device();
+    #[cfg(not(feature = "cube"))]
+    let gpu = None;
+    cpu.into_iter().chain(gpu).collect()
 }

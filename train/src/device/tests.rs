@@ -6,6 +6,7 @@ fn adapter(runtime: &'static str, index: usize, kind: AdapterKind) -> Adapter {
     Adapter { runtime, index, kind, device: Device::flex() }
 }
 
+#[cfg(feature = "wgpu")]
 fn chosen(name: &str, adapters: &[Adapter]) -> String {
     match name.parse::<DeviceName>().unwrap().admitted(adapters) {
         Ok(found) => found.first().map_or("cpu".into(), |adapter| adapter.name()),

@@ -1,6 +1,6 @@
 //! The columns of a lens, their gradients and the bounds in its picture, in the twin and in the kernels.
 
-use super::cpu::{ray_space_backward_cpu, ray_space_cpu};
+use super::cpu::ray_space_cpu;
 use super::{LENS_COLUMNS as ROW, RAY_SPACE, bounds_cpu};
 use crate::camera::{CameraModel, Intrinsics, PictureRays};
 use crate::intersect::cpu::intersect_cpu;
@@ -11,9 +11,6 @@ use crate::rasterize::RasterizeSpec;
 use crate::simd::real::Real;
 use crate::testing::lenses::lenses;
 use crate::testing::random::Random;
-
-const ALL: Geometry<bool> =
-    Geometry { means: true, rotations: true, scales: true, opacities: false, cam_from_world: true, mean2d: false };
 
 const POSE: [f32; 12] = [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0];
 
@@ -160,9 +157,13 @@ fn bounds_hold_what_shows_and_little_more() {
 mod kernels {
     use super::*;
     use crate::gpu::Buffer;
+    use crate::ray_space::cpu::ray_space_backward_cpu;
     use crate::ray_space::launch::{launch_bounds, launch_ray_space, launch_ray_space_backward};
     use crate::testing::ceiling::{PerturbedReference, rounded, to_f32};
     use crate::testing::gpu::gpus;
+
+    const ALL: Geometry<bool> =
+        Geometry { means: true, rotations: true, scales: true, opacities: false, cam_from_world: true, mean2d: false };
 
     const CULLED: u8 = 0;
     const ORDINARY: u8 = 1;
