@@ -47,10 +47,11 @@ pub struct ExactPose {
     pub translation: DVec3,
 }
 
-/// Reads the Gaussians that can be rendered, with their colours as seen by `camera`, and its pose. Digits are those of the tensors.
+/// Reads from tensors the Gaussians that can be rendered, with their colours as seen by `camera`, and the camera's pose. Tensors in f64
+/// lose no digits.
 ///
 /// # Errors
-/// If the splats have no shape of [`Splats`].
+/// If the shapes of the tensors do not fit each other.
 pub fn read(splats: &Splats, camera: &Camera) -> Result<(Vec<ExactGaussian>, ExactPose), SplatError> {
     fn host<const D: usize>(tensor: Tensor<D>) -> Vec<f64> {
         tensor.into_data().iter::<f64>().collect()

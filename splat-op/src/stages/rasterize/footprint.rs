@@ -31,7 +31,7 @@ pub(crate) struct EllipseFootprint<F> {
     extent: F,
     /// [`Self::extent`] with a margin for the rounding of [`Self::met`].
     bound: F,
-    /// `∂x/∂y` of the least `u² + v²` in each row, px per px.
+    /// The least `u² + v²` at an offset `dy` from the mean is at `dx = slope dy`.
     slope: F,
 }
 
@@ -57,7 +57,7 @@ impl<F: Real> Footprint<F> for EllipseFootprint<F> {
         let scale = F::ONE / p.abs().max_of(F::ONE);
         let scaled = p * scale;
         let slope = ratio * scale * scaled / (scale * scale + scaled * scaled);
-        // The largest coordinates of a tile that the ellipse meets, and their roundings.
+        // The largest offsets, px, in a tile that the ellipse meets. They bound the rounding of `u` and `v`.
         let [far_x, far_y] = half_extent(&ellipse, limit).map(|half| half + F::of(2.0 * TILE_SIZE as f64));
         let far_v = far_y + ellipse.shear.abs() * far_x;
         let slip = F::of(8.0) * F::EPSILON * (far_x * inverse_u + far_v * inverse_v);

@@ -1,4 +1,4 @@
-//! The blocks of a tile in the CPU twin, and which of them a box meets.
+//! The blocks of a tile in the CPU twin, which of them a box meets, and the loop over those.
 
 use fearless_simd::prelude::*;
 
@@ -13,7 +13,7 @@ const SIMD_ACROSS: usize = TILE_SIZE / SIMD_WIDTH;
 pub(crate) const SIMD_BLOCKS: usize = SIMD_ACROSS * (TILE_SIZE / SIMD_ROWS);
 const _: () = assert!(SIMD_ACROSS == 4 && SIMD_BLOCKS == u16::BITS as usize);
 
-/// The blocks of a tile, to be compared with boxes.
+/// The blocks of a tile, to be compared with boxes and ellipses.
 pub(crate) struct TileBlocks<F> {
     /// For each block the centres of its first and last pixels along x and y, px.
     pub(super) first: [[F; SIMD_BLOCKS]; 2],
@@ -56,7 +56,7 @@ impl<F: Real> TileBlocks<F> {
     }
 }
 
-/// The numbers of the blocks that have a bit.
+/// Iterates over the numbers of the blocks that have a bit, from the lowest.
 #[derive(Clone, Copy)]
 pub(super) struct Blocks(pub u16);
 

@@ -102,7 +102,7 @@ fn seen_within(camera: &Intrinsics, max_radius: f64, point: DVec3) -> Option<[Du
             let [du, dv] = tangential(p1, p2);
             (one + k1 * r2 + k2 * r4 + k3 * r6 + k4 * r8, [du + sx1 * r2, dv + sy1 * r2])
         }
-        other => unimplemented!("the exact projection of {other:?}"),
+        other => panic!("the exact renderer has no projection of {other:?}: write it here"),
     };
     let [fx, fy, cx, cy] = [camera.fx, camera.fy, camera.cx, camera.cy].map(number);
     Some([fx * (u * radial + du) + cx, fy * (v * radial + dv) + cy])
