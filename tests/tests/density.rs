@@ -5,19 +5,23 @@ use std::sync::Mutex;
 use std::time::Instant;
 
 use burn::tensor::{Device, Tensor, TensorData};
+use glam::DAffine3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use splat_model::density::rows::Trained;
-use splat_model::density::{AdaptiveConfig, DensityConfig, McmcConfig, Observed, StrategyContext};
+use splat_model::cleanup::Contribution;
+use splat_model::density::rows::{RowEdit, Trained};
+use splat_model::density::{AdaptiveConfig, DensityConfig, McmcConfig, Observed, StrategyContext, rows_on};
 use splat_model::effects::background::Backdrop;
 use splat_model::effects::depth::{DepthConfig, DepthSample};
 use splat_model::effects::exposure::ExposureConfig;
 use splat_model::effects::grid::GridConfig;
 use splat_model::effects::optics::OpticsConfig;
 use splat_model::effects::pose::PoseConfig;
-use splat_model::gaussians::{GaussianRows, Gaussians};
+use splat_model::gaussians::{GaussianRows, Gaussians, Group, GroupOptions, NewRows, values_of};
+use splat_model::optim::MomentBits;
 use splat_model::trainer::TrainConfig;
 use splat_op::test_hooks::read_bytes;
+use splat_op::{Intrinsics, RenderOptions};
 use splat_tests::places;
 use splat_tests::slope::slope_trainer_with;
 
@@ -104,6 +108,51 @@ fn every_strategy_chooses_the_same_rows_on_every_device() {
             let difference = difference(&found, &expected);
             assert!(difference < 1e-3, "{name} on {}: a difference of {difference}", place.name);
         }
+    }
+}
+
+/// GPUs refuse buffers of no bytes and launches of no units.
+#[test]
+fn edits_without_rows_work_on_every_device() {
+    let _alone = ALONE.lock();
+    let options = GroupOptions { new_rows: NewRows::Filled(-1.0), reset: Some(0.25), ..GroupOptions::default() };
+    for (place, bits) in places().iter().flat_map(|place| MomentBits::ALL.map(|bits| (place, bits))) {
+        let from = rows(3);
+        let group = |device: &Device| {
+            let values = Tensor::from_floats([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]], &device.clone().autodiff());
+            Group::new("features", values, options).expect("the options are in range")
+        };
+        let gaussians = Gaussians::from_rows(&from, &place.device.clone().autodiff()).expect("rows of one length");
+        let mut scene = Trained::with_bits(gaussians, bits).with_group(group(&place.device)).expect("as many rows");
+        let edit = |scene: &mut Trained, keep: &[u32], copied: &[u32]| {
+            let [keep, copied] = [keep, copied].map(|rows| rows_on(&place.device, rows));
+            scene.edit(&RowEdit::new(keep, copied)).expect("no change is named");
+        };
+        let found = |scene: &Trained| {
+            let group = scene.gaussians.group("features").expect("it was added");
+            (scene.gaussians.to_rows().means, values_of(group.raw()))
+        };
+        let at = format!("{} with moments of {} bits", place.name, u8::from(bits));
+        edit(&mut scene, &[2, 0], &[]);
+        assert_eq!(found(&scene), (vec![from.means[2], from.means[0]], vec![5.0, 6.0, 1.0, 2.0]), "{at}: no new row");
+        edit(&mut scene, &[], &[1]);
+        assert_eq!(found(&scene), (vec![from.means[0]], vec![-1.0, -1.0]), "{at}: a new row alone");
+        scene.reset_opacities(Tensor::from_floats([0.5], &place.device));
+        assert_eq!(found(&scene).1, [0.25, 0.25], "{at}: a reset");
+        for _ in 0..2 {
+            edit(&mut scene, &[], &[]);
+            scene.reset_opacities(rows_on(&place.device, &[]).float());
+            assert_eq!(found(&scene), (Vec::new(), Vec::new()), "{at}: no row is left");
+        }
+    }
+}
+
+#[test]
+fn nothing_contributes_on_every_device() {
+    for place in places() {
+        let camera = [(Intrinsics::centred(40, 30, 40.0), DAffine3::IDENTITY)];
+        let found = Contribution::of(&rows(0), camera, &RenderOptions::standard(), &place.device, || ());
+        assert_eq!(found, Ok(Contribution::default()), "{}", place.name);
     }
 }
 
