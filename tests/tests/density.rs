@@ -111,7 +111,7 @@ fn every_strategy_chooses_the_same_rows_on_every_device() {
     }
 }
 
-/// GPUs refuse buffers of no bytes and launches of no units.
+/// Edits that add no row, keep no row or leave none: buffers and launches then have no size.
 #[test]
 fn edits_without_rows_work_on_every_device() {
     let _alone = ALONE.lock();
