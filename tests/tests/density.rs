@@ -118,12 +118,11 @@ fn edits_without_rows_work_on_every_device() {
     let options = GroupOptions { new_rows: NewRows::Filled(-1.0), reset: Some(0.25), ..GroupOptions::default() };
     for (place, bits) in places().iter().flat_map(|place| MomentBits::ALL.map(|bits| (place, bits))) {
         let from = rows(3);
-        let group = |device: &Device| {
-            let values = Tensor::from_floats([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]], &device.clone().autodiff());
-            Group::new("features", values, options).expect("the options are in range")
-        };
-        let gaussians = Gaussians::from_rows(&from, &place.device.clone().autodiff()).expect("rows of one length");
-        let mut scene = Trained::with_bits(gaussians, bits).with_group(group(&place.device)).expect("as many rows");
+        let device = place.device.clone().autodiff();
+        let values = Tensor::from_floats([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]], &device);
+        let group = Group::new("features", values, options).expect("the options are in range");
+        let gaussians = Gaussians::from_rows(&from, &device).expect("rows of one length");
+        let mut scene = Trained::with_bits(gaussians, bits).with_group(group).expect("as many rows");
         let edit = |scene: &mut Trained, keep: &[u32], copied: &[u32]| {
             let [keep, copied] = [keep, copied].map(|rows| rows_on(&place.device, rows));
             scene.edit(&RowEdit::new(keep, copied)).expect("no change is named");
@@ -148,7 +147,8 @@ fn edits_without_rows_work_on_every_device() {
 }
 
 #[test]
-fn nothing_contributes_on_every_device() {
+fn a_scene_of_no_gaussians_has_contributions_on_every_device() {
+    let _alone = ALONE.lock();
     for place in places() {
         let camera = [(Intrinsics::centred(40, 30, 40.0), DAffine3::IDENTITY)];
         let found = Contribution::of(&rows(0), camera, &RenderOptions::standard(), &place.device, || ());
