@@ -109,32 +109,22 @@ impl From<Setting> for BTreeMap<String, String> {
     }
 }
 
-/// The presets of [`RenderOptions`] by name.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Preset {
-    /// [`RenderOptions::fast`].
-    Fast,
-    /// [`RenderOptions::standard`].
-    #[default]
-    Standard,
-    /// [`RenderOptions::exact`].
-    Exact,
+named! {
+    /// The presets of [`RenderOptions`] by name.
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+    #[serde(rename_all = "kebab-case")]
+    pub enum Preset {
+        /// [`RenderOptions::fast`].
+        Fast = "fast",
+        /// [`RenderOptions::standard`].
+        #[default]
+        Standard = "standard",
+        /// [`RenderOptions::exact`].
+        Exact = "exact",
+    }
 }
 
 impl Preset {
-    /// All presets.
-    pub const ALL: [Self; 3] = [Self::Fast, Self::Standard, Self::Exact];
-
-    /// Name in files and on command lines.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Fast => "fast",
-            Self::Standard => "standard",
-            Self::Exact => "exact",
-        }
-    }
-
     /// The options of the preset.
     pub const fn options(self) -> RenderOptions {
         match self {
@@ -147,12 +137,6 @@ impl Preset {
     /// The dials that differ from the standard.
     pub fn setting(self) -> Setting {
         Setting::between(&RenderOptions::standard(), &self.options())
-    }
-}
-
-impl Display for Preset {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.name())
     }
 }
 

@@ -24,7 +24,6 @@ pub mod survey;
 #[cfg(test)]
 mod testing;
 
-use std::fmt;
 use std::str::FromStr;
 
 use serde::Serialize;
@@ -40,69 +39,33 @@ pub use self::stack::EffectStack;
 pub use self::survey::Survey;
 pub use crate::capture::masks;
 
-/// The effects of this library that can be switched on and off. How strongly colours depend on the viewing direction is set
-/// by [`TrainConfig::sh_degree`](crate::trainer::TrainConfig::sh_degree).
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum EffectKind {
-    /// The same surface is seen at very different sizes: splats smaller than a pixel are dimmed, and no splat is finer than
-    /// the sampling of the photographs.
-    Antialias,
-    /// Photographs have transparent parts: each step composites them over another background colour.
-    Alpha,
-    /// Photographs differ in brightness and white balance: each has its own affine colour map.
-    Exposure,
-    /// Photographs were processed locally: each has a grid of affine colour maps.
-    BilateralGrid,
-    /// Masks select the pixels of the photographs that count.
-    Masks,
-    /// Poses do not explain the photographs: each camera is moved with the scene.
-    PoseRefinement,
-    /// Much of the scene is too far away for parallax: light from infinity is learned.
-    Environment,
-    /// Photographs are blurred because the camera moved while the shutter was open.
-    MotionBlur,
-    /// Rows were exposed one after the other while the camera moved.
-    RollingShutter,
-    /// Few photographs show the scene, or it comes with depth maps: known depths constrain the scene.
-    DepthSupervision,
-}
-
-impl EffectKind {
-    /// All effects.
-    pub const ALL: [Self; 10] = [
-        Self::Antialias,
-        Self::Alpha,
-        Self::Exposure,
-        Self::BilateralGrid,
-        Self::Masks,
-        Self::PoseRefinement,
-        Self::Environment,
-        Self::MotionBlur,
-        Self::RollingShutter,
-        Self::DepthSupervision,
-    ];
-
-    /// The name on the command line and in reports.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Antialias => "antialias",
-            Self::Alpha => "alpha",
-            Self::Exposure => "exposure",
-            Self::BilateralGrid => "bilateral-grid",
-            Self::Masks => "masks",
-            Self::PoseRefinement => "pose-refinement",
-            Self::Environment => "environment",
-            Self::MotionBlur => "motion-blur",
-            Self::RollingShutter => "rolling-shutter",
-            Self::DepthSupervision => "depth-supervision",
-        }
-    }
-}
-
-impl fmt::Display for EffectKind {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        out.write_str(self.name())
+named! {
+    /// The effects of this library that can be switched on and off. How strongly colours depend on the viewing direction is set
+    /// by [`TrainConfig::sh_degree`](crate::trainer::TrainConfig::sh_degree).
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
+    #[serde(rename_all = "kebab-case")]
+    pub enum EffectKind {
+        /// The same surface is seen at very different sizes: splats smaller than a pixel are dimmed, and no splat is finer than
+        /// the sampling of the photographs.
+        Antialias = "antialias",
+        /// Photographs have transparent parts: each step composites them over another background colour.
+        Alpha = "alpha",
+        /// Photographs differ in brightness and white balance: each has its own affine colour map.
+        Exposure = "exposure",
+        /// Photographs were processed locally: each has a grid of affine colour maps.
+        BilateralGrid = "bilateral-grid",
+        /// Masks select the pixels of the photographs that count.
+        Masks = "masks",
+        /// Poses do not explain the photographs: each camera is moved with the scene.
+        PoseRefinement = "pose-refinement",
+        /// Much of the scene is too far away for parallax: light from infinity is learned.
+        Environment = "environment",
+        /// Photographs are blurred because the camera moved while the shutter was open.
+        MotionBlur = "motion-blur",
+        /// Rows were exposed one after the other while the camera moved.
+        RollingShutter = "rolling-shutter",
+        /// Few photographs show the scene, or it comes with depth maps: known depths constrain the scene.
+        DepthSupervision = "depth-supervision",
     }
 }
 

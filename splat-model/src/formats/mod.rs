@@ -64,25 +64,24 @@ use crate::density::morton_order;
 use crate::gaussians::GaussianRows;
 use crate::ply::{self, PlyReader, TrainedAs, WorldFrame};
 
-/// A format of scene files.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Format {
-    /// The layout of the original implementation.
-    Ply,
-    /// SuperSplat's compressed PLY.
-    CompressedPly,
-    /// Niantic's SPZ; written as version 4 or 3, read from version 1 to 4.
-    Spz,
-    /// glTF with `KHR_gaussian_splatting`, in its binary container.
-    Glb,
-    /// PlayCanvas' SOG.
-    Sog,
+named! {
+    /// A format of scene files.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+    pub enum Format {
+        /// The layout of the original implementation.
+        Ply = "PLY",
+        /// SuperSplat's compressed PLY.
+        CompressedPly = "compressed PLY",
+        /// Niantic's SPZ; written as version 4 or 3, read from version 1 to 4.
+        Spz = "SPZ",
+        /// glTF with `KHR_gaussian_splatting`, in its binary container.
+        Glb = "glTF",
+        /// PlayCanvas' SOG.
+        Sog = "SOG",
+    }
 }
 
 impl Format {
-    /// All formats.
-    pub const ALL: [Self; 5] = [Self::Ply, Self::CompressedPly, Self::Spz, Self::Glb, Self::Sog];
-
     /// The formats that are read.
     pub const READ: [Self; 4] = [Self::Ply, Self::CompressedPly, Self::Spz, Self::Sog];
 
@@ -127,18 +126,6 @@ impl Format {
     /// Whether the format holds every number without loss.
     pub fn is_exact(self) -> bool {
         self == Self::Ply
-    }
-}
-
-impl fmt::Display for Format {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Ply => "PLY",
-            Self::CompressedPly => "compressed PLY",
-            Self::Spz => "SPZ",
-            Self::Glb => "glTF",
-            Self::Sog => "SOG",
-        })
     }
 }
 
