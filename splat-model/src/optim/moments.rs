@@ -17,9 +17,9 @@ use crate::state::{State, StateError};
 pub enum MomentBits {
     /// Floats of 32 bits.
     #[default]
-    ThirtyTwo,
+    ThirtyTwo = 32,
     /// 8 bits.
-    Eight,
+    Eight = 8,
 }
 
 impl MomentBits {
@@ -38,10 +38,7 @@ impl MomentBits {
 
 impl From<MomentBits> for u8 {
     fn from(bits: MomentBits) -> Self {
-        match bits {
-            MomentBits::ThirtyTwo => 32,
-            MomentBits::Eight => 8,
-        }
+        bits as Self
     }
 }
 
