@@ -4,6 +4,7 @@ use std::path::Path;
 use std::str::FromStr;
 
 use anyhow::Result;
+use serde::Serialize;
 use splat_model::effects::background::{Backdrop, Background};
 use splat_model::ply::TrainedAs;
 use splat_model::trainer::TrainConfig;
@@ -82,14 +83,8 @@ impl TrainBackground {
 }
 
 /// The value of `--background` of the subcommands that render a scene.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ShownBackground(String);
-
-impl std::fmt::Display for ShownBackground {
-    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        out.write_str(&self.0)
-    }
-}
 
 impl FromStr for ShownBackground {
     type Err = String;

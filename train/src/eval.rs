@@ -11,7 +11,7 @@ use splat_model::gaussians::Gaussians;
 use splat_op::Intrinsics;
 
 use crate::accuracy::AccuracyArgs;
-use crate::background::ShowArgs;
+use crate::background::{ShowArgs, ShownBackground};
 use crate::input::{self, PhotoArgs};
 use crate::inputs::Inputs;
 use crate::lpips::LpipsArgs;
@@ -61,7 +61,7 @@ struct EvalOptionsRecord<'a> {
     masks: bool,
     ignore_alpha: bool,
     shrink: usize,
-    background: Option<String>,
+    background: Option<&'a ShownBackground>,
     #[serde(flatten)]
     lpips: &'a LpipsArgs,
 }
@@ -118,21 +118,19 @@ pub fn run(args: &EvalArgs) -> Result<Metrics> {
         masks: args.masks,
         ignore_alpha: args.ignore_alpha,
         shrink: args.shrink,
-        background: args.show.background.as_ref().map(ToString::to_string),
+        background: args.show.background.as_ref(),
         lpips: &args.lpips,
     };
     let metrics = Metrics {
         test: Some(scores),
         splats: splats.means.dims()[0],
         culled_non_finite,
-        steps: None,
         seconds: Seconds { load, eval, ..Seconds::default() },
         peak_rss_mib: peak_rss_mib(),
         device: device_name,
-        effects: None,
-        seed: None,
         options: serde_json::to_value(options)?,
         version: env!("CARGO_PKG_VERSION"),
+        ..Metrics::default()
     };
     report::finish(&metrics, &out)?;
     report::say(&metrics, &args.scene, &out);

@@ -4,7 +4,7 @@
 use std::collections::BTreeSet;
 use std::ffi::OsStr;
 use std::fs::{self, File};
-use std::io::BufWriter;
+use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
@@ -166,6 +166,14 @@ pub fn write(path: &Path, fill: impl FnOnce(&mut BufWriter<File>) -> Result<()>)
     let written = folder.and_then(|()| replace(path, fill));
     let shown = path.display();
     written.with_context(|| format!("cannot write {shown}: check that its folder can be written to and has room left"))
+}
+
+/// Writes a file of lines. See [`write()`].
+///
+/// # Errors
+/// The errors of [`write()`].
+pub fn write_lines(path: &Path, lines: &[String]) -> Result<()> {
+    write(path, |file| Ok(lines.iter().try_for_each(|line| writeln!(file, "{line}"))?))
 }
 
 #[cfg(test)]

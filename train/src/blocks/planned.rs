@@ -47,10 +47,7 @@ impl PlanFolder {
     }
 
     pub fn write(&self, lines: &[String]) -> Result<()> {
-        use std::io::Write;
-        output::write(&self.path.join(JOBS), |file| {
-            lines.iter().try_for_each(|line| writeln!(file, "{line}")).map_err(Into::into)
-        })?;
+        output::write_lines(&self.path.join(JOBS), lines)?;
         output::write(&self.path.join(PLAN), |file| Ok(serde_json::to_writer_pretty(file, &self.plan)?))
     }
 

@@ -2,7 +2,6 @@
 
 use std::collections::BTreeMap;
 use std::fs;
-use std::io::Write;
 use std::path::Path;
 use std::process::Command;
 
@@ -16,6 +15,7 @@ use super::cache::{
 use super::photographs::{CameraModelName, extractions};
 use super::programs::{ColmapProgram, Options};
 use super::{failure, stage};
+use crate::output;
 use crate::progress::{self, CountedProgress};
 use crate::stop::Stop;
 
@@ -95,7 +95,7 @@ impl Stages<'_> {
         let extractions = extractions(photographs, self.model);
         for (i, extraction) in extractions.iter().enumerate() {
             let list = workspace.join(LISTS).join(format!("{i}.txt"));
-            write_list(&list, &extraction.names)?;
+            output::write_lines(&list, &extraction.names)?;
             let mut command = with_paths(ColmapProgram::command("feature_extractor"), workspace, true);
             command.arg("--image_list_path").arg(&list).args(&extraction.arguments);
             command.args(&limits);
@@ -284,10 +284,6 @@ fn with_paths(mut command: Command, workspace: &Workspace, images: bool) -> Comm
         command.arg("--image_path").arg(workspace.join(IMAGES));
     }
     command
-}
-
-fn write_list(file: &Path, names: &[String]) -> Result<()> {
-    crate::output::write(file, |out| names.iter().try_for_each(|name| Ok(writeln!(out, "{name}")?)))
 }
 
 /// `Name: value` in a line, after whatever a log puts before it.
