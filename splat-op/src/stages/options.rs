@@ -4,57 +4,78 @@ use crate::camera::{CameraModel, Intrinsics};
 use crate::error::SplatError;
 use crate::sh::SH_DEGREE_MAX;
 
-/// Options of a render. Start from a preset and change fields with the builders `with_…`.
-///
-/// *Model choices* define the function and are judged against photographs; *numerical dials* approximate that function
-/// and are judged against an exact render under the same choices. The two are never mixed.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[non_exhaustive]
-pub struct RenderOptions {
-    /// Model: variance added to both axes of every 2D ellipse, px². The default is about half a pixel wide, so that a splat much
-    /// smaller than a pixel still covers one (Kerbl et al. 2023; EWA's low-pass filter).
-    pub blur: f64,
-    /// Model: near plane, scene units. Splats whose centre has a camera z of at most this are culled.
-    pub near: f64,
-    /// Model: far plane, scene units. Splats whose centre has a camera z of this or more are culled. Infinite for none.
-    pub far: f64,
-    /// Model: splats that reach at most this far from their centre along x and along y, three standard deviations, are culled. Zero for
-    /// none; px. It saves time where a scene is seen from far away, and makes it darker.
-    pub radius_clip: f64,
-    /// Model: margin around the picture, as a share of half its size, within which the Jacobian of the projection is evaluated. For
-    /// centres farther out it is evaluated at the margin, because the affine approximation degrades there. The Jacobian of a
-    /// fisheye is exact everywhere and is never clamped.
-    pub jacobian_margin: f64,
-    /// Model: whether each opacity is multiplied by the ratio of the ellipse's area before and after `blur`, at least 0.005
-    /// (Mip-Splatting, Yu et al. 2024, eq. 9).
-    pub antialias: bool,
-    /// Model: highest degree of the spherical harmonics that is used, 0 to 4. Coefficients above it have a gradient of exactly
-    /// zero. `None` uses all degrees.
-    pub sh_degree: Option<usize>,
-    /// Model: value of a Gaussian at a pixel, by an affine approximation of the projection or by its maximum along the pixel's ray.
-    pub projection: Projection,
-    /// Dial: contributions with an alpha below this are skipped. Zero skips none and lists every Gaussian in every tile; a render
-    /// with more than [`MAX_UNCULLED_INTERSECTIONS`] pairs of a Gaussian and a tile is then refused.
-    pub alpha_min: f64,
-    /// Dial: upper limit of the alpha of a contribution, so that every layer transmits some light.
-    pub alpha_max: f64,
-    /// Dial: a pixel is finished before the splat that would bring its transmittance to this or below; that splat and all behind
-    /// it are skipped. Zero skips none.
-    pub transmittance_min: f64,
-    /// Dial: how GPUs add the gradients of a Gaussian's intersections. CPU backends always add them in order.
-    pub accumulation: Accumulation,
-    /// Dial: how long the lists of the Gaussians in each tile are on a GPU, and whether a render waits for their length.
-    pub lists: ListLength,
-    /// Output: whether [`Rendered::depth`](crate::Rendered) is rendered.
-    pub depth: bool,
-    /// Output: whether [`Rendered::expected_depth`](crate::Rendered) is computed.
-    pub expected_depth: bool,
-    /// Output: whether [`Rendered::normals`](crate::Rendered) are rendered, as three more channels.
-    pub normals: bool,
-    /// Output: whether [`Rendered::radii`](crate::Rendered) are computed.
-    pub radii: bool,
-    /// Output: whether [`Rendered::visible`](crate::Rendered) is computed.
-    pub visible: bool,
+/// Declares a struct of options. Each field has a builder, after its `=>`, that sets it.
+macro_rules! with_builders {
+    ($(#[$about:meta])* pub struct $name:ident {
+        $($(#[$of_field:meta])* pub $field:ident: $type:ty => $builder:ident,)*
+    }) => {
+        $(#[$about])*
+        pub struct $name {
+            $($(#[$of_field])* pub $field: $type,)*
+        }
+
+        impl $name {$(
+            #[doc = concat!("Sets [`", stringify!($field), "`](Self::", stringify!($field), ").")]
+            pub const fn $builder(self, $field: $type) -> Self {
+                Self { $field, ..self }
+            }
+        )*}
+    };
+}
+
+with_builders! {
+    /// Options of a render. Start from a preset and change fields with the builders `with_…`.
+    ///
+    /// *Model choices* define the function and are judged against photographs; *numerical dials* approximate that function
+    /// and are judged against an exact render under the same choices. The two are never mixed.
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    #[non_exhaustive]
+    pub struct RenderOptions {
+        /// Model: variance added to both axes of every 2D ellipse, px². The default is about half a pixel wide, so that a splat much
+        /// smaller than a pixel still covers one (Kerbl et al. 2023; EWA's low-pass filter).
+        pub blur: f64 => with_blur,
+        /// Model: near plane, scene units. Splats whose centre has a camera z of at most this are culled.
+        pub near: f64 => with_near,
+        /// Model: far plane, scene units. Splats whose centre has a camera z of this or more are culled. Infinite for none.
+        pub far: f64 => with_far,
+        /// Model: splats that reach at most this far from their centre along x and along y, three standard deviations, are culled. Zero for
+        /// none; px. It saves time where a scene is seen from far away, and makes it darker.
+        pub radius_clip: f64 => with_radius_clip,
+        /// Model: margin around the picture, as a share of half its size, within which the Jacobian of the projection is evaluated. For
+        /// centres farther out it is evaluated at the margin, because the affine approximation degrades there. The Jacobian of a
+        /// fisheye is exact everywhere and is never clamped.
+        pub jacobian_margin: f64 => with_jacobian_margin,
+        /// Model: whether each opacity is multiplied by the ratio of the ellipse's area before and after `blur`, at least 0.005
+        /// (Mip-Splatting, Yu et al. 2024, eq. 9).
+        pub antialias: bool => with_antialias,
+        /// Model: highest degree of the spherical harmonics that is used, 0 to 4. Coefficients above it have a gradient of exactly
+        /// zero. `None` uses all degrees.
+        pub sh_degree: Option<usize> => with_sh_degree,
+        /// Model: value of a Gaussian at a pixel, by an affine approximation of the projection or by its maximum along the pixel's ray.
+        pub projection: Projection => with_projection,
+        /// Dial: contributions with an alpha below this are skipped. Zero skips none and lists every Gaussian in every tile; a render
+        /// with more than [`MAX_UNCULLED_INTERSECTIONS`] pairs of a Gaussian and a tile is then refused.
+        pub alpha_min: f64 => with_alpha_min,
+        /// Dial: upper limit of the alpha of a contribution, so that every layer transmits some light.
+        pub alpha_max: f64 => with_alpha_max,
+        /// Dial: a pixel is finished before the splat that would bring its transmittance to this or below; that splat and all behind
+        /// it are skipped. Zero skips none.
+        pub transmittance_min: f64 => with_transmittance_min,
+        /// Dial: how GPUs add the gradients of a Gaussian's intersections. CPU backends always add them in order.
+        pub accumulation: Accumulation => with_accumulation,
+        /// Dial: how long the lists of the Gaussians in each tile are on a GPU, and whether a render waits for their length.
+        pub lists: ListLength => with_lists,
+        /// Output: whether [`Rendered::depth`](crate::Rendered) is rendered.
+        pub depth: bool => with_depth,
+        /// Output: whether [`Rendered::expected_depth`](crate::Rendered) is computed.
+        pub expected_depth: bool => with_expected_depth,
+        /// Output: whether [`Rendered::normals`](crate::Rendered) are rendered, as three more channels.
+        pub normals: bool => with_normals,
+        /// Output: whether [`Rendered::radii`](crate::Rendered) are computed.
+        pub radii: bool => with_radii,
+        /// Output: whether [`Rendered::visible`](crate::Rendered) is computed.
+        pub visible: bool => with_visible,
+    }
 }
 
 /// The value of a Gaussian at a pixel.
@@ -211,39 +232,6 @@ impl RenderOptions {
                        pairs: use fewer Gaussians or render a smaller picture",
         })
     }
-}
-
-/// Declares the builders of [`RenderOptions`], each of which sets one field.
-macro_rules! builders {
-    ($($builder:ident($field:ident: $type:ty);)*) => {
-        impl RenderOptions {$(
-            #[doc = concat!("Sets [`", stringify!($field), "`](Self::", stringify!($field), ").")]
-            pub const fn $builder(self, $field: $type) -> Self {
-                Self { $field, ..self }
-            }
-        )*}
-    };
-}
-
-builders! {
-    with_blur(blur: f64);
-    with_near(near: f64);
-    with_far(far: f64);
-    with_radius_clip(radius_clip: f64);
-    with_jacobian_margin(jacobian_margin: f64);
-    with_antialias(antialias: bool);
-    with_sh_degree(sh_degree: Option<usize>);
-    with_projection(projection: Projection);
-    with_alpha_min(alpha_min: f64);
-    with_alpha_max(alpha_max: f64);
-    with_transmittance_min(transmittance_min: f64);
-    with_accumulation(accumulation: Accumulation);
-    with_lists(lists: ListLength);
-    with_depth(depth: bool);
-    with_expected_depth(expected_depth: bool);
-    with_normals(normals: bool);
-    with_radii(radii: bool);
-    with_visible(visible: bool);
 }
 
 impl Default for RenderOptions {
