@@ -62,15 +62,30 @@ pub(crate) fn vec3([x, y, z]: [KernelNumber; 3]) -> Vec3Expand {
 }
 
 macro_rules! operators {
-    ($($trait:ident :: $name:ident = $expand:ident),*) => {$(
-        impl $trait for KernelNumber<'_> {
+    ($($trait:ident :: $name:ident($($other:ident)?) for $kind:ident = $expand:ident),*) => {$(
+        impl $trait for $kind<'_> {
             type Output = Self;
 
-            fn $name(self, other: Self) -> Self {
-                Self { scope: self.scope, value: self.value.$expand(self.scope, other.value) }
+            fn $name(self $(, $other: Self)?) -> Self {
+                Self { scope: self.scope, value: self.value.$expand(self.scope $(, $other.value)?) }
             }
         }
+    )*};
+}
 
+operators!(
+    Add::add(other) for KernelNumber = __expand_add_method,
+    Sub::sub(other) for KernelNumber = __expand_sub_method,
+    Mul::mul(other) for KernelNumber = __expand_mul_method,
+    Div::div(other) for KernelNumber = __expand_div_method,
+    Neg::neg() for KernelNumber = __expand_neg_method,
+    BitAnd::bitand(other) for KernelMask = __expand_and_method,
+    BitOr::bitor(other) for KernelMask = __expand_or_method,
+    Not::not() for KernelMask = __expand_not_method
+);
+
+macro_rules! operators_with_constants {
+    ($($trait:ident :: $name:ident),*) => {$(
         impl $trait<f64> for KernelNumber<'_> {
             type Output = Self;
 
@@ -81,44 +96,7 @@ macro_rules! operators {
     )*};
 }
 
-operators!(
-    Add::add = __expand_add_method,
-    Sub::sub = __expand_sub_method,
-    Mul::mul = __expand_mul_method,
-    Div::div = __expand_div_method
-);
-
-impl Neg for KernelNumber<'_> {
-    type Output = Self;
-
-    fn neg(self) -> Self {
-        Self { scope: self.scope, value: self.value.__expand_neg_method(self.scope) }
-    }
-}
-
-impl BitAnd for KernelMask<'_> {
-    type Output = Self;
-
-    fn bitand(self, other: Self) -> Self {
-        Self { scope: self.scope, value: self.value.__expand_and_method(self.scope, other.value) }
-    }
-}
-
-impl BitOr for KernelMask<'_> {
-    type Output = Self;
-
-    fn bitor(self, other: Self) -> Self {
-        Self { scope: self.scope, value: self.value.__expand_or_method(self.scope, other.value) }
-    }
-}
-
-impl Not for KernelMask<'_> {
-    type Output = Self;
-
-    fn not(self) -> Self {
-        Self { scope: self.scope, value: self.value.__expand_not_method(self.scope) }
-    }
-}
+operators_with_constants!(Add::add, Sub::sub, Mul::mul, Div::div);
 
 macro_rules! functions {
     ($($name:ident = $expand:ident),*) => {$(

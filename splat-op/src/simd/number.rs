@@ -74,6 +74,15 @@ impl<S: Simd, F: Real> Neg for LaneNumber<S, F> {
     }
 }
 
+macro_rules! functions {
+    ($($name:ident($($other:ident)?)),*) => {$(
+        #[inline(always)]
+        fn $name(self $(, $other: Self)?) -> Self {
+            Self(self.0.$name($($other.0)?))
+        }
+    )*};
+}
+
 macro_rules! comparisons {
     ($($name:ident = $lanes:ident),*) => {$(
         #[inline(always)]
@@ -98,11 +107,6 @@ impl<S: Simd, F: Real> Number for LaneNumber<S, F> {
     }
 
     #[inline(always)]
-    fn sqrt(self) -> Self {
-        Self(self.0.sqrt())
-    }
-
-    #[inline(always)]
     fn ln(self) -> Self {
         let mut values = [F::ZERO; LANES];
         let values = &mut values[..width::<S, F>()];
@@ -113,21 +117,7 @@ impl<S: Simd, F: Real> Number for LaneNumber<S, F> {
         Self(Lanes::<S, F>::from_slice(self.0.token(), values))
     }
 
-    #[inline(always)]
-    fn abs(self) -> Self {
-        Self(self.0.abs())
-    }
-
-    #[inline(always)]
-    fn min(self, other: Self) -> Self {
-        Self(self.0.min(other.0))
-    }
-
-    #[inline(always)]
-    fn max(self, other: Self) -> Self {
-        Self(self.0.max(other.0))
-    }
-
+    functions!(sqrt(), abs(), min(other), max(other));
     comparisons!(lt = simd_lt, le = simd_le, gt = simd_gt, ge = simd_ge, eq = simd_eq);
 
     #[inline(always)]
