@@ -21,7 +21,10 @@ pub use apply::{Outputs, apply};
 pub use args::Args;
 #[cfg(feature = "cube")]
 pub use cube::{GpuArgs, GpuOutput};
+#[cfg(feature = "cube")]
+pub(crate) use cube::{buffer, gpu_outputs, optional_outputs, owned};
 pub use host::{Host, HostArgs, HostOutput};
+pub(crate) use host::{float_outputs, slices};
 pub use list::Slot;
 pub use operation::{MAX_DIFFERENTIABLE, Operation, Spec};
 

@@ -4,9 +4,6 @@ use super::cpu::{slice_backward_cpu, slice_cpu};
 #[cfg(feature = "cube")]
 use super::launch::{launch_slice, launch_slice_backward};
 use super::{SliceSize, Sliced};
-#[cfg(feature = "cube")]
-use crate::backend::cube::{gpu_outputs, optional_outputs};
-use crate::backend::host::{float_outputs, slices};
 use crate::backend::*;
 
 /// The mapped picture, `[3, H, W]`.

@@ -4,9 +4,6 @@ use super::Sky;
 use super::cpu::{environment_backward_cpu, environment_cpu};
 #[cfg(feature = "cube")]
 use super::launch::{launch_alpha_backward, launch_coefficients_backward, launch_environment};
-#[cfg(feature = "cube")]
-use crate::backend::cube::gpu_outputs;
-use crate::backend::host::{float_outputs, slices};
 use crate::backend::*;
 
 /// The render over the environment, `[3, H, W]`.

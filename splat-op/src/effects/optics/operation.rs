@@ -4,9 +4,6 @@ use super::cpu::{expose_backward_cpu, expose_cpu};
 #[cfg(feature = "cube")]
 use super::launch::{launch_expose, launch_expose_backward};
 use super::{Exposed, OpticsSpec};
-#[cfg(feature = "cube")]
-use crate::backend::cube::gpu_outputs;
-use crate::backend::host::{float_outputs, slices};
 use crate::backend::*;
 
 /// The changed ellipses, `[N, 7]`.

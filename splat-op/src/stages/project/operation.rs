@@ -4,9 +4,6 @@ use super::cpu::{project_backward_cpu, project_cpu};
 #[cfg(feature = "cube")]
 use super::launch::{launch_project, launch_project_backward};
 use super::{COLUMNS, Geometry, ProjectSpec};
-#[cfg(feature = "cube")]
-use crate::backend::cube::{gpu_outputs, optional_outputs};
-use crate::backend::host::{float_outputs, slices};
 use crate::backend::*;
 
 /// Packed ellipses, `[N, 7]`.

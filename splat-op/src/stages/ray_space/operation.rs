@@ -4,9 +4,6 @@ use super::cpu::{ray_space_backward_cpu, ray_space_cpu};
 #[cfg(feature = "cube")]
 use super::launch::{launch_bounds, launch_ray_space, launch_ray_space_backward};
 use super::{bounds_cpu, columns};
-#[cfg(feature = "cube")]
-use crate::backend::cube::{gpu_outputs, optional_outputs};
-use crate::backend::host::{float_outputs, slices};
 use crate::backend::*;
 use crate::project::{Geometry, ProjectSpec};
 use crate::rasterize::RasterizeSpec;

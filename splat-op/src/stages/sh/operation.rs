@@ -4,9 +4,6 @@ use super::Shading;
 use super::cpu::{ShCpuInputs, Visible, sh_backward_cpu, sh_cpu};
 #[cfg(feature = "cube")]
 use super::launch::{launch_sh, launch_sh_backward};
-#[cfg(feature = "cube")]
-use crate::backend::cube::{gpu_outputs, optional_outputs};
-use crate::backend::host::{float_outputs, slices};
 use crate::backend::*;
 use crate::project::ProjectSpec;
 

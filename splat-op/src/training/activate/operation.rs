@@ -4,9 +4,6 @@ use super::cpu::{all_finite_cpu, opacities_cpu, opacity_slopes_cpu, scales_cpu};
 #[cfg(feature = "cube")]
 use super::launch::{launch_activate, launch_non_finite};
 use super::rule::Raw;
-#[cfg(feature = "cube")]
-use crate::backend::cube::gpu_outputs;
-use crate::backend::host::{float_outputs, slices};
 use crate::backend::*;
 
 /// Standard deviations and opacities of raw parameters and, optionally, a mark, `[1]`. A GPU does not read the coefficients if the mark is
@@ -59,7 +56,6 @@ impl Operation for Activated {
     #[cfg(feature = "cube")]
     fn launch_backward(&self, args: GpuArgs) -> Vec<GpuOutput> {
         use super::launch::{ActivatedGrads, launch_activate_backward};
-        use crate::backend::cube::buffer;
 
         let inputs = ActivatedGrads {
             logit_opacities: args.buffer(3),

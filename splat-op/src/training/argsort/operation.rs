@@ -29,7 +29,6 @@ impl Operation for Argsort {
 
     #[cfg(feature = "cube")]
     fn launch(&self, mut args: GpuArgs) -> Vec<GpuOutput> {
-        use crate::backend::cube::{buffer, owned};
         use crate::gpu::Buffer;
         use crate::intersect::sort::launch_sort;
 

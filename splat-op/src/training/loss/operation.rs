@@ -7,9 +7,6 @@ use super::cpu::{moments_cpu, photometric_cpu};
 use super::launch::{launch_moments, launch_photometric};
 use super::sweep::PlaneSize;
 use super::taps::Compared;
-#[cfg(feature = "cube")]
-use crate::backend::cube::{gpu_outputs, optional_outputs};
-use crate::backend::host::{float_outputs, slices};
 use crate::backend::*;
 
 /// Returns width and height, which are the last two dimensions in reverse order.
