@@ -130,15 +130,13 @@ impl<T: Pod> Buffer<T> {
         const { assert!(size_of::<T>() == 4) };
         let buffers = lens.map(|len| len.map(|len| Self::new(gpu, len)));
         let longest = buffers.iter().flatten().map(|buffer| buffer.len).max().unwrap_or(0);
-        if longest > 0 {
-            let output = |i: usize| buffers[i].as_ref().map(Buffer::arg).into();
-            let [a, b, c, d] = lens.map(|len| len.unwrap_or(0) as u32);
-            // SAFETY: every access is guarded by the lengths given.
-            launch_unchecked!(
-                gpu.units(longest),
-                clear_kernel(output(0), output(1), output(2), output(3), a, b, c, d, given(buffers.each_ref()))
-            );
-        }
+        let output = |i: usize| buffers[i].as_ref().map(Buffer::arg).into();
+        let [a, b, c, d] = lens.map(|len| len.unwrap_or(0) as u32);
+        // SAFETY: every access is guarded by the lengths given.
+        launch_unchecked!(
+            gpu.units(longest),
+            clear_kernel(output(0), output(1), output(2), output(3), a, b, c, d, given(buffers.each_ref()))
+        );
         buffers
     }
 
@@ -190,10 +188,8 @@ fn scale_kernel(values: &mut [f32], factor: &[f32], len: u32) {
 
 /// Multiplies values by a number, in place.
 pub(crate) fn launch_scale(gpu: &Gpu, values: &Buffer<f32>, factor: &Buffer<f32>) {
-    if values.len > 0 {
-        // SAFETY: every access is guarded by the length given, and the factor is one number.
-        launch_unchecked!(gpu.units(values.len), scale_kernel(values.arg(), factor.arg(), values.len as u32));
-    }
+    // SAFETY: every access is guarded by the length given, and the factor is one number.
+    launch_unchecked!(gpu.units(values.len), scale_kernel(values.arg(), factor.arg(), values.len as u32));
 }
 
 #[cfg(test)]

@@ -72,9 +72,12 @@ impl Gpu {
         }
     }
 
-    /// Returns a dispatch with at least one unit per element.
+    /// Returns a dispatch with at least one unit per element. Without elements it is empty, and CubeCL launches nothing.
     pub fn units(&self, elements: usize) -> Dispatch<'_> {
-        self.cubes(elements.div_ceil(UNITS))
+        match elements {
+            0 => (&self.client, CubeCount::Static(0, 0, 0), CubeDim::new_1d(UNITS as u32)),
+            _ => self.cubes(elements.div_ceil(UNITS)),
+        }
     }
 
     /// Returns a dispatch of at least `count` cubes of [`UNITS`] units.

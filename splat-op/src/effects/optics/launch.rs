@@ -19,9 +19,6 @@ fn change(spec: &OpticsSpec) -> ChangeArgLaunch {
 pub(crate) fn launch_expose(gpu: &Gpu, inputs: &Exposed<Buffer<f32>>, spec: &OpticsSpec) -> Buffer<f32> {
     let out = Buffer::new(gpu, inputs.projected.len);
     let count = out.len / COLUMNS;
-    if count == 0 {
-        return out;
-    }
     let (projected, twist) = (inputs.projected.arg(), inputs.twist.arg());
     // SAFETY: units beyond the last Gaussian do nothing, and the public functions check the length of the twist.
     launch_unchecked!(gpu.units(count), expose_kernel(projected, twist, out.arg(), change(spec), count as u32));

@@ -41,9 +41,6 @@ pub(crate) fn geometry_arg(inputs: &Geometry<Buffer<f32>>) -> GeometryInputsLaun
 pub(crate) fn launch_project(gpu: &Gpu, inputs: &Geometry<Buffer<f32>>, spec: &ProjectSpec) -> Buffer<f32> {
     let count = inputs.opacities.len;
     let projected = Buffer::new(gpu, count * COLUMNS);
-    if count == 0 {
-        return projected;
-    }
     // SAFETY: every access is guarded by the number of Gaussians.
     launch_unchecked!(
         gpu.units(count),

@@ -14,9 +14,6 @@ use crate::rasterize::RasterizeSpec;
 pub(crate) fn launch_ray_space(gpu: &Gpu, inputs: &Geometry<Buffer<f32>>, spec: &ProjectSpec) -> Buffer<f32> {
     let count = inputs.opacities.len;
     let ray_rows = Buffer::new(gpu, count * columns(&spec.intrinsics));
-    if count == 0 {
-        return ray_rows;
-    }
     // SAFETY: every access is guarded by the number of Gaussians.
     launch_unchecked!(
         gpu.units(count),
@@ -34,9 +31,6 @@ pub(crate) fn launch_bounds(
 ) -> Buffer<f32> {
     let count = projected.len / COLUMNS;
     let bounds = Buffer::new(gpu, count * COLUMNS);
-    if count == 0 {
-        return bounds;
-    }
     // SAFETY: every access is guarded by the number of Gaussians.
     launch_unchecked!(
         gpu.units(count),

@@ -29,9 +29,6 @@ pub(crate) fn launch_sh(
 ) -> Buffer<f32> {
     let count = inputs.means.len / 3;
     let colours = Buffer::new(gpu, 3 * count);
-    if count == 0 {
-        return colours;
-    }
     let degree = degree_of(coefficients);
     let width = vector_width(degree);
     // SAFETY: every access is guarded by the number of Gaussians.

@@ -48,24 +48,22 @@ pub(crate) fn launch_activate_backward(gpu: &Gpu, inputs: &ActivatedGrads) -> [O
     let count = opacities.len;
     let found = [(grad_scales, 3 * count), (grad_opacities, count)];
     let found = found.map(|(grad, len)| Buffer::if_needed(gpu, grad.is_some(), len));
-    if count > 0 {
-        let optional = |buffer: &Option<Buffer<f32>>| buffer.as_ref().map(Buffer::arg).into();
-        // SAFETY: every access is guarded by the number of Gaussians.
-        launch_unchecked!(
-            gpu.units(count),
-            activate_backward_kernel(
-                logit_opacities.arg(),
-                scales.arg(),
-                opacities.arg(),
-                optional(grad_scales),
-                optional(grad_opacities),
-                optional(&found[0]),
-                optional(&found[1]),
-                count as u32,
-                given(found.each_ref())
-            )
-        );
-    }
+    let optional = |buffer: &Option<Buffer<f32>>| buffer.as_ref().map(Buffer::arg).into();
+    // SAFETY: every access is guarded by the number of Gaussians.
+    launch_unchecked!(
+        gpu.units(count),
+        activate_backward_kernel(
+            logit_opacities.arg(),
+            scales.arg(),
+            opacities.arg(),
+            optional(grad_scales),
+            optional(grad_opacities),
+            optional(&found[0]),
+            optional(&found[1]),
+            count as u32,
+            given(found.each_ref())
+        )
+    );
     found
 }
 
