@@ -75,9 +75,12 @@ impl<F: Real, const C: usize> Columns<F, C> {
         all
     }
 
+    /// Stores a vector of rows of all columns; the inverse of [`Self::all_lanes`].
     #[inline(always)]
-    pub fn store<S: Simd>(&mut self, column: usize, first: usize, lanes: F::Lanes<S>) {
-        lanes.store_slice(&mut self.0[column][first..first + width::<S, F>()]);
+    pub fn store<S: Simd>(&mut self, first: usize, lanes: [F::Lanes<S>; C]) {
+        for (column, lanes) in self.0.iter_mut().zip(lanes) {
+            lanes.store_slice(&mut column[first..first + width::<S, F>()]);
+        }
     }
 }
 

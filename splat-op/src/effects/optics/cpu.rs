@@ -46,9 +46,7 @@ fn change_run<S: Simd, F: Real>(simd: S, twist: &[F], spec: &OpticsSpec, rows: &
             let row = ellipses.numbers(simd, at);
             let found = change.of(&Ellipse::from_row(&row)).to_row();
             let kept = LaneNumber::select_all(culled(&row), row, found);
-            for (column, value) in kept.into_iter().enumerate() {
-                changed.store(column, at, value.0);
-            }
+            changed.store(at, LaneNumber::lanes(kept));
         }
         changed.write(out);
     }
@@ -100,18 +98,12 @@ fn gradients_of_run<S: Simd, F: Real>(
             let (of_ellipse, of_twist) = change.backward(&Ellipse::from_row(&row), &Ellipse::from_row(&grad));
             let culled = culled(&row);
             let kept = LaneNumber::select_all(culled, grad, of_ellipse.to_row());
-            for (column, value) in kept.into_iter().enumerate() {
-                found.store(column, at, value.0);
-            }
+            found.store(at, LaneNumber::lanes(kept));
             for (sum, value) in sums.iter_mut().zip(of_twist) {
                 *sum += culled.select(zero, value.0);
             }
         }
         found.write(out);
     }
-    let mut total = [F::ZERO; PARAMETERS];
-    for (total, sum) in total.iter_mut().zip(sums) {
-        *total = sum.reduce_sum();
-    }
-    total
+    each!(sums, |sum| sum.reduce_sum())
 }

@@ -7,9 +7,9 @@ use super::simd::{GaussiansSimd, ProjectCameraSimd, ProjectionTermsSimd};
 use super::simd_backward::GradientsSimd;
 use super::{COLUMNS, Ellipse, Geometry, ProjectSpec, WIDTHS};
 use crate::camera::CameraModel;
-use crate::simd::dispatch;
 use crate::simd::lanes::{Columns, ROW_BLOCK, width};
 use crate::simd::real::Real;
+use crate::simd::{dispatch, each};
 use crate::tasks;
 
 /// Number of Gaussians per task. Sums over all Gaussians add one partial sum per chunk in order, so the number of threads never
@@ -39,14 +39,10 @@ impl<F: Real> Parameters<F> {
 
     #[inline(always)]
     fn store<S: Simd>(&mut self, first: usize, eight: &GaussiansSimd<F::Lanes<S>>) {
-        for axis in 0..3 {
-            self.means.store(axis, first, eight.mean[axis]);
-            self.scales.store(axis, first, eight.scale[axis]);
-        }
-        for axis in 0..4 {
-            self.rotations.store(axis, first, eight.rotation[axis]);
-        }
-        self.opacities.store(0, first, eight.opacity);
+        self.means.store(first, eight.mean);
+        self.rotations.store(first, eight.rotation);
+        self.scales.store(first, eight.scale);
+        self.opacities.store(first, [eight.opacity]);
     }
 
     #[inline(always)]
@@ -169,9 +165,7 @@ fn rows_of_chunk<S: Simd, F: Real, T: GaussianStage<C>, const C: usize, const BE
         parameters.read(inputs, first + block * ROW_BLOCK);
         for at in (0..rows.len() / C).step_by(width::<S, F>()) {
             let eight = parameters.eight(simd, at);
-            for (column, value) in T::rows::<S, F, BENDS>(simd, &eight, &camera).into_iter().enumerate() {
-                found.store(column, at, value);
-            }
+            found.store(at, T::rows::<S, F, BENDS>(simd, &eight, &camera));
         }
         found.write(rows);
     }
@@ -279,15 +273,9 @@ fn gradients_of_chunk<S: Simd, F: Real, T: GaussianStage<C>, const C: usize, con
             let row = grads.all_lanes(simd, at);
             let one = T::gradients::<S, F, BENDS>(simd, &eight, &camera, &row, needs_pose.then_some(&mut pose));
             found.store::<S>(at, &one.parameters);
-            for (axis, value) in one.mean2d.into_iter().enumerate() {
-                mean2d.store(axis, at, value);
-            }
+            mean2d.store(at, one.mean2d);
         }
         write(out, &found, &mean2d, block * ROW_BLOCK, count);
     }
-    let mut sums = [F::ZERO; 12];
-    for (sum, lanes) in sums.iter_mut().zip(pose) {
-        *sum = lanes.reduce_sum();
-    }
-    sums
+    each!(pose, |lanes| lanes.reduce_sum())
 }

@@ -144,9 +144,7 @@ fn bounds_of_chunk<S: Simd, F: Real, const C: usize>(
         for at in (0..rows.len() / COLUMNS).step_by(width::<S, F>()) {
             let ellipse = Ellipse::from_row(&ellipses.numbers(simd, at));
             let bounds = rules.bound(&ellipse, &slopes.numbers::<S>(simd, at));
-            for (column, value) in bounds.to_row().into_iter().enumerate() {
-                found.store(column, at, value.0);
-            }
+            found.store(at, LaneNumber::lanes(bounds.to_row()));
         }
         found.write(out);
     }
