@@ -8,27 +8,17 @@ use super::{OpticsEffect, PARAMETERS};
 use crate::gpu::UNITS;
 use crate::gpu::number::{KernelNumber, load_row, store_row};
 use crate::gpu::reduce::cube_sum;
+use crate::project::axis::CameraAxis;
 use crate::project::{COLUMNS, Ellipse};
-
-/// One axis of the picture, px.
-#[allow(dead_code, reason = "kernels read the fields of the expanded type")]
-#[derive(CubeType, CubeLaunch, Clone, Copy)]
-#[expand(derive(Clone, Copy))]
-pub(super) struct Axis {
-    focal: f32,
-    principal: f32,
-    /// Limits to which a centre is clamped for its velocity.
-    low: f32,
-    high: f32,
-}
 
 /// Camera and change as arguments of the kernels.
 #[allow(dead_code, reason = "kernels read the fields of the expanded type")]
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub(super) struct ChangeArg {
-    x: Axis,
-    y: Axis,
+    /// Their limits are those to which a centre is clamped for its velocity, px.
+    x: CameraAxis,
+    y: CameraAxis,
     /// px.
     height: f32,
     #[cube(comptime)]

@@ -1,16 +1,17 @@
 //! Launches of the changes of ellipses.
 
-use super::kernels::{AxisLaunch, ChangeArgLaunch, expose_backward_kernel, expose_kernel};
+use super::kernels::{ChangeArgLaunch, expose_backward_kernel, expose_kernel};
 use super::{Exposed, OpticsSpec, PARAMETERS};
 use crate::gpu::reduce::launch_column_sums;
 use crate::gpu::{Buffer, Gpu, UNITS, launch_unchecked};
 use crate::project::COLUMNS;
+use crate::project::axis::CameraAxisLaunch;
 
 /// Camera and change as an argument of the kernels.
 fn change(spec: &OpticsSpec) -> ChangeArgLaunch {
     let [x, y] = spec.axes().map(|axis| {
         let [focal, principal, low, high] = axis.map(|value| value as f32);
-        AxisLaunch::new(focal, principal, low, high)
+        CameraAxisLaunch::new(focal, principal, low, high)
     });
     ChangeArgLaunch::new(x, y, spec.intrinsics.height as f32, spec.exposure)
 }

@@ -23,7 +23,7 @@
 //! Shapes: means `[N, 3]`, rotations `[N, 4]`, scales `[N, 3]`, opacities `[N]`, pose `[3, 4]` → packed `[N, 7]`.
 
 #[cfg(feature = "cube")]
-mod axis;
+pub(crate) mod axis;
 #[cfg(feature = "cube")]
 pub(crate) mod backward;
 pub(crate) mod cpu;
