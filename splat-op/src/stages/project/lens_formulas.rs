@@ -161,6 +161,8 @@ enum FirstStep<N: Number> {
 
 /// Projection of a centre through a lens, with the intermediate values that the gradient needs.
 pub(crate) struct LensProjection<N: Number> {
+    distortion: Distortion<N>,
+    focal: [N; 2],
     first: FirstStep<N>,
     /// Whether the centre lies within the lens's domain.
     pub within: N::Mask,
@@ -181,7 +183,13 @@ pub(crate) struct LensProjectionGrad<N> {
 impl<N: Number> LensProjection<N> {
     /// Projects through the lens, from the centre, the rows of `W R`, and the limits to which a perspective lens's slopes are clamped.
     #[inline(always)]
-    pub fn new(distortion: &Distortion<N>, mean_cam: [N; 3], rows: Matrix3<N>, limits: [[N; 2]; 2]) -> Self {
+    pub fn new(
+        distortion: Distortion<N>,
+        focal: [N; 2],
+        mean_cam: [N; 3],
+        rows: Matrix3<N>,
+        limits: [[N; 2]; 2],
+    ) -> Self {
         let (first, s, base) = if distortion.model == CameraModel::Orthographic {
             (FirstStep::Orthographic, [mean_cam[0], mean_cam[1]], [rows[0], rows[1]])
         } else if distortion.model.is_fisheye() {
@@ -198,7 +206,8 @@ impl<N: Number> LensProjection<N> {
             FirstStep::Perspective(step) => distortion.at(step.slope),
             _ => centre,
         };
-        Self { first, within: dot2(s, s).lt(distortion.max_radius_squared), centre, held, base, rows }
+        let within = dot2(s, s).lt(distortion.max_radius_squared);
+        Self { distortion, focal, first, within, centre, held, base, rows }
     }
 
     /// Distorted position of the centre, in units of the focal length.
@@ -209,25 +218,20 @@ impl<N: Number> LensProjection<N> {
 
     /// The rows of `J W R`.
     #[inline(always)]
-    pub fn rows(&self, focal: [N; 2]) -> [[N; 3]; 2] {
+    pub fn rows(&self) -> [[N; 3]; 2] {
         let (base, by) = (&self.base, &self.held.by);
-        each!([0, 1], |i| scale(add(scale(base[0], by[i][0]), scale(base[1], by[i][1])), focal[i]))
+        each!([0, 1], |i| scale(add(scale(base[0], by[i][0]), scale(base[1], by[i][1])), self.focal[i]))
     }
 
-    /// Gradients of the centre and of `W R` from those of the rows of `J W R` and of the distorted position.
+    /// Gradients of the centre and of `W R` from those of the rows of `J W R` and of the projected centre, per px.
     #[inline(always)]
-    pub fn backward(
-        &self,
-        distortion: &Distortion<N>,
-        focal: [N; 2],
-        grad_j: [[N; 3]; 2],
-        grad_seen_at: [N; 2],
-    ) -> LensProjectionGrad<N> {
-        let grad = [scale(grad_j[0], focal[0]), scale(grad_j[1], focal[1])];
+    pub fn backward(&self, grad_j: [[N; 3]; 2], grad_px: [N; 2]) -> LensProjectionGrad<N> {
+        let grad = each!([0, 1], |i| scale(grad_j[i], self.focal[i]));
+        let grad_seen_at = each!([0, 1], |i| grad_px[i] * self.focal[i]);
         let by = &self.held.by;
         let grad_base = each!([0, 1], |k| add(scale(grad[0], by[0][k]), scale(grad[1], by[1][k])));
         let grad_by = each!([0, 1], |i| [dot(grad[i], self.base[0]), dot(grad[i], self.base[1])]);
-        let grad_slope = distortion.second(&self.held, &grad_by);
+        let grad_slope = self.distortion.second(&self.held, &grad_by);
         let by = &self.centre.by;
         let grad_s = each!([0, 1], |k| grad_seen_at[0] * by[0][k] + grad_seen_at[1] * by[1][k]);
         match &self.first {

@@ -87,48 +87,32 @@ impl<F: Real> ProjectCameraSimd<F> {
     }
 }
 
-/// A lens and the projection of eight centres through it.
-pub(crate) struct Bent<S: Simd, F: Real> {
-    distortion: Distortion<LaneNumber<S, F>>,
-    focal: [LaneNumber<S, F>; 2],
-    pub projection: LensProjection<LaneNumber<S, F>>,
+/// The projection of eight centres through a lens.
+pub(crate) type Bent<S, F> = LensProjection<LaneNumber<S, F>>;
+
+/// Projects eight centres through a lens; `rows` are those of `W R`.
+#[inline(always)]
+pub(crate) fn through_lens<S: Simd, F: Real>(
+    camera: &ProjectCameraSimd<Lanes<S, F>>,
+    distortion: &Distortion<Lanes<S, F>>,
+    mean_cam: Vector<S, F>,
+    rows: &Matrix3<Lanes<S, F>>,
+) -> Bent<S, F> {
+    let distortion = distortion.map(
+        #[inline(always)]
+        |value| LaneNumber(value),
+    );
+    let limits = [LaneNumber::row(camera.low), LaneNumber::row(camera.high)];
+    let rows = each!(*rows, |row| LaneNumber::row(row));
+    LensProjection::new(distortion, LaneNumber::row(camera.focal), LaneNumber::row(mean_cam), rows, limits)
 }
 
-impl<S: Simd, F: Real> Bent<S, F> {
-    /// `rows` are those of `W R`.
+impl<S: Simd, F: Real> LensProjectionGrad<LaneNumber<S, F>> {
+    /// Unwraps the lanes.
     #[inline(always)]
-    pub fn new(
-        camera: &ProjectCameraSimd<Lanes<S, F>>,
-        distortion: &Distortion<Lanes<S, F>>,
-        mean_cam: Vector<S, F>,
-        rows: &Matrix3<Lanes<S, F>>,
-    ) -> Self {
-        let distortion = distortion.map(
-            #[inline(always)]
-            |value| LaneNumber(value),
-        );
-        let limits = [LaneNumber::row(camera.low), LaneNumber::row(camera.high)];
-        let rows = each!(*rows, |row| LaneNumber::row(row));
-        let projection = LensProjection::new(&distortion, LaneNumber::row(mean_cam), rows, limits);
-        Self { distortion, focal: LaneNumber::row(camera.focal), projection }
-    }
-
-    /// The rows of `J W R`.
-    #[inline(always)]
-    pub fn rows(&self) -> [Vector<S, F>; 2] {
-        each!(self.projection.rows(self.focal), |row| LaneNumber::lanes(row))
-    }
-
-    /// Gradients of the centres and of `W R` from those of the rows of `J W R` and of the distorted positions, px.
-    #[inline(always)]
-    pub fn backward(&self, grad_j: [Vector<S, F>; 2], grad_px: [Lanes<S, F>; 2]) -> LensProjectionGrad<Lanes<S, F>> {
-        let grad_j = each!(grad_j, |row| LaneNumber::row(row));
-        let grad_at = each!([0, 1], |axis| LaneNumber(grad_px[axis]) * self.focal[axis]);
-        let grad = self.projection.backward(&self.distortion, self.focal, grad_j, grad_at);
-        LensProjectionGrad {
-            mean_cam: LaneNumber::lanes(grad.mean_cam),
-            rows: each!(grad.rows, |row| LaneNumber::lanes(row)),
-        }
+    pub fn lanes(self) -> LensProjectionGrad<Lanes<S, F>> {
+        let rows = each!(self.rows, |row| LaneNumber::lanes(row));
+        LensProjectionGrad { mean_cam: LaneNumber::lanes(self.mean_cam), rows }
     }
 }
 
@@ -218,9 +202,9 @@ impl<S: Simd, F: Real> ProjectionTermsSimd<S, F> {
         });
         let mut bent = None;
         if BENDS && let Some(distortion) = &camera.distortion {
-            let found = Bent::<S, F>::new(camera, distortion, mean_cam, &cam_from_gaussian);
-            (ratio, j) = (LaneNumber::lanes(found.projection.seen_at()), found.rows());
-            seen &= found.projection.within;
+            let found = through_lens::<S, F>(camera, distortion, mean_cam, &cam_from_gaussian);
+            (ratio, j) = (LaneNumber::lanes(found.seen_at()), each!(found.rows(), |row| LaneNumber::lanes(row)));
+            seen &= found.within;
             bent = Some(found);
         }
         seen = seen & finite(ratio[0]) & finite(ratio[1]) & quaternion_length.simd_gt(zero);

@@ -8,6 +8,7 @@ use super::simd::{GaussiansSimd, ProjectCameraSimd, ProjectionTermsSimd};
 use crate::linalg::{Matrix3, add, cross, dot, hadamard, matmul, matvec, scale, sub, transpose, transposed_matvec};
 use crate::simd::each;
 use crate::simd::lanes::{MaskOf, Vector, norm};
+use crate::simd::number::LaneNumber;
 use crate::simd::real::Real;
 
 impl<S: Simd, F: Real> ProjectionTermsSimd<S, F> {
@@ -62,7 +63,8 @@ impl<S: Simd, F: Real> ProjectionTermsSimd<S, F> {
         grad: &Ellipse<F::Lanes<S>>,
     ) -> LensProjectionGrad<F::Lanes<S>> {
         if BENDS && let Some(bent) = &self.bent {
-            let mut out = bent.backward(grad_j, grad.mean_px);
+            let grad_j = each!(grad_j, |row| LaneNumber::row(row));
+            let mut out = bent.backward(grad_j, LaneNumber::row(grad.mean_px)).lanes();
             out.mean_cam[2] += grad.depth;
             return out;
         }

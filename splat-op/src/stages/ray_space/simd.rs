@@ -7,24 +7,19 @@ use super::formulas::{Factored, RaySpaceGrad, RaySpaceTerms};
 use super::{LensFrame, RAY_SPACE};
 use crate::linalg::{Matrix3, Number, add};
 use crate::project::lens_formulas::LensProjectionGrad;
-use crate::project::simd::{Bent, GaussiansSimd, ProjectCameraSimd, ProjectionTermsSimd};
+use crate::project::simd::{Bent, GaussiansSimd, ProjectCameraSimd, ProjectionTermsSimd, through_lens};
 use crate::project::simd_backward::{GradientsSimd, ShapeGrad, any_not_zero};
 use crate::simd::each;
 use crate::simd::number::LaneNumber;
 use crate::simd::real::Real;
-
-/// A lens's projection of Gaussians that are not rotated against the camera, whose rows of `J W R` are those of `J`, and these rows.
-struct LensTerms<S: Simd, F: Real> {
-    bent: Bent<S, F>,
-    jacobian: [[LaneNumber<S, F>; 3]; 2],
-}
 
 /// Eight Gaussians in ray space.
 pub(super) struct RaySpaceSimd<S: Simd, F: Real> {
     projection: ProjectionTermsSimd<S, F>,
     terms: RaySpaceTerms<LaneNumber<S, F>>,
     map: LensFrame<LaneNumber<S, F>>,
-    lens: Option<LensTerms<S, F>>,
+    /// A lens's projection of Gaussians that are not rotated against the camera, whose rows of `J W R` are those of `J`.
+    lens: Option<Bent<S, F>>,
 }
 
 impl<S: Simd, F: Real> RaySpaceSimd<S, F> {
@@ -56,10 +51,9 @@ impl<S: Simd, F: Real> RaySpaceSimd<S, F> {
         if BENDS && let Some(distortion) = &camera.distortion {
             let identity: Matrix3<F::Lanes<S>> =
                 [[one.0, zero.0, zero.0], [zero.0, one.0, zero.0], [zero.0, zero.0, one.0]];
-            let bent = Bent::<S, F>::new(camera, distortion, projection.mean_cam, &identity);
-            let jacobian = each!(bent.rows(), |row| LaneNumber::row(row));
-            map = LensFrame::at(LaneNumber::row(projection.mean_cam), &jacobian);
-            lens = Some(LensTerms { bent, jacobian });
+            let bent = through_lens::<S, F>(camera, distortion, projection.mean_cam, &identity);
+            map = LensFrame::at(LaneNumber::row(projection.mean_cam), &bent.rows());
+            lens = Some(bent);
         }
         Self { projection, terms, map, lens }
     }
@@ -92,23 +86,21 @@ impl<S: Simd, F: Real> RaySpaceSimd<S, F> {
         pose: Option<&mut [F::Lanes<S>; 12]>,
     ) -> GradientsSimd<F::Lanes<S>> {
         let projection = &self.projection;
-        let zero = self.map.centre[0].constant(0.0).0;
+        let zero = self.map.centre[0].constant(0.0);
         let takes_part = projection.seen & any_not_zero::<S, F>(&grad[..RAY_SPACE]);
         let j = each!(projection.j, |row| LaneNumber::row(row));
         let RaySpaceGrad { scales, rows, centre, blur } = self.terms.backward(j, &self.map, &LaneNumber::row(*grad));
-        let rows = each!(rows, |row| LaneNumber::lanes(row));
-        let mut through = LensProjectionGrad { mean_cam: LaneNumber::lanes(centre), rows };
-        if BENDS && let Some(LensTerms { bent, jacobian }) = &self.lens {
-            let (of_jacobian, of_z) = self.map.backward(LaneNumber(projection.mean_cam[2]), jacobian, blur);
-            through.mean_cam[2] += of_z.0;
-            let of_jacobian = each!(of_jacobian, |row| LaneNumber::lanes(row));
+        let mut through = LensProjectionGrad { mean_cam: centre, rows };
+        if BENDS && let Some(bent) = &self.lens {
+            let (of_jacobian, of_z) = self.map.backward(LaneNumber(projection.mean_cam[2]), &bent.rows(), blur);
+            through.mean_cam[2] = through.mean_cam[2] + of_z;
             let of_lens = bent.backward(of_jacobian, [zero; 2]);
             through.mean_cam = add(through.mean_cam, of_lens.mean_cam);
         }
-        let of_shape = ShapeGrad { scales: LaneNumber::lanes(scales), opacity: zero };
+        let of_shape = ShapeGrad { scales: LaneNumber::lanes(scales), opacity: zero.0 };
         GradientsSimd {
-            parameters: projection.parameters_backward(camera, g, takes_part, &through, of_shape, pose),
-            mean2d: each!([grad[4], grad[5]], |value| takes_part.select(value, zero)),
+            parameters: projection.parameters_backward(camera, g, takes_part, &through.lanes(), of_shape, pose),
+            mean2d: each!([grad[4], grad[5]], |value| takes_part.select(value, zero.0)),
         }
     }
 }
