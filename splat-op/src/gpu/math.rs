@@ -163,6 +163,15 @@ impl Pose {
         }
     }
 
+    pub fn store(&self, to: &mut [f32], at: usize) {
+        self.matrix.x.store(to, at);
+        self.matrix.y.store(to, at + 4);
+        self.matrix.z.store(to, at + 8);
+        to[at + 3] = self.translation.x;
+        to[at + 7] = self.translation.y;
+        to[at + 11] = self.translation.z;
+    }
+
     /// Transforms a point from the world frame to the camera frame.
     pub fn apply(&self, point: Vec3) -> Vec3 {
         self.matrix.apply(point).plus(self.translation)

@@ -5,6 +5,7 @@
 
 use cubecl::prelude::*;
 
+use super::math::Vec3;
 use super::{Buffer, Gpu, UNITS, launch_unchecked};
 
 /// Number of neighbouring units whose values are added first.
@@ -71,6 +72,15 @@ pub(crate) fn cube_sum(value: f32, shared: &mut Shared<[f32]>) -> f32 {
     }
     sync_cube();
     total
+}
+
+/// Returns the sum of the vectors of all units in a cube; see [`cube_sum`].
+#[cube]
+pub(crate) fn cube_vector_sum(value: Vec3, shared: &mut Shared<[f32]>) -> Vec3 {
+    let x = cube_sum(value.x, shared);
+    let y = cube_sum(value.y, shared);
+    let z = cube_sum(value.z, shared);
+    Vec3::new(x, y, z)
 }
 
 /// Computes `sums[column] = Σ values[row][column]`, or `Σ weights[row] values[column][row]` if there are weights; a cube

@@ -12,12 +12,13 @@
 
 use cubecl::prelude::*;
 
+use super::Geometry;
 use super::axis::{CameraAxis, JacobianRow};
 use super::forward::{Gaussian, GeometryInputs, PackedEllipse, ProjectCamera, ProjectionTerms, project_one};
 use super::lens_kernel::{SeenGrad, bent_backward};
 use crate::gpu::UNITS;
 use crate::gpu::math::{Mat3, POSE, Pose, Quaternion, Vec3};
-use crate::gpu::reduce::cube_sum;
+use crate::gpu::reduce::cube_vector_sum;
 
 /// Whether any field is not zero, by its bits, so that NaN counts.
 #[cube]
@@ -106,15 +107,6 @@ pub(crate) fn seen_backward(
     }
 }
 
-/// Gradients of a Gaussian that are computed; those of the opacity and the projected centre always are.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub(crate) struct GeometryGradMask {
-    pub means: bool,
-    pub rotations: bool,
-    pub scales: bool,
-    pub pose: bool,
-}
-
 /// Gradients of one Gaussian's parameters and of its projected centre, per px, and its share of the pose's gradient.
 #[derive(CubeType, CubeTypeMut, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
@@ -142,7 +134,7 @@ pub(crate) fn no_gradient() -> GaussianGrad {
     }
 }
 
-/// Sets the gradients of the centre, of the rotation and of the pose from those of `W R` and of the centre in the camera's frame.
+/// Sets the wanted gradients of the centre, of the rotation and of the pose from those of `W R` and of the centre in the camera's frame.
 #[cube]
 pub(crate) fn world_backward(
     of: &mut GaussianGrad,
@@ -150,7 +142,7 @@ pub(crate) fn world_backward(
     g: &Gaussian,
     p: &ProjectionTerms,
     pose: &Pose,
-    #[comptime] wanted: GeometryGradMask,
+    #[comptime] wanted: Geometry<bool>,
 ) {
     let (turned, centre) = (seen.turned, seen.centre);
     if comptime!(wanted.means) {
@@ -160,7 +152,7 @@ pub(crate) fn world_backward(
         let unturned = pose.matrix.transposed().times(turned);
         of.rotation = p.quaternion.backward(p.quaternion_length, unturned);
     }
-    if comptime!(wanted.pose) {
+    if comptime!(wanted.cam_from_world) {
         let from = p.world_from_gaussian;
         of.pose.matrix.x = from.apply(turned.x).plus(g.mean.times(centre.x));
         of.pose.matrix.y = from.apply(turned.y).plus(g.mean.times(centre.y));
@@ -169,16 +161,17 @@ pub(crate) fn world_backward(
     }
 }
 
-/// Gradients of a Gaussian from the gradient of its row; zero if it is culled.
+/// Gradients of a Gaussian from the gradient of its row; zero if it is culled. Those of the opacity and the projected centre are always
+/// computed.
 #[cube]
 pub(crate) fn gaussian_backward(
     g: &Gaussian,
     pose: &Pose,
     camera: &ProjectCamera,
     grad: &PackedEllipse,
-    #[comptime] wanted: GeometryGradMask,
+    #[comptime] wanted: Geometry<bool>,
 ) -> GaussianGrad {
-    let through_rows = comptime!(wanted.means || wanted.rotations || wanted.pose);
+    let through_rows = comptime!(wanted.means || wanted.rotations || wanted.cam_from_world);
     let mut of = no_gradient();
     let p = project_one(g, pose, camera);
     if p.visible {
@@ -206,26 +199,74 @@ pub(crate) fn gaussian_backward(
     of
 }
 
+/// Gradients that a backward kernel writes; those not asked for are absent. A kernel also takes the record of what is asked for as a
+/// comptime argument, see [`given`](crate::gpu::given).
+#[derive(CubeType, CubeLaunch)]
+pub(crate) struct GeometryOutputs {
+    means: ComptimeOption<Box<[f32]>>,
+    rotations: ComptimeOption<Box<[Vector<f32, Const<4>>]>>,
+    scales: ComptimeOption<Box<[f32]>>,
+    opacities: ComptimeOption<Box<[f32]>>,
+    mean2d: ComptimeOption<Box<[f32]>>,
+    /// One row per cube.
+    pose_rows: ComptimeOption<Box<[f32]>>,
+}
+
+#[cube]
+impl GeometryOutputs {
+    /// Writes the gradients of one Gaussian's parameters and of its projected centre.
+    pub fn store(&mut self, of: &GaussianGrad, gaussian: usize) {
+        #[comptime]
+        if let ComptimeOption::Some(out) = &mut self.means {
+            of.mean.store(out, 3 * gaussian);
+        }
+        #[comptime]
+        if let ComptimeOption::Some(out) = &mut self.rotations {
+            of.rotation.store(out, gaussian);
+        }
+        #[comptime]
+        if let ComptimeOption::Some(out) = &mut self.scales {
+            of.scale.store(out, 3 * gaussian);
+        }
+        #[comptime]
+        if let ComptimeOption::Some(out) = &mut self.opacities {
+            out[gaussian] = of.opacity;
+        }
+        #[comptime]
+        if let ComptimeOption::Some(out) = &mut self.mean2d {
+            out[2 * gaussian] = of.mean2d_x;
+            out[2 * gaussian + 1] = of.mean2d_y;
+        }
+    }
+
+    /// Writes the sum of the pose's gradients over the units of a cube to the cube's row.
+    pub fn store_pose(&mut self, pose: &Pose, count: u32) {
+        #[comptime]
+        if let ComptimeOption::Some(rows) = &mut self.pose_rows {
+            let mut shared = Shared::<[f32]>::new_slice(comptime!(UNITS));
+            // A dispatch may hold more cubes than there are rows.
+            if CUBE_POS * comptime!(UNITS) < count as usize {
+                let x = cube_vector_sum(pose.matrix.x, &mut shared);
+                let y = cube_vector_sum(pose.matrix.y, &mut shared);
+                let z = cube_vector_sum(pose.matrix.z, &mut shared);
+                let translation = cube_vector_sum(pose.translation, &mut shared);
+                if UNIT_POS == 0 {
+                    Pose { matrix: Mat3 { x, y, z }, translation }.store(rows, CUBE_POS * comptime!(POSE));
+                }
+            }
+        }
+    }
+}
+
 #[cube(launch_unchecked)]
 pub(super) fn project_backward_kernel(
     inputs: GeometryInputs,
     grad: &[f32],
-    grad_means: ComptimeOption<&mut [f32]>,
-    grad_rotations: ComptimeOption<&mut [Vector<f32, Const<4>>]>,
-    grad_scales: ComptimeOption<&mut [f32]>,
-    grad_opacities: ComptimeOption<&mut [f32]>,
-    grad_mean2d: ComptimeOption<&mut [f32]>,
-    pose_rows: ComptimeOption<&mut [f32]>,
+    mut outputs: GeometryOutputs,
     camera: ProjectCamera,
     count: u32,
-    #[comptime] _given: u32,
+    #[comptime] wanted: Geometry<bool>,
 ) {
-    let wanted = comptime!(GeometryGradMask {
-        means: grad_means.is_some(),
-        rotations: grad_rotations.is_some(),
-        scales: grad_scales.is_some(),
-        pose: pose_rows.is_some(),
-    });
     let gaussian = ABSOLUTE_POS;
     let mut of = no_gradient();
     if gaussian < count as usize {
@@ -234,63 +275,7 @@ pub(super) fn project_backward_kernel(
         if any(&grad) {
             of = gaussian_backward(&inputs.gaussian(gaussian), &inputs.pose(), &camera, &grad, wanted);
         }
-        #[comptime]
-        if let ComptimeOption::Some(out) = grad_means {
-            of.mean.store(out, 3 * gaussian);
-        }
-        #[comptime]
-        if let ComptimeOption::Some(out) = grad_rotations {
-            of.rotation.store(out, gaussian);
-        }
-        #[comptime]
-        if let ComptimeOption::Some(out) = grad_scales {
-            of.scale.store(out, 3 * gaussian);
-        }
-        #[comptime]
-        if let ComptimeOption::Some(out) = grad_opacities {
-            out[gaussian] = of.opacity;
-        }
-        #[comptime]
-        if let ComptimeOption::Some(out) = grad_mean2d {
-            out[2 * gaussian] = of.mean2d_x;
-            out[2 * gaussian + 1] = of.mean2d_y;
-        }
+        outputs.store(&of, gaussian);
     }
-    #[comptime]
-    if let ComptimeOption::Some(rows) = pose_rows {
-        store_pose(&of.pose, rows, count);
-    }
+    outputs.store_pose(&of.pose, count);
 }
-
-/// Writes the sum of the pose's gradients over the units of a cube to the cube's row.
-#[cube]
-pub(crate) fn store_pose(pose: &Pose, rows: &mut [f32], count: u32) {
-    let mut shared = Shared::<[f32]>::new_slice(comptime!(UNITS));
-    // A dispatch may hold more cubes than there are rows.
-    if CUBE_POS * comptime!(UNITS) < count as usize {
-        let (m, t) = (pose.matrix, pose.translation);
-        store_sum(m.x.x, rows, 0, &mut shared);
-        store_sum(m.x.y, rows, 1, &mut shared);
-        store_sum(m.x.z, rows, 2, &mut shared);
-        store_sum(t.x, rows, 3, &mut shared);
-        store_sum(m.y.x, rows, 4, &mut shared);
-        store_sum(m.y.y, rows, 5, &mut shared);
-        store_sum(m.y.z, rows, 6, &mut shared);
-        store_sum(t.y, rows, 7, &mut shared);
-        store_sum(m.z.x, rows, 8, &mut shared);
-        store_sum(m.z.y, rows, 9, &mut shared);
-        store_sum(m.z.z, rows, 10, &mut shared);
-        store_sum(t.z, rows, 11, &mut shared);
-    }
-}
-
-/// Writes the sum over the units of a cube to the cube's row.
-#[cube]
-fn store_sum(value: f32, rows: &mut [f32], column: usize, shared: &mut Shared<[f32]>) {
-    let sum = cube_sum(value, shared);
-    if UNIT_POS == 0 {
-        rows[CUBE_POS * comptime!(POSE) + column] = sum;
-    }
-}
-
-const _: () = assert!(POSE == 12, "the columns of the pose's rows");

@@ -2,7 +2,7 @@
 
 use cubecl::prelude::{ComptimeOptionArgs, CubeCount, CubeDim};
 
-use super::backward::project_backward_kernel;
+use super::backward::{GeometryOutputsLaunch, project_backward_kernel};
 use super::cpu::{project_backward_cpu, project_cpu};
 use super::launch::{geometry_arg, launch_project, launch_project_backward, project_camera};
 use super::testing::*;
@@ -174,6 +174,7 @@ fn surplus_cubes_write_nothing() {
     let (view, count) = (TestCamera::new(1, 0.3, true), 300);
     let scene = StageInputs::random(9, count, &view, false);
     let nothing = || ComptimeOptionArgs::None;
+    let needs = Geometry { opacities: true, cam_from_world: true, ..Geometry::default() };
     for (_, gpu) in gpus() {
         let (inputs, grad) = scene.upload(&gpu);
         let rows = Buffer::<f32>::new(&gpu, 6 * 12);
@@ -186,15 +187,17 @@ fn surplus_cubes_write_nothing() {
                 CubeDim::new_1d(UNITS as u32),
                 geometry_arg(&inputs),
                 grad.arg(),
-                nothing(),
-                ComptimeOptionArgs::None,
-                nothing(),
-                ComptimeOptionArgs::Some(opacities.arg()),
-                nothing(),
-                ComptimeOptionArgs::Some(rows.arg()),
+                GeometryOutputsLaunch::new(
+                    nothing(),
+                    ComptimeOptionArgs::None,
+                    nothing(),
+                    ComptimeOptionArgs::Some(opacities.arg()),
+                    nothing(),
+                    ComptimeOptionArgs::Some(rows.arg()),
+                ),
                 project_camera(&view.spec(&view.lens)),
                 count as u32,
-                0b101000,
+                needs,
             );
         }
         // In tests, slots that no kernel wrote are NaN.

@@ -1,13 +1,13 @@
 //! Launches of `project`.
 
 use super::axis::CameraAxisLaunch;
-use super::backward::project_backward_kernel;
+use super::backward::{GeometryOutputsLaunch, project_backward_kernel};
 use super::forward::{GeometryInputsLaunch, ProjectCameraLaunch, project_forward_kernel};
 use super::lens_kernel::distortion_arg;
 use super::{COLUMNS, Geometry, ProjectSpec, RADIUS_SIGMAS, WIDTHS};
 use crate::gpu::math::POSE;
 use crate::gpu::reduce::launch_column_sums;
-use crate::gpu::{Buffer, Gpu, UNITS, given, launch_unchecked};
+use crate::gpu::{Buffer, Gpu, UNITS, launch_unchecked};
 
 /// Camera and options as an argument of the kernels, computed in f64 and rounded once.
 pub(crate) fn project_camera(spec: &ProjectSpec) -> ProjectCameraLaunch {
@@ -55,7 +55,7 @@ pub(crate) fn geometry_grads(
     gpu: &Gpu,
     count: usize,
     needs: Geometry<bool>,
-    launch: impl FnOnce(&Geometry<Option<Buffer<f32>>>),
+    launch: impl FnOnce(GeometryOutputsLaunch),
 ) -> Geometry<Option<Buffer<f32>>> {
     let of_rows = Geometry { cam_from_world: false, ..needs };
     let mut grads = of_rows.zip(WIDTHS).map(|(needed, width)| Buffer::if_needed(gpu, needed, count * width));
@@ -63,7 +63,15 @@ pub(crate) fn geometry_grads(
         grads.cam_from_world = needs.cam_from_world.then(|| Buffer::from_slice(gpu, &[0.0; POSE]));
     } else if needs.into_array().contains(&true) {
         grads.cam_from_world = Buffer::if_needed(gpu, needs.cam_from_world, count.div_ceil(UNITS) * POSE);
-        launch(&grads);
+        let output = |buffer: &Option<Buffer<f32>>| buffer.as_ref().map(Buffer::arg).into();
+        launch(GeometryOutputsLaunch::new(
+            output(&grads.means),
+            grads.rotations.as_ref().map(|grads| grads.vectors(4)).into(),
+            output(&grads.scales),
+            output(&grads.opacities),
+            output(&grads.mean2d),
+            output(&grads.cam_from_world),
+        ));
         grads.cam_from_world = grads.cam_from_world.map(|rows| launch_column_sums(gpu, &rows, POSE));
     }
     grads
@@ -78,23 +86,17 @@ pub(crate) fn launch_project_backward(
     needs: Geometry<bool>,
 ) -> Geometry<Option<Buffer<f32>>> {
     let count = inputs.opacities.len;
-    geometry_grads(gpu, count, needs, |grads| {
-        let output = |buffer: &Option<Buffer<f32>>| buffer.as_ref().map(Buffer::arg).into();
+    geometry_grads(gpu, count, needs, |outputs| {
         // SAFETY: every access is guarded by the number of Gaussians.
         launch_unchecked!(
             gpu.units(count),
             project_backward_kernel(
                 geometry_arg(inputs),
                 grad.arg(),
-                output(&grads.means),
-                grads.rotations.as_ref().map(|grads| grads.vectors(4)).into(),
-                output(&grads.scales),
-                output(&grads.opacities),
-                output(&grads.mean2d),
-                output(&grads.cam_from_world),
+                outputs,
                 project_camera(spec),
                 count as u32,
-                given(grads.each_ref().into_array())
+                needs
             )
         );
     })

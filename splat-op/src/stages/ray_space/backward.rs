@@ -8,7 +8,8 @@ use super::forward::{KernelFrame, lens_map, not_rotated, terms_of};
 use super::{LENS_COLUMNS, RAY_SPACE};
 use crate::gpu::math::{Mat3Expand, Vec2, Vec3};
 use crate::gpu::number::{KernelNumber, load_row, vec3};
-use crate::project::backward::{GeometryGradMask, no_gradient, store_pose, world_backward};
+use crate::project::Geometry;
+use crate::project::backward::{GeometryOutputs, no_gradient, world_backward};
 use crate::project::forward::{Gaussian, GeometryInputs, ProjectCamera, ProjectionTerms, project_one};
 use crate::project::lens_kernel::{DistortionArg, SeenGrad, SeenGradExpand, bent_backward};
 
@@ -87,21 +88,11 @@ fn map_of(f: &ProjectionTerms, mean: Vec3, camera: &ProjectCamera) -> KernelFram
 pub(super) fn ray_space_backward_kernel(
     inputs: GeometryInputs,
     grad: &[f32],
-    grad_means: ComptimeOption<&mut [f32]>,
-    grad_rotations: ComptimeOption<&mut [Vector<f32, Const<4>>]>,
-    grad_scales: ComptimeOption<&mut [f32]>,
-    grad_mean2d: ComptimeOption<&mut [f32]>,
-    pose_rows: ComptimeOption<&mut [f32]>,
+    mut outputs: GeometryOutputs,
     camera: ProjectCamera,
     count: u32,
-    #[comptime] _given: u32,
+    #[comptime] wanted: Geometry<bool>,
 ) {
-    let wanted = comptime!(GeometryGradMask {
-        means: grad_means.is_some(),
-        rotations: grad_rotations.is_some(),
-        scales: grad_scales.is_some(),
-        pose: pose_rows.is_some(),
-    });
     let gaussian = ABSOLUTE_POS;
     let mut of = no_gradient();
     if gaussian < count as usize {
@@ -126,26 +117,7 @@ pub(super) fn ray_space_backward_kernel(
                 world_backward(&mut of, &SeenGrad { turned: seen.turned, centre }, &g, &f, &pose, wanted);
             }
         }
-        #[comptime]
-        if let ComptimeOption::Some(out) = grad_means {
-            of.mean.store(out, 3 * gaussian);
-        }
-        #[comptime]
-        if let ComptimeOption::Some(out) = grad_rotations {
-            of.rotation.store(out, gaussian);
-        }
-        #[comptime]
-        if let ComptimeOption::Some(out) = grad_scales {
-            of.scale.store(out, 3 * gaussian);
-        }
-        #[comptime]
-        if let ComptimeOption::Some(out) = grad_mean2d {
-            out[2 * gaussian] = of.mean2d_x;
-            out[2 * gaussian + 1] = of.mean2d_y;
-        }
+        outputs.store(&of, gaussian);
     }
-    #[comptime]
-    if let ComptimeOption::Some(rows) = pose_rows {
-        store_pose(&of.pose, rows, count);
-    }
+    outputs.store_pose(&of.pose, count);
 }

@@ -5,7 +5,7 @@ use super::bounds_kernel::{bounds_kernel, lens_limits};
 use super::columns;
 use super::forward::ray_space_forward_kernel;
 use crate::gpu::math::Vec2Launch;
-use crate::gpu::{Buffer, Gpu, given, launch_unchecked};
+use crate::gpu::{Buffer, Gpu, launch_unchecked};
 use crate::project::launch::{geometry_arg, geometry_grads, project_camera};
 use crate::project::{COLUMNS, Geometry, ProjectSpec};
 use crate::rasterize::RasterizeSpec;
@@ -56,22 +56,18 @@ pub(crate) fn launch_ray_space_backward(
     needs: Geometry<bool>,
 ) -> Geometry<Option<Buffer<f32>>> {
     let count = inputs.opacities.len;
-    geometry_grads(gpu, count, Geometry { opacities: false, ..needs }, |grads| {
-        let output = |buffer: &Option<Buffer<f32>>| buffer.as_ref().map(Buffer::arg).into();
+    let needs = Geometry { opacities: false, ..needs };
+    geometry_grads(gpu, count, needs, |outputs| {
         // SAFETY: every access is guarded by the number of Gaussians.
         launch_unchecked!(
             gpu.units(count),
             ray_space_backward_kernel(
                 geometry_arg(inputs),
                 grad.arg(),
-                output(&grads.means),
-                grads.rotations.as_ref().map(|grads| grads.vectors(4)).into(),
-                output(&grads.scales),
-                output(&grads.mean2d),
-                output(&grads.cam_from_world),
+                outputs,
                 project_camera(spec),
                 count as u32,
-                given(grads.each_ref().into_array())
+                needs
             )
         );
     })

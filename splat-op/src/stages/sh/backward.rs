@@ -10,8 +10,8 @@ use cubecl::prelude::*;
 use super::forward::{CameraPosition, Frame, NORMS, basis, coefficient, linear_colour, load_row, may_show};
 use super::{coefficients_of, vector_width};
 use crate::gpu::UNITS;
-use crate::gpu::math::{Pose, Vec3, positive};
-use crate::gpu::reduce::cube_sum;
+use crate::gpu::math::{Mat3, Pose, Vec3, positive};
+use crate::gpu::reduce::cube_vector_sum;
 
 /// `Σₖ wₖ ∇pₖ(d)` for the polynomials `pₖ` of [`basis`], grouped by degree. Only the component normal to `d` is meaningful on the
 /// sphere.
@@ -207,11 +207,9 @@ pub(super) fn sh_backward_kernel<W: Size>(
         let mut shared = Shared::<[f32]>::new_slice(comptime!(UNITS));
         // A dispatch may hold more cubes than there are rows.
         if CUBE_POS * comptime!(UNITS) < count as usize {
-            let x = cube_sum(of_view_direction.x, &mut shared);
-            let y = cube_sum(of_view_direction.y, &mut shared);
-            let z = cube_sum(of_view_direction.z, &mut shared);
+            let sum = cube_vector_sum(of_view_direction, &mut shared);
             if UNIT_POS == 0 {
-                Vec3::new(x, y, z).store(rows, 3 * CUBE_POS);
+                sum.store(rows, 3 * CUBE_POS);
             }
         }
     }
@@ -224,11 +222,8 @@ pub(super) fn pose_backward_kernel(grad_sights: &[f32], cam_from_world: &[f32], 
         let eye = CameraPosition::of(Pose::load(cam_from_world));
         // The gradient of the position is the negative sum of those of the view directions.
         let grad_t = eye.world_from_cam.apply_transposed(Vec3::load(grad_sights, 0));
-        eye.position.times(grad_t.x).store(grad_pose, 0);
-        eye.position.times(grad_t.y).store(grad_pose, 4);
-        eye.position.times(grad_t.z).store(grad_pose, 8);
-        grad_pose[3] = grad_t.x;
-        grad_pose[7] = grad_t.y;
-        grad_pose[11] = grad_t.z;
+        let matrix =
+            Mat3 { x: eye.position.times(grad_t.x), y: eye.position.times(grad_t.y), z: eye.position.times(grad_t.z) };
+        Pose { matrix, translation: grad_t }.store(grad_pose, 0);
     }
 }
