@@ -102,8 +102,9 @@ fn contributors_kernel<S: Splat>(
                 anybody[0].fetch_or(1u32);
             }
             segment += 1;
-            // With barriers before and after the load.
             let others = workgroup_uniform_load_atomic(&anybody[0]);
+            // Before the next reset. Only WGSL waits after the load by itself.
+            sync_cube();
             running = others != 0 && segment * comptime!(SEGMENT as u32) < places;
         }
 

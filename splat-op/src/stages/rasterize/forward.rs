@@ -211,8 +211,9 @@ pub(super) fn rasterize_forward_kernel<S: Splat>(
                 needed[unit as usize].store(0u32);
             }
             segment += 1;
-            // With barriers before and after the load.
             let others = workgroup_uniform_load_atomic(&anybody[0]);
+            // Before the next reset. Only WGSL waits after the load by itself.
+            sync_cube();
             running = others != 0 && segment * comptime!(SEGMENT as u32) < places;
         }
 
