@@ -8,6 +8,8 @@ use glam::DVec2;
 
 use super::lens::FAR;
 use super::{CameraModel, Intrinsics};
+#[cfg(feature = "cube")]
+use crate::gpu::{Buffer, Client, Gpu};
 use crate::tasks;
 
 /// Slope of a pixel without a ray.
@@ -24,7 +26,6 @@ const KEPT: usize = 4;
 const BEYOND: [f64; 2] = [1.25, 1.5];
 
 /// The rays of a picture that was taken through a lens.
-#[derive(Debug)]
 pub(crate) struct PictureRays {
     /// `[H, W]`: slopes `(x/z, y/z)` of the ray through each pixel's centre. Pixels without a ray have slopes of 1e30: no direction
     /// in the lens's domain and in front of the camera projects to them.
@@ -40,6 +41,9 @@ pub(crate) struct PictureRays {
     pub bend_radius: f64,
     /// Upper bound of the first derivative of a fisheye's planar map, px.
     pub stretch_px: f64,
+    /// The slopes on the devices that rendered the picture.
+    #[cfg(feature = "cube")]
+    on_devices: Mutex<Vec<(Client, Buffer<f32>)>>,
 }
 
 impl PictureRays {
@@ -59,6 +63,20 @@ impl PictureRays {
             recent.push_front((*camera, rays.clone()));
             rays
         }))
+    }
+
+    /// Returns the slopes on a device, `[H, W, 2]`, where they stay as long as the rays are kept.
+    #[cfg(feature = "cube")]
+    pub fn on(&self, gpu: &Gpu) -> Buffer<f32> {
+        let mut kept = self.on_devices.lock().unwrap_or_else(PoisonError::into_inner);
+        let device = gpu.client.service_id();
+        if let Some((_, slopes)) = kept.iter().find(|(client, _)| client.service_id() == device) {
+            return slopes.clone();
+        }
+        let slopes: Vec<f32> = self.slopes.as_flattened().iter().map(|slope| *slope as f32).collect();
+        let slopes = Buffer::from_slice(gpu, &slopes);
+        kept.push((gpu.client.clone(), slopes.clone()));
+        slopes
     }
 
     fn new(camera: &Intrinsics) -> Self {
@@ -95,6 +113,8 @@ impl PictureRays {
             bend_px: bend,
             bend_radius: if fisheye { limit.tan() } else { limit },
             stretch_px: if fisheye { stretch } else { 0.0 },
+            #[cfg(feature = "cube")]
+            on_devices: Mutex::default(),
         }
     }
 }

@@ -9,7 +9,7 @@ pub(crate) mod reduce;
 
 use std::ops::Range;
 
-use cubecl::client::Client;
+pub(crate) use cubecl::client::Client;
 use cubecl::features::{AtomicUsage, Plane};
 use cubecl::ir::{DeviceProperties, ElemType, FloatKind, Type};
 use cubecl::prelude::{CubeCount, CubeDim};

@@ -58,10 +58,7 @@ impl<'a> DeviceSplats<'a> {
     ) -> Self {
         let along_rays = spec.options.along_rays();
         let rays = if along_rays { PictureRays::of(&spec.intrinsics) } else { None };
-        let slopes = rays.map(|rays| {
-            let slopes: Vec<f32> = rays.slopes.as_flattened().iter().map(|slope| *slope as f32).collect();
-            Buffer::from_slice(gpu, &slopes)
-        });
+        let slopes = rays.map(|rays| rays.on(gpu));
         Self { inputs, lists, along_rays, slopes }
     }
 

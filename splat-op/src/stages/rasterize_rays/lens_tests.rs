@@ -181,11 +181,26 @@ fn each_gradient_is_the_same_alone() {
 #[cfg(feature = "cube")]
 mod kernels {
     use super::*;
-    use crate::gpu::Buffer;
+    use crate::gpu::{Buffer, launch_scale};
     use crate::intersect::launch::launch_intersect;
     use crate::rasterize::launch::{launch_rasterize, launch_rasterize_backward};
     use crate::testing::ceiling::{PerturbedReference, to_f32};
-    use crate::testing::gpu::gpus;
+    use crate::testing::gpu::{gpu, gpus};
+
+    #[test]
+    fn the_slopes_of_a_picture_stay_on_the_device() {
+        let Some(gpu) = gpu() else { return };
+        // No other test has a picture of this size.
+        let [(model, distortion), ..] = lenses()[..] else { panic!("there are lenses") };
+        let camera = Intrinsics::centred(23, 19, 20.0).with_lens(model, distortion);
+        let rays = PictureRays::of(&camera).expect("a lens");
+        let slopes: Vec<f64> = rays.slopes.as_flattened().to_vec();
+        let first = rays.on(&gpu);
+        assert_eq!(first.read(&gpu), to_f32(&slopes));
+        launch_scale(&gpu, &first, &Buffer::from_slice(&gpu, &[0.0]));
+        let again = PictureRays::of(&camera).expect("a lens").on(&gpu).read(&gpu);
+        assert!(again.iter().all(|slope| *slope == 0.0), "the slopes were sent again");
+    }
 
     #[test]
     fn kernels_agree_with_the_twin() {
