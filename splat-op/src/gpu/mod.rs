@@ -30,6 +30,9 @@ pub(crate) fn given<T, const N: usize>(buffers: [&Option<T>; N]) -> u32 {
 /// Default number of units of a cube.
 pub(crate) const UNITS: usize = 256;
 
+/// Shared memory of a cube that every device offers, bytes.
+pub(crate) const SHARED_BYTES: usize = 16 << 10;
+
 /// Cubes along the first axis of a dispatch; WebGPU guarantees 65,535.
 const CUBES_X: usize = 32_768;
 

@@ -17,7 +17,7 @@
 use cubecl::prelude::*;
 
 use crate::gpu::reduce::{SUM_ROOM, cube_exclusive_sum};
-use crate::gpu::{Buffer, Gpu, UNITS, given, launch_unchecked};
+use crate::gpu::{Buffer, Gpu, SHARED_BYTES, UNITS, given, launch_unchecked};
 
 /// Key of what the sort leaves out.
 pub(crate) const HIDDEN: u32 = u32::MAX;
@@ -45,8 +45,8 @@ const GROUPS: usize = UNITS / RANK_LANES;
 /// The same shared memory holds a word for each group and digit, and the keys of a tile.
 const _: () = assert!(GROUPS * DIGITS == SORT_TILE);
 
-/// Shared memory of `scatter_kernel`: the words, the counters, the distances, the sums and the bound. Devices offer 16 KiB.
-const _: () = assert!(4 * (SORT_TILE + GROUPS * DIGITS / 2 + DIGITS + SUM_ROOM + 1) <= 16 << 10);
+/// Shared memory of `scatter_kernel`: the words, the counters, the distances, the sums and the bound.
+const _: () = assert!(4 * (SORT_TILE + GROUPS * DIGITS / 2 + DIGITS + SUM_ROOM + 1) <= SHARED_BYTES);
 
 /// Number of tiles until the counters of a byte are added up. Units of the same lane share counters.
 const TILES_PER_COUNT: usize = 3;

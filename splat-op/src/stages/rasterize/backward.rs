@@ -12,13 +12,11 @@
 use cubecl::prelude::*;
 
 use super::MOMENTS;
-use super::backward_block::{
-    SEGMENT_UNITS, SIDE, STRIDE, SegmentMemory, add_block, add_channels, pass_pixels, sums_len,
-};
+use super::backward_block::{SEGMENT_UNITS, SIDE, SegmentMemory, add_block, add_channels, pass_pixels, sums_len};
 use super::blocks::{BLOCK_PIXELS, BLOCKS, pixel_of};
 use super::layer::{BUCKET, KernelShape, RasterFrame, SplatInputs, TilePixel, tile_origin};
 use super::segment::{KeptTrace, Segment, SegmentRange, clear_rows};
-use super::splat::{Splat, behind_word, colours_of};
+use super::splat::{Splat, behind_word};
 use super::trace::WORDS;
 use crate::gpu::atomic::FloatCell;
 use crate::intersect::TILE_PIXELS;
@@ -52,10 +50,9 @@ pub(super) fn rasterize_backward_kernel<S: Splat, A: FloatCell>(
     #[comptime] absolute: bool,
     #[comptime] add: bool,
 ) {
-    let sums_len = comptime!(sums_len::<S>(shape));
-    let shares = comptime!(sums_len == 0);
+    let sums_len = comptime!(sums_len(shape));
     let columns = comptime!(row_len::<S>(shape, absolute));
-    let mut memory = SegmentMemory::new::<S>(shape);
+    let mut memory = SegmentMemory::new::<S>();
     let slot = CUBE_POS as u32;
     if slot < range.slots {
         let lane = UNIT_POS;
@@ -98,11 +95,7 @@ pub(super) fn rasterize_backward_kernel<S: Splat, A: FloatCell>(
                     S::store(&splat, &mut memory.splats, lane as usize);
                     memory.targets[lane as usize] =
                         if comptime!(add) { gaussian } else { intersection - range.first_row };
-                    if comptime!(shares) {
-                        memory.colours[lane as usize] = colours_of::<S>(&inputs, gaussian as usize, shape);
-                    } else {
-                        memory.gaussians[lane as usize] = gaussian;
-                    }
+                    memory.gaussians[lane as usize] = gaussian;
                 }
                 let mut row = Array::<f32>::new(comptime!(columns + sums_len));
                 #[unroll(shape.held())]
@@ -134,9 +127,7 @@ pub(super) fn rasterize_backward_kernel<S: Splat, A: FloatCell>(
                         add_block::<S>(&mut row, &memory, block, origin, grad, &inputs, &frame, shape, absolute);
                     }
                     sync_cube();
-                    if comptime!(!shares) {
-                        add_channels(&mut row, &mut memory, word, columns, sums_len);
-                    }
+                    add_channels(&mut row, &mut memory, word, columns, sums_len);
                 }
 
                 let count = range.end_row - range.first_row;
@@ -192,41 +183,23 @@ fn store_rows<A: FloatCell>(
     #[comptime] add: bool,
 ) {
     let lane = UNIT_POS;
-    if comptime!(len == 0) {
-        // Through shared memory, so that neighbouring units write neighbouring values.
+    let wide = comptime!(usize::min(len, SEGMENT_UNITS) / SIDE);
+    let channels = comptime!(shape.channels());
+    #[unroll(shape.held())]
+    for t in 0..len {
+        let place = lane - lane % comptime!(SIDE as u32) + (t % comptime!(SEGMENT_UNITS) / wide) as u32;
+        let channel = t - t % comptime!(SEGMENT_UNITS) + t % wide * SIDE + lane as usize % SIDE;
+        if place < here && channel < channels {
+            let (target, column) = (memory.targets[place as usize], comptime!(MOMENTS) + channel);
+            store_cell::<A>(row[columns + t], target, column, rows, sums, count, columns, add);
+        }
+    }
+    if lane < here {
         #[unroll]
-        for column in 0..columns {
-            memory.alphas[lane as usize * comptime!(STRIDE) + column] = row[column];
-        }
-        sync_cube();
-        let mut i = lane;
-        while i < here * comptime!(columns as u32) {
-            let place = i / comptime!(columns as u32);
-            let column = i % comptime!(columns as u32);
-            let sum = memory.alphas[(place * comptime!(STRIDE as u32) + column) as usize];
-            let target = memory.targets[place as usize];
-            store_cell::<A>(sum, target, column as usize, rows, sums, count, columns, add);
-            i += comptime!(SEGMENT_UNITS as u32);
-        }
-    } else {
-        let wide = comptime!(usize::min(len, SEGMENT_UNITS) / SIDE);
-        let channels = comptime!(shape.channels());
-        #[unroll(shape.held())]
-        for t in 0..len {
-            let place = lane - lane % comptime!(SIDE as u32) + (t % comptime!(SEGMENT_UNITS) / wide) as u32;
-            let channel = t - t % comptime!(SEGMENT_UNITS) + t % wide * SIDE + lane as usize % SIDE;
-            if place < here && channel < channels {
-                let (target, column) = (memory.targets[place as usize], comptime!(MOMENTS) + channel);
-                store_cell::<A>(row[columns + t], target, column, rows, sums, count, columns, add);
-            }
-        }
-        if lane < here {
-            #[unroll]
-            for k in 0..comptime!(columns - channels) {
-                let column = comptime!(if k < MOMENTS { k } else { k + channels });
-                let target = memory.targets[lane as usize];
-                store_cell::<A>(row[column], target, column, rows, sums, count, columns, add);
-            }
+        for k in 0..comptime!(columns - channels) {
+            let column = comptime!(if k < MOMENTS { k } else { k + channels });
+            let target = memory.targets[lane as usize];
+            store_cell::<A>(row[column], target, column, rows, sums, count, columns, add);
         }
     }
 }

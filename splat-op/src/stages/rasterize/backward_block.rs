@@ -17,12 +17,6 @@ const _: () = assert!(BLOCK_PIXELS == SEGMENT_UNITS && BUCKET == SEGMENT_UNITS &
 /// Distance of the rows of a table of places and pixels. Neither direction of reading has bank conflicts.
 pub(super) const STRIDE: usize = SEGMENT_UNITS + 1;
 
-/// Whether the colours of a bucket and the gradients of a block's pixels go through shared memory. Along rays the Gaussians take
-/// their room.
-pub(super) const fn shares_colours<S: Splat>(shape: KernelShape) -> bool {
-    shape.few() && !S::ALONG_RAYS
-}
-
 /// Shared memory of a cube.
 #[derive(CubeType)]
 pub(super) struct SegmentMemory {
@@ -33,47 +27,40 @@ pub(super) struct SegmentMemory {
     pub rho: Shared<[f32]>,
     /// Of the bucket.
     pub splats: Shared<[Four]>,
-    pub colours: Shared<[Four]>,
     pub gaussians: Shared<[u32]>,
     /// Rows that the sums are written or added to.
     pub targets: Shared<[u32]>,
     /// `[place][pixel]`: alphas at first, then `h`.
     pub alphas: Shared<[f32]>,
     pub weights: Shared<[f32]>,
-    /// Of the block: `g` of its pixels.
-    pub gradients: Shared<[f32]>,
 }
 
 #[cube]
 impl SegmentMemory {
-    pub fn new<S: Splat>(#[comptime] shape: KernelShape) -> SegmentMemory {
-        let shares = comptime!(shares_colours::<S>(shape));
+    pub fn new<S: Splat>() -> SegmentMemory {
         SegmentMemory {
             words: Shared::<[u32]>::new_slice(comptime!(WORDS)),
             checkpoints: Shared::<[f32]>::new_slice(comptime!(BUCKETS * TILE_PIXELS)),
             rho: Shared::<[f32]>::new_slice(comptime!(TILE_PIXELS)),
             splats: Shared::<[Four]>::new_slice(comptime!(BUCKET * S::VECTORS)),
-            colours: Shared::<[Four]>::new_slice(comptime!(if shares { BUCKET } else { 1 })),
-            gaussians: Shared::<[u32]>::new_slice(comptime!(if shares { 1 } else { BUCKET })),
+            gaussians: Shared::<[u32]>::new_slice(comptime!(BUCKET)),
             targets: Shared::<[u32]>::new_slice(comptime!(BUCKET)),
             alphas: Shared::<[f32]>::new_slice(comptime!(BUCKET * STRIDE)),
             weights: Shared::<[f32]>::new_slice(comptime!(BUCKET * STRIDE)),
-            gradients: Shared::<[f32]>::new_slice(comptime!(if shares { BLOCK_PIXELS * shape.channels() } else { 1 })),
         }
     }
 }
 
-/// Where channels are not shared, a unit sums this many places, and this many units have the same places.
+/// Number of places whose channels a unit sums, and of units that have the same places.
 pub(super) const SIDE: usize = 8;
 
-/// Number of a unit's sums of channels that are not shared: every [`SIDE`]-th channel of [`SIDE`] places. Zero where they are shared.
-pub(super) const fn sums_len<S: Splat>(shape: KernelShape) -> usize {
-    let side = if shape.held() { SIDE } else { SEGMENT_UNITS };
-    if shares_colours::<S>(shape) { 0 } else { shape.channels().next_multiple_of(side) }
+/// Number of a unit's sums of channels: every [`SIDE`]-th channel of [`SIDE`] places.
+pub(super) const fn sums_len(shape: KernelShape) -> usize {
+    shape.channels().next_multiple_of(if shape.held() { SIDE } else { SEGMENT_UNITS })
 }
 
 /// Passes the places of a block's word, of a bucket: leaves `h` and the weights of each place and pixel in the tables, and `ρ` in
-/// front of the bucket. The units are pixels. `g` of channels that are not shared is left in their columns of `row`.
+/// front of the bucket. The units are pixels. `g` is left in the channels' columns of `row`.
 #[cube]
 pub(super) fn pass_pixels<S: Splat>(
     row: &mut Array<f32>,
@@ -88,7 +75,6 @@ pub(super) fn pass_pixels<S: Splat>(
     #[comptime] shape: KernelShape,
 ) {
     let channels = comptime!(shape.channels());
-    let shares = comptime!(shares_colours::<S>(shape));
     let held = comptime!(shape.held());
     let lane = UNIT_POS;
     let plane = (frame.width * frame.height) as usize;
@@ -109,24 +95,11 @@ pub(super) fn pass_pixels<S: Splat>(
         through = next;
         stopped = stops;
     }
-    let mut gradient = Array::<f32>::new(comptime!(if shares { channels } else { 1 }));
-    if comptime!(shares) {
-        #[unroll]
-        for channel in 0..channels {
-            let mut value = 0.0f32;
-            if pixel.inside {
-                value = grad[plane_of(channel, shape) * plane + pixel.index];
-            }
-            gradient[channel] = value;
-            memory.gradients[channel * comptime!(BLOCK_PIXELS) + lane as usize] = value;
-        }
-    } else {
-        #[unroll(held)]
-        for channel in 0..channels {
-            row[comptime!(MOMENTS) + channel] = 0.0;
-            if pixel.inside {
-                row[comptime!(MOMENTS) + channel] = grad[plane_of(channel, shape) * plane + pixel.index];
-            }
+    #[unroll(held)]
+    for channel in 0..channels {
+        row[comptime!(MOMENTS) + channel] = 0.0;
+        if pixel.inside {
+            row[comptime!(MOMENTS) + channel] = grad[plane_of(channel, shape) * plane + pixel.index];
         }
     }
     let mut behind = memory.rho[unit as usize];
@@ -139,23 +112,15 @@ pub(super) fn pass_pixels<S: Splat>(
         // Where a layer does not show, its features may be infinite or undefined.
         if alpha > 0.0 {
             let mut along = 0.0f32;
-            if comptime!(shares) {
-                let all = memory.colours[i as usize];
-                #[unroll]
-                for channel in 0..channels {
-                    along += gradient[channel] * all.extract(channel);
-                }
-            } else {
-                let gaussian = memory.gaussians[i as usize] as usize;
-                let mut depth = 0.0f32;
-                if comptime!(S::ALONG_RAYS && shape.depth) {
-                    let (_, of_pixel) = S::seen(&S::load(&memory.splats, i as usize, inputs), &pixel, frame);
-                    depth = of_pixel;
-                }
-                #[unroll(held)]
-                for channel in 0..channels {
-                    along += row[comptime!(MOMENTS) + channel] * colour::<S>(inputs, gaussian, channel, depth, shape);
-                }
+            let gaussian = memory.gaussians[i as usize] as usize;
+            let mut depth = 0.0f32;
+            if comptime!(S::ALONG_RAYS && shape.depth) {
+                let (_, of_pixel) = S::seen(&S::load(&memory.splats, i as usize, inputs), &pixel, frame);
+                depth = of_pixel;
+            }
+            #[unroll(held)]
+            for channel in 0..channels {
+                along += row[comptime!(MOMENTS) + channel] * colour::<S>(inputs, gaussian, channel, depth, shape);
             }
             let ahead = along - behind;
             behind += alpha * ahead;
@@ -165,7 +130,7 @@ pub(super) fn pass_pixels<S: Splat>(
     memory.rho[unit as usize] = behind;
 }
 
-/// Adds a block's pixels to the rows, without channels that are not shared. The units are places.
+/// Adds a block's pixels to the rows, without the channels. The units are places.
 #[cube]
 pub(super) fn add_block<S: Splat>(
     row: &mut Array<f32>,
@@ -185,19 +150,9 @@ pub(super) fn add_block<S: Splat>(
     let first_unit = block * comptime!(BLOCK_PIXELS as u32);
     let pairs = BlockPairs { origin, first_unit, at: at as u32, plane };
     S::add_pairs(row, &splat, pairs, &memory.alphas, &memory.weights, grad, inputs, frame, shape, absolute);
-    if comptime!(shares_colours::<S>(shape)) {
-        #[unroll]
-        for channel in 0..comptime!(shape.channels()) {
-            let mut sum = 0.0f32;
-            for other in 0..comptime!(BLOCK_PIXELS) {
-                sum += memory.weights[at + other] * memory.gradients[channel * comptime!(BLOCK_PIXELS) + other];
-            }
-            row[comptime!(MOMENTS) + channel] += sum;
-        }
-    }
 }
 
-/// Adds a block's pixels to the sums of channels that are not shared. A unit has them behind its row, from `row[columns]` on: every
+/// Adds a block's pixels to the sums of channels. A unit has them behind its row, from `row[columns]` on: every
 /// [`SIDE`]-th channel of [`SIDE`] places. Before that the units are pixels, which leave `g` in the table of `h`.
 #[cube]
 pub(super) fn add_channels(

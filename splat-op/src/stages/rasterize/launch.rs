@@ -4,10 +4,11 @@ use cubecl::prelude::*;
 
 use super::backward::{rasterize_backward_kernel, row_len};
 use super::backward_block::SEGMENT_UNITS;
-use super::backward_planes::{PLANES, rasterize_backward_planes_kernel, shared_bytes};
+use super::backward_groups::{PLANES, rasterize_backward_groups_kernel};
 use super::ellipse::LayerEllipse;
 use super::forward::rasterize_forward_kernel;
 use super::gather::rasterize_gather_kernel;
+use super::groups::Sharing;
 use super::layer::{KernelShape, RasterFrameLaunch, SplatInputsLaunch};
 use super::rows::Rows;
 use super::segment::{KeptTraceLaunch, SegmentRangeLaunch};
@@ -17,7 +18,7 @@ use super::trace::{DeviceTrace, TraceRun, runs_of};
 use super::{Layers, RasterizeSpec};
 use crate::camera::PictureRays;
 use crate::gpu::reduce::launch_column_sums;
-use crate::gpu::{Buffer, Gpu, PART_BYTES, cubes, elementwise, given};
+use crate::gpu::{Buffer, Gpu, PART_BYTES, SHARED_BYTES, cubes, elementwise, given};
 use crate::intersect::launch::DeviceIntersections;
 use crate::intersect::{TILE_PIXELS, tile_grid};
 use crate::options::Accumulation;
@@ -265,7 +266,7 @@ impl LayersTask<'_> {
         let (written, added) = if ordered { (&rows.sums, &unused) } else { (&unused, &rows.sums) };
         // SAFETY: as above; a row belongs to an intersection or a Gaussian of the lists.
         macro_rules! launch {
-            ($kernel:ident::<$($cell:ty),+>, $dim:expr $(, $planes:expr, $direct:expr)?) => {
+            ($kernel:ident::<$($cell:ty),+>, $dim:expr, $last:expr) => {
                 unsafe {
                     $kernel::launch_unchecked::<$($cell),+>(
                         &gpu.client,
@@ -291,24 +292,22 @@ impl LayersTask<'_> {
                         ),
                         shape,
                         absolute,
-                        add,
-                        $($planes, $direct)?
+                        $last,
                     )
                 }
             };
         }
-        let direct = add && gpu.float_atomics;
-        let fits = |units: u32| shared_bytes(shape, columns, units as usize, direct) <= gpu.shared_bytes;
-        let usable = |units: &u32| !S::ALONG_RAYS && shape.few() && PLANES.contains(units) && fits(*units);
-        match (gpu.plane_units.filter(usable), gpu.float_atomics) {
-            (Some(units), true) => {
-                launch!(rasterize_backward_planes_kernel::<Atomic<f32>>, TILE_PIXELS, units, direct)
-            }
-            (Some(units), false) => {
-                launch!(rasterize_backward_planes_kernel::<Atomic<u32>>, TILE_PIXELS, units, false)
-            }
-            (None, true) => launch!(rasterize_backward_kernel::<S, Atomic<f32>>, SEGMENT_UNITS),
-            (None, false) => launch!(rasterize_backward_kernel::<S, Atomic<u32>>, SEGMENT_UNITS),
+        let fits = |sharing: &Sharing| {
+            let room = if sharing.planes { gpu.shared_bytes } else { SHARED_BYTES };
+            sharing.shared_bytes(shape) <= room
+        };
+        let planes = gpu.plane_units.filter(|units| PLANES.contains(units)).map(Sharing::of_planes).filter(fits);
+        let sharing = planes.or(Some(Sharing::of_blocks(columns)).filter(fits));
+        match (sharing.filter(|_| add && shape.few() && !S::ALONG_RAYS), gpu.float_atomics) {
+            (Some(of), true) => launch!(rasterize_backward_groups_kernel::<Atomic<f32>>, TILE_PIXELS, of),
+            (Some(of), false) => launch!(rasterize_backward_groups_kernel::<Atomic<u32>>, TILE_PIXELS, of),
+            (None, true) => launch!(rasterize_backward_kernel::<S, Atomic<f32>>, SEGMENT_UNITS, add),
+            (None, false) => launch!(rasterize_backward_kernel::<S, Atomic<u32>>, SEGMENT_UNITS, add),
         }
     }
 }

@@ -22,7 +22,7 @@ pub(crate) mod backward;
 #[cfg(feature = "cube")]
 mod backward_block;
 #[cfg(feature = "cube")]
-mod backward_planes;
+mod backward_groups;
 #[cfg(feature = "cube")]
 pub(crate) mod blocks;
 #[cfg(feature = "cube")]
@@ -41,6 +41,8 @@ mod forward;
 #[cfg(feature = "cube")]
 mod gather;
 mod gather_cpu;
+#[cfg(feature = "cube")]
+mod groups;
 #[cfg(all(test, feature = "cube"))]
 mod kernel_tests;
 #[cfg(feature = "cube")]
