@@ -121,7 +121,8 @@ pub(super) fn rasterize_backward_groups_kernel<A: FloatCell>(
                     through_at[group] = through;
                     stopped_at[group] = stopped;
                     if comptime!(!planes) {
-                        if comptime!(group as u32 + 1) < groups {
+                        let others_follow = comptime!(group as u32 + 1) < groups;
+                        if others_follow {
                             for _ in 0..together {
                                 let i = left.trailing_zeros();
                                 left &= left - 1;
