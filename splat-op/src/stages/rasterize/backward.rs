@@ -32,7 +32,7 @@ pub(crate) const fn row_len<S: Splat>(shape: KernelShape, absolute: bool) -> usi
 /// At a block, its units are first pixels. They go forwards through the bits of the block's word for `α` and `T`, then
 /// backwards for `∂L/∂α`, and leave `h` and the weights `α T` in tables in shared memory. Then the units are places:
 /// they read the tables transposed, and each adds up its own row over the pixels. So a pair's exponential is computed
-/// once for its gradient and at most once for its transmittance, and sums need neither atomics nor shuffles. Of many channels
+/// once for its gradient and at most once for its transmittance, and sums need neither atomics nor shuffles. Of the channels
 /// a unit sums every eighth one of eight places ([`add_channels`]), so that it reads the tables less often.
 ///
 /// Without `add`, the rows of the intersections of `range` are written to `rows`, and segments without any of
