@@ -21,11 +21,11 @@ use crate::intersect::TILE_PIXELS;
 pub(crate) const PLANES: [u32; 2] = [8, 32];
 
 /// Does what `rasterize_backward_kernel` does with `add`, for few channels. A cube of a unit per pixel takes a segment. Every plane or block
-/// adds its sums to the rows of the Gaussians.
+/// adds its sums to the rows of the Gaussians. `_rows` is an argument of both kernels, so that they are launched alike.
 ///
 /// In a bucket, the units of a block pass the layers of the block's word from the last to the first, a group at a time: forwards for
-/// `α` and `T`, which stay in registers, then backwards for `∂L/∂α`. What the layers before a group let through is evaluated once
-/// more: in planes before each group; in blocks before all groups, and kept in registers. Blocks with fewer groups than others wait.
+/// `α` and `T`, which stay in registers, then backwards for `∂L/∂α`. The transmittance before a group takes one more evaluation of the
+/// layers before it: planes evaluate them at each group, blocks once for all groups. Blocks with fewer groups than others wait.
 #[cube(launch_unchecked)]
 pub(super) fn rasterize_backward_groups_kernel<A: FloatCell>(
     inputs: SplatInputs,
@@ -204,7 +204,7 @@ pub(super) fn rasterize_backward_groups_kernel<A: FloatCell>(
                         let lane = unit % units;
                         store_sums::<A>(&values, sums, row, stores, lane, columns, units);
                     } else {
-                        // Until the cube has read the tables.
+                        // The sums take the place of the layers, which the cube has to have read.
                         sync_cube();
                         add_sums::<A>(&values, &mut memory, sums, here, columns, sharing);
                     }

@@ -212,7 +212,7 @@ pub(super) fn rasterize_forward_kernel<S: Splat>(
             }
             segment += 1;
             let others = workgroup_uniform_load_atomic(&anybody[0]);
-            // Before the next reset. Only WGSL waits after the load by itself.
+            // The next segment resets the cell, and only WGSL has a barrier behind this load.
             sync_cube();
             running = others != 0 && segment * comptime!(SEGMENT as u32) < places;
         }

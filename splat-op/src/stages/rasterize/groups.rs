@@ -1,7 +1,7 @@
 //! Groups of layers in the backward pass, for few channels: what `backward_groups.rs` is made of.
 //!
 //! A unit is a pixel while it passes the layers of a group, and a run of pixels of one layer while sums are made: what a layer gives
-//! each pixel goes through a small table in shared memory. A plane has a table of its own, or a block of pixels.
+//! each pixel goes through a small table in shared memory. Each plane has a table, or each block of pixels.
 
 use cubecl::prelude::*;
 
@@ -15,17 +15,18 @@ use super::suffix::plane_of;
 use super::trace::WORDS;
 use crate::intersect::TILE_PIXELS;
 
-/// Who shares a table, and its sizes, at compile time.
+/// Which units share a table, and the sizes of it. A compile-time parameter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(super) struct Sharing {
-    /// Whether the units of a plane share it, or else those of a block.
+    /// Whether the units of a plane share it; otherwise those of a block do.
     pub planes: bool,
+    /// Number of units that share it.
     pub units: usize,
-    /// Number of layers in a group, and of pixels that a unit sums. A unit keeps the layers' alphas in registers on its way forwards.
+    /// Number of layers in a group, and number of pixels that a unit sums. The alphas of a group stay in registers.
     pub together: usize,
     /// Number of places whose Gaussians are in shared memory at a time.
     held: usize,
-    /// Numbers of a table, at least those of [`Self::layers`].
+    /// Length of a table, at least [`Self::layers`].
     pub table: usize,
 }
 
@@ -42,12 +43,12 @@ impl Sharing {
         if sharing.table > sharing.layers() { sharing } else { Self { table: sharing.layers(), ..sharing } }
     }
 
-    /// Numbers of a layer's row: one more than its pixels, so that the units that read a column are served at once.
+    /// Length of a layer's row: one more than its pixels, so that units that read a column meet no bank twice.
     const fn row(&self) -> usize {
         self.units + 1
     }
 
-    /// Numbers of a table for the layers of a group: a row for `h` of each, and one for its weights `α T`.
+    /// Length of what a group's layers take of a table: for each a row of `h`, then for each a row of weights `α T`.
     const fn layers(&self) -> usize {
         2 * self.together * self.row()
     }
@@ -57,7 +58,7 @@ impl Sharing {
         (self.units / self.together) as u32
     }
 
-    /// Number of groups of a bucket before which a unit keeps what the layers let through.
+    /// Number of groups of a bucket for which a unit keeps the transmittance before them.
     pub const fn marks(&self) -> usize {
         if self.planes { 1 } else { BUCKET / self.together }
     }
@@ -66,7 +67,7 @@ impl Sharing {
         TILE_PIXELS / self.units
     }
 
-    /// Bytes of shared memory of [`GroupMemory`] and of a number that the cube waits for.
+    /// Bytes of shared memory of the kernel: those of [`GroupMemory`], and the number of turns.
     pub const fn shared_bytes(&self, shape: KernelShape) -> usize {
         let of_places = self.held * (4 * LayerEllipse::VECTORS + 4 + 1) + WORDS + 1;
         4 * (of_places + TILE_PIXELS * shape.channels() + self.tables() * (self.table + self.together))
@@ -85,7 +86,7 @@ pub(super) struct GroupMemory {
     /// `[channel][unit]`: `g` of the pixels.
     pub gradients: Shared<[f32]>,
     pub tables: Shared<[f32]>,
-    /// `[table][layer]`: its place, from the first that the group's bucket holds.
+    /// `[table][layer]`: the layer's place in its bucket.
     pub group: Shared<[u32]>,
 }
 

@@ -297,6 +297,7 @@ impl LayersTask<'_> {
                 }
             };
         }
+        // Blocks are for every device and keep to what all of them offer.
         let fits = |sharing: &Sharing| {
             let room = if sharing.planes { gpu.shared_bytes } else { SHARED_BYTES };
             sharing.shared_bytes(shape) <= room
