@@ -1,8 +1,23 @@
-# Compares the table of today, the second file, with the recorded one, and fails where a kernel became worse.
+# Compares the table of today, the second file, with the recorded one, and fails where a kernel became worse. Prints what a change of the
+# kernels changed: occupancy, registers, shared memory, instructions, and the cycles of a wave over the waves that hide them.
 
 function finding(text) { print $1 ", " $2 ": " text; findings++ }
+function changed(name, before, now) { if (before != now) changes = changes ", " name " " before " -> " now }
+function hidden(latency, waves) { return waves > 0 ? int(latency / waves) : latency }
 
-FNR == NR { if (FNR > 1) { recorded[$1 "\t" $2] = $4; spilled[$1 "\t" $2] = $9 } next }
+FNR == NR {
+  if (FNR == 1) { for (i = 4; i <= 7; i++) names[i] = $i }
+  else { recorded[$1 "\t" $2] = $4; spilled[$1 "\t" $2] = $9; row[$1 "\t" $2] = $0 }
+  next
+}
+
+($1 "\t" $2) in row {
+  split(row[$1 "\t" $2], before)
+  changes = ""
+  for (i = 4; i <= 7; i++) changed(names[i], before[i], $i)
+  changed("cycles/waves", hidden(before[8], before[4]), hidden($8, $4))
+  if (changes != "") print $1 ", " $2 changes
+}
 
 {
   kernels++

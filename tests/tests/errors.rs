@@ -2,8 +2,8 @@
 
 use burn::tensor::{DType, Device, Tensor};
 use splat_op::{
-    Camera, Colour, Extras, Intrinsics, Projected, RenderOptions, SplatError, evaluate_sh, intersect, project,
-    rasterize, render, visible_colours,
+    Camera, Colour, Extras, Intrinsics, Projected, RenderOptions, SplatError, contributors, evaluate_sh, intersect,
+    project, rasterize, render, visible_colours,
 };
 use splat_tests::ndarray;
 use splat_tests::random::Random;
@@ -183,15 +183,22 @@ fn a_stage_alone_refuses_what_a_render_refuses() {
 #[test]
 fn lists_of_another_view_are_refused() {
     let options = RenderOptions::standard();
-    let view = |count, intrinsics| {
+    let scene = |count, intrinsics| {
         let scene = Scene::random(&mut Random::new(1), count, 1, intrinsics);
-        let SceneTensors { splats, camera, .. } = scene.tensors(&Device::flex(), DType::F32);
+        scene.tensors(&Device::flex(), DType::F32)
+    };
+    let view = |count, intrinsics| {
+        let SceneTensors { splats, camera, .. } = scene(count, intrinsics);
         project(&splats, &camera, &Extras::default(), &options).expect("nothing is wrong with it")
     };
     let projected = view(COUNT, CAMERA);
     let with = |lists: &Projected, list_options: &RenderOptions| {
         let lists = intersect(lists, list_options).expect("nothing is wrong with it");
-        rasterize(&projected, &zeros([COUNT, 3]), &lists, &Extras::default(), &options)
+        let picture = rasterize(&projected, &zeros([COUNT, 3]), &lists, &Extras::default(), &options).map(drop);
+        let said = |result: &Result<(), SplatError>| result.as_ref().err().map(ToString::to_string);
+        let found = contributors(&projected, &lists, 1, &options).map(drop);
+        assert_eq!(said(&found), said(&picture), "both take the lists, or refuse them alike");
+        picture
     };
     with(&projected, &options).expect("its own lists");
     let refusal = |lists: &Projected, options: &RenderOptions| with(lists, options).expect_err("refused").to_string();
@@ -205,4 +212,7 @@ fn lists_of_another_view_are_refused() {
     with(&projected, &more).expect("lists of all pairs serve any threshold");
     let deep = options.with_depth(true);
     assert_names(&refusal(&projected, &deep), "intersections", "depth: true");
+    let SceneTensors { splats, camera, .. } = scene(COUNT, CAMERA);
+    let of_others = visible_colours(&splats, &camera, &view(COUNT + 3, CAMERA), &options).expect_err("refused");
+    assert_names(&of_others.to_string(), "projected", "[8, 7]");
 }

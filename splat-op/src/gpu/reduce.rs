@@ -14,6 +14,16 @@ const GROUP: usize = 16;
 /// Numbers of shared memory that [`cube_exclusive_sum`] needs.
 pub(crate) const SUM_ROOM: usize = UNITS + UNITS / GROUP;
 
+/// Waits for the units of the plane if `planes` is set, otherwise for those of the cube.
+#[cube]
+pub(crate) fn wait(#[comptime] planes: bool) {
+    if comptime!(planes) {
+        sync_plane();
+    } else {
+        sync_cube();
+    }
+}
+
 /// Returns the sum of the values of all previous units, in the order of `UNIT_POS`, and the sum over all units, in a cube of
 /// [`UNITS`] units. The sums must fit into u32. `shared` holds [`SUM_ROOM`] numbers.
 ///

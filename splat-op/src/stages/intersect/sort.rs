@@ -6,17 +6,17 @@
 //! cost the device.
 //!
 //! The rank of a key among the equal digits of its tile comes from bits in shared memory: of 32 neighbouring keys, each
-//! sets its bit in the word of its digit, and counts the bits below. The keys of a tile are ordered in shared memory before
-//! they are written, so most writes are runs.
+//! sets its bit in the word of its digit, and counts the bits below. Where these 32 units lie in one plane, they wait for one
+//! another and not for the cube: a tile then takes 10 barriers of the cube instead of 26. The keys of a tile are ordered in shared
+//! memory before they are written, so most writes are runs.
 //!
-//! There is no second form with ballots. It would replace an atomic and two barriers by eight ballots, about the same work,
-//! and needs counters per digit and plane, which exceed shared memory for planes of 16 units or less. CUB has both forms
-//! (`WARP_MATCH_ANY`, `WARP_MATCH_ATOMIC_OR`) and calls the one with bits the faster one where few neighbours are equal.
-//! Here they are: after a pass over the low digits neighbours differ, but for the last digit of the depths.
+//! There is no second form with ballots. It would replace an atomic and two waits of a plane by eight ballots, about the same
+//! work. CUB has both forms (`WARP_MATCH_ANY`, `WARP_MATCH_ATOMIC_OR`) and calls the one with bits the faster one where few
+//! neighbours are equal. Here they are: after a pass over the low digits neighbours differ, but for the last digit of the depths.
 
 use cubecl::prelude::*;
 
-use crate::gpu::reduce::{SUM_ROOM, cube_exclusive_sum};
+use crate::gpu::reduce::{SUM_ROOM, cube_exclusive_sum, wait};
 use crate::gpu::{Buffer, Gpu, SHARED_BYTES, UNITS, given, launch_unchecked};
 
 /// Key of what the sort leaves out.
@@ -47,6 +47,9 @@ const _: () = assert!(GROUPS * DIGITS == SORT_TILE);
 
 /// Shared memory of `scatter_kernel`: the words, the counters, the distances, the sums and the bound.
 const _: () = assert!(4 * (SORT_TILE + GROUPS * DIGITS / 2 + DIGITS + SUM_ROOM + 1) <= SHARED_BYTES);
+
+/// Number of chunks whose digits a unit loads at a time.
+const CHUNKS_AT_ONCE: usize = 8;
 
 /// Number of tiles until the counters of a byte are added up. Units of the same lane share counters.
 const TILES_PER_COUNT: usize = 3;
@@ -162,6 +165,7 @@ fn scatter_kernel(
     len: u32,
     chunks: u32,
     shift: u32,
+    #[comptime] planes: bool,
     #[comptime] _given: u32,
 ) {
     // A word for each group and digit while keys are ranked; afterwards the keys, then the values, in order.
@@ -180,10 +184,15 @@ fn scatter_kernel(
     let mut of_digit = 0u32;
     let mut before = 0u32;
     let own_chunk = CUBE_POS as u32;
-    for chunk in 0..chunks {
-        let here = table[chunk as usize * comptime!(DIGITS) + UNIT_POS as usize];
-        of_digit += here;
-        before += select(chunk < own_chunk, here, 0);
+    for step in 0..chunks.div_ceil(comptime!(CHUNKS_AT_ONCE as u32)) {
+        #[unroll]
+        for i in 0..comptime!(CHUNKS_AT_ONCE as u32) {
+            let chunk = step * comptime!(CHUNKS_AT_ONCE as u32) + i;
+            let row = min(chunk, chunks - 1) as usize;
+            let here = select(chunk < chunks, table[row * comptime!(DIGITS) + UNIT_POS as usize], 0);
+            of_digit += here;
+            before += select(chunk < own_chunk, here, 0);
+        }
     }
     let (smaller, total) = cube_exclusive_sum(of_digit, &mut sums);
     if own_chunk == 0 && unit == 0 {
@@ -234,13 +243,13 @@ fn scatter_kernel(
             if shown {
                 words[word].fetch_add(bit);
             }
-            sync_cube();
+            wait(planes);
             let mut same = 0u32;
             if shown {
                 same = words[word].load();
                 rank[i] = counter(&counters, counter_row, digit) + (same & (bit - 1)).count_ones();
             }
-            sync_cube();
+            wait(planes);
             // The last of the equal keys counts them all and takes their bits away. The next keys may set theirs meanwhile.
             if shown && (same >> lane) == 1 {
                 words[word].fetch_sub(same);
@@ -334,6 +343,7 @@ pub(crate) struct Sorted {
 /// longer, only so many of the first keys exist. The buffer of the keys is used as scratch.
 pub(crate) fn launch_sort(gpu: &Gpu, keys: Buffer<u32>, count: Option<Buffer<u32>>, bits: u32) -> Sorted {
     let len = keys.len;
+    let planes = gpu.plane_units.is_some_and(|units| units % RANK_LANES as u32 == 0);
     let chunks = len.div_ceil(SORT_TILE).clamp(1, CHUNKS);
     let passes = bits.div_ceil(DIGIT_BITS).max(1);
     let tables = Buffer::<u32>::new(gpu, passes as usize * chunks * DIGITS);
@@ -367,6 +377,7 @@ pub(crate) fn launch_sort(gpu: &Gpu, keys: Buffer<u32>, count: Option<Buffer<u32
                 most,
                 chunk_count,
                 DIGIT_BITS * pass,
+                planes,
                 given([&values, &count, &next])
             )
         );

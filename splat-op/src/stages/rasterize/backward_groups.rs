@@ -15,6 +15,7 @@ use super::layer::{BUCKET, KernelShape, RasterFrame, SplatInputs, TilePixel, til
 use super::segment::{KeptTrace, Segment, SegmentRange};
 use super::splat::behind_word;
 use crate::gpu::atomic::FloatCell;
+use crate::gpu::reduce::wait;
 use crate::intersect::TILE_PIXELS;
 
 /// Sizes of planes that the kernel is written for. A block's pixels are whole planes.
@@ -106,7 +107,7 @@ pub(super) fn rasterize_backward_groups_kernel<A: FloatCell>(
                 let whole_word = memory.words[(bucket * comptime!(BLOCKS as u32) + block) as usize];
                 let layers = whole_word.count_ones();
                 let groups = (layers + comptime!(together - 1)) / together;
-                let mut turns = groups;
+                let mut turns = if comptime!(sharing.in_step()) { sharing.most_groups().runtime() } else { groups };
 
                 // Before each group: the layers still to pass, and the shares that those before let through and stop.
                 let mut left_at = Array::<u32>::new(comptime!(sharing.marks()));
@@ -139,7 +140,7 @@ pub(super) fn rasterize_backward_groups_kernel<A: FloatCell>(
                 }
                 for turn in 0..turns {
                     let mut here = 0u32;
-                    if comptime!(planes) || turn < groups {
+                    if comptime!(planes && !sharing.in_step()) || turn < groups {
                         let group = groups - 1 - turn;
                         here = min(layers - group * together, together);
                         let mut left = left_at[0];
@@ -212,16 +213,6 @@ pub(super) fn rasterize_backward_groups_kernel<A: FloatCell>(
                 }
             }
         }
-    }
-}
-
-/// Waits for the plane, or for the cube.
-#[cube]
-fn wait(#[comptime] planes: bool) {
-    if comptime!(planes) {
-        sync_plane();
-    } else {
-        sync_cube();
     }
 }
 

@@ -58,9 +58,20 @@ impl Sharing {
         (self.units / self.together) as u32
     }
 
+    /// Largest number of groups of a bucket.
+    pub const fn most_groups(&self) -> u32 {
+        (BUCKET / self.together) as u32
+    }
+
     /// Number of groups of a bucket for which a unit keeps the transmittance before them.
     pub const fn marks(&self) -> usize {
-        if self.planes { 1 } else { BUCKET / self.together }
+        if self.planes { 1 } else { self.most_groups() as usize }
+    }
+
+    /// Whether all planes take as many turns. In Mesa's driver in software, whose planes have 8 units, the barrier of a plane waits for
+    /// the cube (`visit_barrier` of `lp_bld_nir.c`).
+    pub const fn in_step(&self) -> bool {
+        self.planes && self.units == 8
     }
 
     const fn tables(&self) -> usize {
