@@ -66,11 +66,8 @@ struct EvalOptionsRecord<'a> {
     lpips: &'a LpipsArgs,
 }
 
-/// Measures the scores, writes all files, and prints their location.
-///
-/// # Errors
-/// If the capture or the scene cannot be read, no photograph is held out, or a result is one of the files that are read or cannot be
-/// written.
+/// Measures the scores, writes all files, and prints their location. An error if the capture or the scene cannot be
+/// read, no photograph is held out, or a result is one of the files that are read or cannot be written.
 pub fn run(args: &EvalArgs) -> Result<Metrics> {
     let (device, device_name) = args.show.device.resolve()?;
     let lpips = args.lpips.read(&device)?;

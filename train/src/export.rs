@@ -48,11 +48,8 @@ pub struct ExportArgs {
     pub background: Option<ShownBackground>,
 }
 
-/// Writes the page and prints its size.
-///
-/// # Errors
-/// If the scene or the capture cannot be read, a view is not one of the capture, or the page is one of the files that are read or cannot be
-/// written.
+/// Writes the page and prints its size. An error if the scene or the capture cannot be read, a view is not one of the
+/// capture, or the page is one of the files that are read or cannot be written.
 pub fn run(args: &ExportArgs) -> Result<()> {
     let capture = args.views.as_deref().map(input::capture).transpose()?;
     let viewpoints = capture.as_ref().map(|capture| viewpoints(capture, &args.view)).transpose()?.unwrap_or_default();

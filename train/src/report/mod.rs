@@ -35,10 +35,8 @@ pub const POSES: &str = "poses.json";
 /// The folder of pictures.
 pub const VIEWS: &str = "views";
 
-/// Scores a scene on photographs, with LPIPS if it is given, and writes a comparison picture of each to `views/`.
-///
-/// # Errors
-/// If a view cannot be rendered or a picture cannot be written.
+/// Scores a scene on photographs, with LPIPS if it is given, and writes a comparison picture of each to `views/`. An
+/// error if a view cannot be rendered or a picture cannot be written.
 pub fn measure(
     splats: &Splats,
     photos: &[Photograph],

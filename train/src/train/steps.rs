@@ -51,10 +51,8 @@ fn scores_by_itself(step: usize, steps: usize, scoring_s: f64, training_s: f64) 
 }
 
 impl Run {
-    /// Runs all remaining steps and writes the results.
-    ///
-    /// # Errors
-    /// If a step fails or a result cannot be written; [`Interrupted`] if the run was asked to stop.
+    /// Runs all remaining steps and writes the results. An error if a step fails or a result cannot be written;
+    /// [`Interrupted`] if the run was asked to stop.
     pub fn finish(self) -> Result<Metrics> {
         let Self { setup, mut trainer, test, mut checkpoints, so_far, server, ranks, load_s } = self;
         let Setup { job: Job { args, capture, device, .. }, out, lpips, .. } = &setup;
