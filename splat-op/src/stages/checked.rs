@@ -4,16 +4,13 @@ use std::slice;
 
 use burn::tensor::Tensor;
 
-use super::options::RenderOptions;
-use super::splats::{Colour, Splats};
-use crate::camera::{Camera, CameraModel, Intrinsics};
 use crate::check::{Reference, check_positive};
-use crate::error::SplatError;
 use crate::intersect::tile_grid;
 use crate::limits::Need;
 use crate::project::COLUMNS;
 use crate::rasterize::RasterizeSpec;
 use crate::sh::sh_degree;
+use crate::{Camera, CameraModel, Colour, Intrinsics, RenderOptions, SplatError, Splats};
 
 /// Options in range, and the number of rows, the float type and the device that the tensors of a picture share.
 ///

@@ -2,15 +2,11 @@
 
 use burn::tensor::{Int, Tensor};
 
-use super::intersections::Intersections;
-use super::projected::Projected;
 use crate::backend::{Slot, apply};
-use crate::camera::Intrinsics;
-use crate::error::SplatError;
 use crate::limits::Need;
-use crate::options::RenderOptions;
 use crate::rasterize::RasterizeSpec;
 use crate::rasterize::operation::Contribute;
+use crate::{Intersections, Intrinsics, Projected, RenderOptions, SplatError};
 
 /// Largest number of contributors that [`contributors`] returns for a pixel.
 pub const MAX_CONTRIBUTORS: usize = 1024;

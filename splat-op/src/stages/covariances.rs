@@ -5,9 +5,8 @@ use std::borrow::Cow;
 use burn::tensor::{Bool, Tensor};
 
 use super::checked::Checked;
-use super::splats::{Extras, Splats};
 use crate::backend::custom_grad::plain;
-use crate::error::SplatError;
+use crate::{Extras, SplatError, Splats};
 
 /// Returns the Gaussians as [`project`](mod@crate::project) takes them, and whether factors stand in place of rotations and scales: those of
 /// the covariances of `extras`, if there are any.

@@ -1,8 +1,7 @@
 //! Options of a render: model choices, numerical dials and outputs.
 
-use crate::camera::{CameraModel, Intrinsics};
-use crate::error::SplatError;
 use crate::sh::SH_DEGREE_MAX;
+use crate::{CameraModel, Intrinsics, SplatError};
 
 /// Declares a struct of options. Each field has a builder, after its `=>`, that sets it.
 macro_rules! with_builders {

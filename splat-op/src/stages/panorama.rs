@@ -13,15 +13,11 @@ use burn::tensor::{DType, Device, Int, Tensor, TensorData};
 use glam::{DVec2, DVec3};
 
 use super::render::render_each;
-use super::rendered::Rendered;
-use super::splats::{Extras, Splats};
 use crate::abilities::{check_fits, is_gpu};
 use crate::backend::custom_grad::constant;
-use crate::camera::{Camera, Intrinsics};
 use crate::check::Reference;
-use crate::error::SplatError;
 use crate::limits::Need;
-use crate::options::{Accumulation, RenderOptions};
+use crate::{Accumulation, Camera, Extras, Intrinsics, RenderOptions, Rendered, SplatError, Splats};
 
 /// Number of pixels of a face beyond the cube's, on each side.
 const MARGIN: usize = 1;

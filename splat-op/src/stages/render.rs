@@ -11,15 +11,12 @@ use super::intersections::listed;
 use super::normals::facing;
 use super::projected::projected;
 use super::rendered::{Blend, Rendered, blended};
-use super::splats::{Extras, Splats};
 use super::tile_mask::checked_mask;
 use crate::abilities::check_fits;
 use crate::backend::custom_grad::constant;
-use crate::camera::Camera;
 use crate::check::check_positive;
-use crate::error::SplatError;
 use crate::limits::Need;
-use crate::options::RenderOptions;
+use crate::{Camera, Extras, RenderOptions, SplatError, Splats};
 
 /// Renders Gaussians as seen by one or several cameras with pictures of one size.
 ///

@@ -69,12 +69,9 @@ mod tests;
 use burn::tensor::Tensor;
 
 use crate::backend::apply;
-use crate::camera::{CameraModel, Intrinsics};
 use crate::check::Reference;
-use crate::error::SplatError;
 use crate::record::record;
-use crate::stages::Projected;
-use crate::tensor_code::is_tensor_code;
+use crate::{CameraModel, Intrinsics, Projected, SplatError, is_tensor_code};
 
 /// Largest vertical motion over a rolling shutter, as a share of the picture's height. Faster points are clamped to it.
 pub(crate) const LARGEST_SHARE: f64 = 0.5;

@@ -11,8 +11,7 @@ use anyhow::Result;
 use self::comparisons::Comparisons;
 use super::history::History;
 use super::html::{escape, in_script};
-use super::metrics::Metrics;
-use super::{REPORT, SCENE};
+use super::{Metrics, REPORT, SCENE};
 use crate::output::{OutputFolder, last_name};
 use crate::view::page::{Viewer, document};
 
