@@ -4,7 +4,7 @@ use std::slice;
 
 use burn::tensor::Tensor;
 
-use crate::check::{Reference, check_positive};
+use crate::check::{Reference, check_value};
 use crate::intersect::tile_grid;
 use crate::limits::Need;
 use crate::project::COLUMNS;
@@ -47,11 +47,9 @@ impl<'a> Checked<'a> {
 
     pub fn camera(&self, camera: &Camera) -> Result<(), SplatError> {
         camera.intrinsics.check()?;
-        if self.options.along_rays() && camera.intrinsics.model == CameraModel::Orthographic {
-            let found = "RayMax for an orthographic camera".into();
-            let expected = "Affine, whose ellipse is the maximum along parallel rays";
-            return Err(SplatError::Value { field: "projection", found, expected });
-        }
+        let ok = !self.options.along_rays() || camera.intrinsics.model != CameraModel::Orthographic;
+        let expected = "Affine, whose ellipse is the maximum along parallel rays";
+        check_value("projection", ok, "RayMax for an orthographic camera", expected)?;
         self.pose(camera)
     }
 
@@ -69,7 +67,7 @@ impl<'a> Checked<'a> {
 
     pub fn features(&self, features: &Tensor<2>) -> Result<(), SplatError> {
         self.reference.check("features", features, [Some(self.count), None], "[N, C]")?;
-        check_positive("features", features.dims()[1], "at least one channel")
+        check_value("features", features.dims()[1] > 0, 0, "at least one channel")
     }
 
     fn harmonics(&self, blocks: &[Tensor<3>]) -> Result<(), SplatError> {

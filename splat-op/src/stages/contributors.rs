@@ -3,6 +3,7 @@
 use burn::tensor::{Int, Tensor};
 
 use crate::backend::{Slot, apply};
+use crate::check::check_value;
 use crate::limits::Need;
 use crate::rasterize::RasterizeSpec;
 use crate::rasterize::operation::Contribute;
@@ -60,9 +61,7 @@ pub fn contributors(
     options: &RenderOptions,
 ) -> Result<Contributors, SplatError> {
     let checked = projected.checked(options)?;
-    if !(1..=MAX_CONTRIBUTORS).contains(&k) {
-        return Err(SplatError::Value { field: "k", found: k.to_string(), expected: "1 to 1024 contributors" });
-    }
+    check_value("k", (1..=MAX_CONTRIBUTORS).contains(&k), k, "1 to 1024 contributors")?;
     let Intrinsics { width, height, .. } = projected.intrinsics;
     let hint = "ask for fewer contributors of a pixel, or render a smaller picture";
     checked.reference().check_fits(&[Need::floats("the contributors", [height, width, k], hint)])?;

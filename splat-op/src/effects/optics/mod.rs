@@ -69,7 +69,7 @@ mod tests;
 use burn::tensor::Tensor;
 
 use crate::backend::apply;
-use crate::check::Reference;
+use crate::check::{Reference, check_value};
 use crate::record::record;
 use crate::{CameraModel, Intrinsics, Projected, SplatError, is_tensor_code};
 
@@ -149,14 +149,10 @@ fn exposed(
     margin: f64,
 ) -> Result<Projected, SplatError> {
     let intrinsics = *projected.intrinsics();
-    if intrinsics.model != CameraModel::Pinhole {
-        return Err(SplatError::Value {
-            field: "model",
-            found: format!("{:?}", intrinsics.model),
-            expected: "Pinhole, because ellipses are moved and widened for that alone: average renders from several poses \
-                       instead, which any camera can do",
-        });
-    }
+    let model = intrinsics.model;
+    let expected = "Pinhole, because ellipses are moved and widened for that alone: average renders from several poses \
+                    instead, which any camera can do";
+    check_value("model", model == CameraModel::Pinhole, format_args!("{model:?}"), expected)?;
     let reference = Reference::new("projected", projected.packed())?;
     reference.check("twist", twist, [Some(PARAMETERS)], "[6]")?;
     let spec = OpticsSpec { intrinsics, exposure, margin };
