@@ -11,8 +11,7 @@ use fearless_simd::prelude::*;
 
 use super::{LUMA, MAP, SliceSize, Sliced};
 use crate::simd::blocks::{block_len, load, splat, store};
-use crate::simd::dispatch;
-use crate::simd::real::Real;
+use crate::simd::{Real, dispatch};
 use crate::tasks;
 
 /// Where the centres of `pixels` pixels lie along an axis of the grid, counted from the first of `count` places.

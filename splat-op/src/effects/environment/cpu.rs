@@ -7,8 +7,7 @@ use super::Sky;
 use crate::sh::basis::basis_of;
 use crate::sh::{SH_COEFFICIENTS_MAX, degree_of};
 use crate::simd::blocks::{block_len, load, splat, store};
-use crate::simd::dispatch;
-use crate::simd::real::Real;
+use crate::simd::{Real, dispatch};
 use crate::tasks;
 
 /// Number of pixels per task.

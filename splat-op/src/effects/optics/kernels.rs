@@ -5,9 +5,8 @@ use cubecl::prelude::*;
 
 use super::formulas::Change;
 use super::{OpticsEffect, PARAMETERS};
-use crate::gpu::UNITS;
 use crate::gpu::number::{KernelNumber, load_row, store_row};
-use crate::gpu::reduce::cube_sum;
+use crate::gpu::{UNITS, cube_sum};
 use crate::project::axis::CameraAxis;
 use crate::project::{COLUMNS, Ellipse};
 

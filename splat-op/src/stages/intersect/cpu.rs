@@ -6,9 +6,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use super::extent::{ExtentRules, ExtentScratch};
 use super::{Cut, IntersectionLists, PixelBox, tile_grid};
 use crate::project::{COLUMNS, Ellipse};
-use crate::simd::dispatch;
-use crate::simd::lanes::ROW_BLOCK;
-use crate::simd::real::Real;
+use crate::simd::{ROW_BLOCK, Real, dispatch};
 use crate::{Intrinsics, tasks};
 
 /// Number of Gaussians per task that finds intersections.
