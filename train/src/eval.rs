@@ -16,8 +16,7 @@ use crate::input::{self, PhotoArgs};
 use crate::inputs::Inputs;
 use crate::lpips::LpipsArgs;
 use crate::output::OutputFolder;
-use crate::report::metrics::{Metrics, Seconds, peak_rss_mib, seconds_since};
-use crate::report::{self, METRICS, VIEWS};
+use crate::report::{self, METRICS, Metrics, Seconds, VIEWS, peak_rss_mib, seconds_since};
 
 /// Options of `splat eval`. The scores equal those of the training run if the photographs are split and sized alike.
 #[derive(Clone, Debug, clap::Args)]

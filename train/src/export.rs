@@ -14,8 +14,7 @@ use splat_model::gaussians::GaussianRows;
 use crate::background::ShownBackground;
 use crate::inputs::Inputs;
 use crate::output::prepare_file;
-use crate::view::page::{SceneSource, Viewer};
-use crate::view::scene::{ShownScene, Viewpoint};
+use crate::view::{SceneSource, ShownScene, Viewer, Viewpoint};
 use crate::{input, output, progress};
 
 /// Number of views without `--view`, so that their buttons fit into a line.

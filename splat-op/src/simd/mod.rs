@@ -5,6 +5,7 @@ pub(crate) mod lanes;
 pub(crate) mod number;
 pub(crate) mod real;
 
+pub(crate) use self::blocks::{block_len, load, splat, store};
 pub(crate) use self::lanes::{Columns, Lanes, MaskOf, ROW_BLOCK, Vector, map_lanes, norm, width};
 pub(crate) use self::number::LaneNumber;
 pub(crate) use self::real::{LANES, Real};

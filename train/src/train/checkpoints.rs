@@ -15,8 +15,7 @@ use splat_model::trainer::Trainer;
 
 use super::TrainArgs;
 use crate::progress;
-use crate::report::METRICS;
-use crate::report::history::History;
+use crate::report::{History, METRICS};
 
 pub const FOLDER: &str = "checkpoints";
 

@@ -16,9 +16,8 @@ use super::setup::Setup;
 use super::{ResumeArgs, TrainArgs};
 use crate::progress;
 use crate::ranks::{self, RunSetup};
-use crate::report::log::LogLine;
-use crate::report::metrics::{Metrics, seconds_since};
-use crate::view::server::Server;
+use crate::report::{LogLine, Metrics, seconds_since};
+use crate::view::Server;
 
 /// Trains, measures, writes all files, and prints their location. An error if the capture cannot be read, the results
 /// cannot be written, or an option is out of range; or if a loss or a gradient is not finite: `scene.ply` is the scene

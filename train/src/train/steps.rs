@@ -15,8 +15,7 @@ use super::setup::Setup;
 use super::time_limit::{TimeLimit, set_steps};
 use crate::live::Live;
 use crate::ranks::{self, Order};
-use crate::report::log::RunLog;
-use crate::report::metrics::Metrics;
+use crate::report::{Metrics, RunLog};
 use crate::stop::{Interrupted, Stop};
 
 /// Longest time between checkpoints.

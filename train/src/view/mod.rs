@@ -9,9 +9,9 @@ use std::path::PathBuf;
 use anyhow::{Context, Result};
 use splat_model::ply::TrainedAs;
 
-use self::page::{SceneSource, Viewer};
-use self::scene::ShownScene;
-use self::server::{LOCALHOST, ServedFile, Server};
+pub use self::page::{SceneSource, Viewer, document};
+pub use self::scene::{ShownScene, Viewpoint};
+pub use self::server::{LOCALHOST, ServedFile, Server, Site};
 use crate::{input, output, progress};
 
 /// Options of `splat view`.

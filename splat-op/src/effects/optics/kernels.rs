@@ -5,8 +5,7 @@ use cubecl::prelude::*;
 
 use super::formulas::Change;
 use super::{OpticsEffect, PARAMETERS};
-use crate::gpu::number::{KernelNumber, load_row, store_row};
-use crate::gpu::{UNITS, cube_sum};
+use crate::gpu::{KernelNumber, UNITS, cube_sum, load_row, store_row};
 use crate::project::axis::CameraAxis;
 use crate::project::{COLUMNS, Ellipse};
 
