@@ -11,6 +11,7 @@ mod tests;
 use burn::tensor::{Device, Tensor, TensorData};
 use glam::DAffine3;
 
+use crate::check::check_value;
 use crate::error::SplatError;
 
 pub use self::lens::Projector;
@@ -134,26 +135,19 @@ impl Intrinsics {
     /// Refuses sizes of zero or above [`MAX_SIDE_PX`], focal lengths that are not positive and finite, coefficients above
     /// [`MAX_COEFFICIENT`], and non-zero coefficients that the model does not use.
     pub(crate) fn check(&self) -> Result<(), SplatError> {
-        let side = |field, px: usize| match px {
-            1..=MAX_SIDE_PX => Ok(()),
-            _ => Err(SplatError::Value { field, found: px.to_string(), expected: "1 to 32768 px" }),
-        };
-        let number = |field, value: f64, ok: bool, expected| match ok {
-            true => Ok(()),
-            false => Err(SplatError::Value { field, found: value.to_string(), expected }),
-        };
+        let side = |field, px| check_value(field, (1..=MAX_SIDE_PX).contains(&px), px, "1 to 32768 px");
         side("width", self.width)?;
         side("height", self.height)?;
-        number("fx", self.fx, self.fx > 0.0 && self.fx.is_finite(), "a positive, finite focal length in px")?;
-        number("fy", self.fy, self.fy > 0.0 && self.fy.is_finite(), "a positive, finite focal length in px")?;
-        number("cx", self.cx, self.cx.is_finite(), "a finite principal point in px")?;
-        number("cy", self.cy, self.cy.is_finite(), "a finite principal point in px")?;
+        check_value("fx", self.fx > 0.0 && self.fx.is_finite(), self.fx, "a positive, finite focal length in px")?;
+        check_value("fy", self.fy > 0.0 && self.fy.is_finite(), self.fy, "a positive, finite focal length in px")?;
+        check_value("cx", self.cx.is_finite(), self.cx, "a finite principal point in px")?;
+        check_value("cy", self.cy.is_finite(), self.cy, "a finite principal point in px")?;
         let (used, unused) = self.distortion.split_at(self.model.coefficients());
         for &value in used {
-            number("distortion", value, value.abs() <= MAX_COEFFICIENT, "coefficients from -1e9 to 1e9")?;
+            check_value("distortion", value.abs() <= MAX_COEFFICIENT, value, "coefficients from -1e9 to 1e9")?;
         }
         for &value in unused {
-            number("distortion", value, value == 0.0, "zeros after the coefficients of the camera's model")?;
+            check_value("distortion", value == 0.0, value, "zeros after the coefficients of the camera's model")?;
         }
         Ok(())
     }

@@ -1,5 +1,7 @@
 //! Checks of input tensors: shape, float type and device.
 
+use std::fmt::Display;
+
 use burn::tensor::{DType, Device, Tensor, TensorCreationOptions};
 
 use crate::abilities::{buffer_limit, check_fits};
@@ -73,10 +75,15 @@ impl Reference {
     }
 }
 
-/// Refuses a count of zero.
-pub(crate) fn check_positive(field: &'static str, count: usize, expected: &'static str) -> Result<(), SplatError> {
-    match count {
-        0 => Err(SplatError::Value { field, found: "0".into(), expected }),
-        _ => Ok(()),
+/// Refuses a value that is not `ok`.
+pub(crate) fn check_value(
+    field: &'static str,
+    ok: bool,
+    found: impl Display,
+    expected: &'static str,
+) -> Result<(), SplatError> {
+    match ok {
+        true => Ok(()),
+        false => Err(SplatError::Value { field, found: found.to_string(), expected }),
     }
 }

@@ -2,7 +2,7 @@
 
 use std::ops::{Add, BitAnd, BitOr, Div, Mul, Neg, Not, Sub};
 
-use crate::simd::real::Real;
+use crate::simd::Real;
 
 /// Element of a vector or matrix.
 pub(crate) trait Entry:

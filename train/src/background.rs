@@ -106,10 +106,8 @@ impl ShownBackground {
         colour(&self.0).is_none().then(|| Path::new(&self.0))
     }
 
-    /// Returns the background, read from its file if it is one; without one, that of the training of a scene.
-    ///
-    /// # Errors
-    /// If the file cannot be read or holds no background.
+    /// Returns the background, read from its file if it is one; without one, that of the training of a scene. An error
+    /// if the file cannot be read or holds no background.
     pub fn read(asked: Option<&Self>, scene: &Path, trained: &TrainedAs) -> Result<Background> {
         let beside = scene.with_file_name(BACKGROUND);
         match asked {

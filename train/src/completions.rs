@@ -12,10 +12,7 @@ pub struct CompletionsArgs {
     pub shell: Shell,
 }
 
-/// Writes a shell's completion script to standard output.
-///
-/// # Errors
-/// If standard output is closed.
+/// Writes a shell's completion script to standard output. An error if standard output is closed.
 pub fn run(args: &CompletionsArgs, mut program: clap::Command) -> Result<()> {
     let mut script = Vec::new();
     clap_complete::generate(args.shell, &mut program, "splat", &mut script);

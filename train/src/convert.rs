@@ -62,10 +62,8 @@ fn formats_by_name() -> impl TypedValueParser<Value = Format> {
     PossibleValuesParser::new(values).try_map(move |name| found(name).map(|(.., format)| format))
 }
 
-/// Writes the scene in the other format, reads it back, and prints the differences.
-///
-/// # Errors
-/// If the scene cannot be read, the format is unknown, no splat is left, the file cannot be written, or it is the scene itself.
+/// Writes the scene in the other format, reads it back, and prints the differences. An error if the scene cannot be
+/// read, the format is unknown, no splat is left, the file cannot be written, or it is the scene itself.
 pub fn run(args: &ConvertArgs) -> Result<()> {
     let shown = args.out.display();
     let format = match args.format {
@@ -113,10 +111,7 @@ pub fn run(args: &ConvertArgs) -> Result<()> {
     Ok(())
 }
 
-/// Returns the format that the name of a file gives.
-///
-/// # Errors
-/// If it gives none that is written.
+/// Returns the format that the name of a file gives. An error if it gives none that is written.
 pub fn format_of(path: &Path) -> Result<Format> {
     let known = || Format::WRITTEN.map(Format::extension).join(", ");
     let format = Format::of_name(path)
@@ -142,10 +137,7 @@ fn options(args: &ConvertArgs) -> WriteOptions {
     options
 }
 
-/// Describes a scene file in one line.
-///
-/// # Errors
-/// If the size of the file cannot be read.
+/// Describes a scene file in one line. An error if the size of the file cannot be read.
 pub fn describe_file(path: &Path, format: Format, splats: usize, sh_degree: usize) -> Result<String> {
     let bytes = fs::metadata(path).with_context(|| format!("cannot read the size of {}", path.display()))?.len();
     let each = bytes as f64 / splats.max(1) as f64;

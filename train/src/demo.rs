@@ -69,10 +69,8 @@ pub fn run(args: &DemoArgs) -> Result<()> {
 /// Writes the demo capture into `folder`, unless the same one is already there and complete; returns whether it wrote.
 ///
 /// Everything is made in a hidden folder first, so that files under their own names are complete. If the process is
-/// killed meanwhile, the hidden folder stays.
-///
-/// # Errors
-/// If an option is out of range, two exclude each other, the folder holds anything else where the capture is to be, or it cannot be written.
+/// killed meanwhile, the hidden folder stays. An error if an option is out of range, two exclude each other, the folder
+/// holds anything else where the capture is to be, or it cannot be written.
 pub fn ensure(folder: &Path, options: &DemoOptions) -> Result<bool> {
     if is_complete(folder, options) {
         return Ok(false);

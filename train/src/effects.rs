@@ -83,10 +83,8 @@ impl EffectsArg {
     }
 
     /// Decides on the effects for a capture, which is surveyed by its training views if `auto` needs it. `antialias`:
-    /// whether that option was given.
-    ///
-    /// # Errors
-    /// If a picture of the capture cannot be read, or the two options contradict each other.
+    /// whether that option was given. An error if a picture of the capture cannot be read, or the two options
+    /// contradict each other.
     pub fn choose(&self, capture: &Capture, train: &[usize], antialias: bool) -> Result<ChosenEffects> {
         let adjusted = self.adjustments.iter().rev().find(|(effect, _)| *effect == EffectKind::Antialias);
         ensure!(
@@ -138,10 +136,7 @@ pub struct ChosenEffects {
 }
 
 impl ChosenEffects {
-    /// The effects of these names, as another rank of the run has chosen them.
-    ///
-    /// # Errors
-    /// If a name is unknown.
+    /// The effects of these names, as another rank of the run has chosen them. An error if a name is unknown.
     pub fn named(names: &[String]) -> Result<Self> {
         let on = names.iter().map(|name| name.parse()).collect::<Result<_, String>>().map_err(anyhow::Error::msg)?;
         Ok(Self { asked: names.join(","), on, registered: Vec::new(), plan: None, survey: None })
@@ -183,10 +178,8 @@ impl ChosenEffects {
         }
     }
 
-    /// Gives the trainer the data that effects need beside the photographs: pose anchors and depth samples.
-    ///
-    /// # Errors
-    /// If a depth map cannot be read.
+    /// Gives the trainer the data that effects need beside the photographs: pose anchors and depth samples. An error if
+    /// a depth map cannot be read.
     pub fn supply(&self, mut trainer: Trainer, capture: &Capture, views: &[usize]) -> Result<Trainer> {
         if self.has(EffectKind::PoseRefinement) {
             trainer = trainer.with_anchors(&anchors::from_tracks(capture, views));

@@ -16,8 +16,7 @@ use crate::input::{self, PhotoArgs};
 use crate::inputs::Inputs;
 use crate::lpips::LpipsArgs;
 use crate::output::OutputFolder;
-use crate::report::metrics::{Metrics, Seconds, peak_rss_mib, seconds_since};
-use crate::report::{self, METRICS, VIEWS};
+use crate::report::{self, METRICS, Metrics, Seconds, VIEWS, peak_rss_mib, seconds_since};
 
 /// Options of `splat eval`. The scores equal those of the training run if the photographs are split and sized alike.
 #[derive(Clone, Debug, clap::Args)]
@@ -66,11 +65,8 @@ struct EvalOptionsRecord<'a> {
     lpips: &'a LpipsArgs,
 }
 
-/// Measures the scores, writes all files, and prints their location.
-///
-/// # Errors
-/// If the capture or the scene cannot be read, no photograph is held out, or a result is one of the files that are read or cannot be
-/// written.
+/// Measures the scores, writes all files, and prints their location. An error if the capture or the scene cannot be
+/// read, no photograph is held out, or a result is one of the files that are read or cannot be written.
 pub fn run(args: &EvalArgs) -> Result<Metrics> {
     let (device, device_name) = args.show.device.resolve()?;
     let lpips = args.lpips.read(&device)?;

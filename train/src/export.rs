@@ -14,8 +14,7 @@ use splat_model::gaussians::GaussianRows;
 use crate::background::ShownBackground;
 use crate::inputs::Inputs;
 use crate::output::prepare_file;
-use crate::view::page::{SceneSource, Viewer};
-use crate::view::scene::{ShownScene, Viewpoint};
+use crate::view::{SceneSource, ShownScene, Viewer, Viewpoint};
 use crate::{input, output, progress};
 
 /// Number of views without `--view`, so that their buttons fit into a line.
@@ -48,11 +47,8 @@ pub struct ExportArgs {
     pub background: Option<ShownBackground>,
 }
 
-/// Writes the page and prints its size.
-///
-/// # Errors
-/// If the scene or the capture cannot be read, a view is not one of the capture, or the page is one of the files that are read or cannot be
-/// written.
+/// Writes the page and prints its size. An error if the scene or the capture cannot be read, a view is not one of the
+/// capture, or the page is one of the files that are read or cannot be written.
 pub fn run(args: &ExportArgs) -> Result<()> {
     let capture = args.views.as_deref().map(input::capture).transpose()?;
     let viewpoints = capture.as_ref().map(|capture| viewpoints(capture, &args.view)).transpose()?.unwrap_or_default();

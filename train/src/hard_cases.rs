@@ -32,11 +32,8 @@ pub struct HardCasesArgs {
     pub device: Vec<DeviceName>,
 }
 
-/// Runs the battery, writes the table and prints its summary.
-///
-/// # Errors
-/// If a device is missing, the table cannot be written, or a case fails; in the last case the table is complete and
-/// shows which.
+/// Runs the battery, writes the table and prints its summary. An error if a device is missing, the table cannot be
+/// written, or a case fails; in the last case the table is complete and shows which.
 pub fn run(args: &HardCasesArgs) -> Result<()> {
     let places = places(&args.device)?;
     let out = OutputFolder::prepare(&args.out, Inputs::default(), [TABLE], &[])?;

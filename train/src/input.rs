@@ -27,10 +27,7 @@ pub const SPARSE: &str = "sparse";
 /// Largest number of photographs in memory at once while all are checked.
 const AT_ONCE: usize = 64;
 
-/// Reads the cameras of a capture, without opening a picture.
-///
-/// # Errors
-/// If the folder is missing or is not a capture.
+/// Reads the cameras of a capture, without opening a picture. An error if the folder is missing or is not a capture.
 pub fn capture(folder: &Path) -> Result<Capture> {
     let is_file = folder.is_file() && !Capture::is_in(folder);
     if let Some(FileKind { what, remedy, .. }) = FileKind::of(folder).filter(|_| is_file) {
@@ -105,11 +102,8 @@ impl PhotoArgs {
 }
 
 /// Decodes the photographs of some views of a capture, on all threads. With `masked`, they have their masks, and
-/// photographs whose masks exclude every pixel are dropped.
-///
-/// # Errors
-/// If a picture is missing, cannot be decoded, or differs in size from its camera; with `masked`, also if this holds
-/// for a mask, or if masks leave no photograph.
+/// photographs whose masks exclude every pixel are dropped. An error if a picture is missing, cannot be decoded, or
+/// differs in size from its camera; with `masked`, also if this holds for a mask, or if masks leave no photograph.
 pub fn photographs(capture: &Capture, views: &[usize], max_side: Option<u32>, masked: bool) -> Result<Vec<Photo>> {
     capture.check_photographs(views)?;
     let photos = decoded(capture, views, max_side, masked)?;
@@ -156,9 +150,7 @@ pub struct PhotoSelection<'a> {
 impl PhotoSelection<'_> {
     /// Reads the photographs of some views together with the other ranks of a run, each of which decodes its share of them, so that a broken
     /// picture does not end a long run. Photographs are kept while they fit into `room`, bytes. The others are decoded again on each use.
-    ///
-    /// # Errors
-    /// The errors of [`photographs`] in its own share, and if another rank is gone.
+    /// An error as for [`photographs`] in its own share, and if another rank is gone.
     pub fn read(&self, views: &[usize], room: usize, ranks: &dyn Ranks) -> Result<Vec<Photograph>> {
         self.capture.check_photographs(views)?;
         let names = views.iter().map(|&view| (self.capture.views[view].name.as_str(), view));
@@ -206,10 +198,8 @@ fn made_opaque(photo: Photo, opaque: bool) -> Photo {
 }
 
 /// Reads the rows of a scene that `option` names, and how it was trained. Positions are relative to the origin of `capture`, or else to that of
-/// the scene. Prints a note if some of its Gaussians cannot be rendered.
-///
-/// # Errors
-/// If the file is missing, is not a scene, or holds no Gaussian.
+/// the scene. Prints a note if some of its Gaussians cannot be rendered. An error if the file is missing, is not a
+/// scene, or holds no Gaussian.
 pub fn rows(option: &str, path: &Path, capture: Option<&Capture>) -> Result<(GaussianRows, TrainedAs)> {
     let (scene, _) = formats::read(path).with_context(|| format!("cannot read the scene that `{option}` names"))?;
     let formats::SceneFile { mut rows, origin, trained, .. } = scene;

@@ -74,10 +74,7 @@ use anyhow::Result;
 
 use crate::options::Command;
 
-/// Runs one subcommand.
-///
-/// # Errors
-/// If the subcommand fails; the message names the file or option to blame and the remedy.
+/// Runs one subcommand. An error if the subcommand fails; the message names the file or option to blame and the remedy.
 pub fn run(command: &Command) -> Result<()> {
     match command {
         Command::Train(args) => {

@@ -17,10 +17,7 @@ pub struct LpipsArgs {
 }
 
 impl LpipsArgs {
-    /// Returns the metric on a device; `None` if it was not asked for.
-    ///
-    /// # Errors
-    /// If the weights cannot be read.
+    /// Returns the metric on a device; `None` if it was not asked for. An error if the weights cannot be read.
     pub fn read(&self, device: &Device) -> Result<Option<Lpips>> {
         Ok(self.lpips.as_deref().map(|path| Lpips::read(path, device)).transpose()?)
     }

@@ -26,11 +26,8 @@ pub struct OutputFolder {
 
 impl OutputFolder {
     /// Creates the folder if necessary and checks that it can hold `files` and `folders`, so that a long run does not
-    /// fail at its end, and that no file is an input.
-    ///
-    /// # Errors
-    /// If a file is one of `inputs`, before anything is written; if the folder cannot be created or written to, or something of another
-    /// kind has one of those names.
+    /// fail at its end, and that no file is an input. An error if a file is one of `inputs`, before anything is
+    /// written; if the folder cannot be created or written to, or something of another kind has one of those names.
     pub fn prepare<F: AsRef<Path>>(
         path: &Path,
         inputs: Inputs,
@@ -85,18 +82,13 @@ impl OutputFolder {
         }
     }
 
-    /// Writes one file, replacing an existing one that is no input. See [`write()`].
-    ///
-    /// # Errors
-    /// The errors of [`write()`], and if the file is an input.
+    /// Writes one file, replacing an existing one that is no input. See [`write()`]. An error as for [`write()`], and
+    /// if the file is an input.
     pub fn write(&self, name: impl AsRef<Path>, fill: impl FnOnce(&mut BufWriter<File>) -> Result<()>) -> Result<()> {
         write(&self.spared(name)?, fill)
     }
 
-    /// Returns the path of a file to be written in it.
-    ///
-    /// # Errors
-    /// If the file is an input.
+    /// Returns the path of a file to be written in it. An error if the file is an input.
     pub fn spared(&self, name: impl AsRef<Path>) -> Result<PathBuf> {
         let path = self.join(name);
         self.inputs.spare([&path])?;
@@ -104,10 +96,8 @@ impl OutputFolder {
     }
 }
 
-/// Makes the folder of a file that is to be written, which is no input.
-///
-/// # Errors
-/// If the file is one of `inputs`, or its folder cannot be made.
+/// Makes the folder of a file that is to be written, which is no input. An error if the file is one of `inputs`, or its
+/// folder cannot be made.
 pub fn prepare_file(path: &Path, inputs: &Inputs) -> Result<()> {
     inputs.spare([path])?;
     let folder = path.parent().unwrap_or(path);
@@ -157,10 +147,8 @@ pub fn short(value: f64, digits: usize) -> String {
 }
 
 /// Writes a file: `fill` writes it under a temporary name, and the complete file is renamed to its own. Missing parent
-/// folders are created. No temporary file is left behind unless the process is killed.
-///
-/// # Errors
-/// If a folder or the file cannot be written, `fill` fails, or an empty file would replace another.
+/// folders are created. No temporary file is left behind unless the process is killed. An error if a folder or the file
+/// cannot be written, `fill` fails, or an empty file would replace another.
 pub fn write(path: &Path, fill: impl FnOnce(&mut BufWriter<File>) -> Result<()>) -> Result<()> {
     let folder = path.parent().map_or(Ok(()), fs::create_dir_all).map_err(anyhow::Error::from);
     let written = folder.and_then(|()| replace(path, fill));
@@ -168,10 +156,7 @@ pub fn write(path: &Path, fill: impl FnOnce(&mut BufWriter<File>) -> Result<()>)
     written.with_context(|| format!("cannot write {shown}: check that its folder can be written to and has room left"))
 }
 
-/// Writes a file of lines. See [`write()`].
-///
-/// # Errors
-/// The errors of [`write()`].
+/// Writes a file of lines. See [`write()`]. An error as for [`write()`].
 pub fn write_lines(path: &Path, lines: &[String]) -> Result<()> {
     write(path, |file| Ok(lines.iter().try_for_each(|line| writeln!(file, "{line}"))?))
 }

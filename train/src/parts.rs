@@ -157,10 +157,7 @@ pub(crate) fn names(part: Part) -> Vec<&'static str> {
     registry().names(part)
 }
 
-/// Gives a run the part of that name.
-///
-/// # Errors
-/// If there is none, as for a checkpoint of another program.
+/// Gives a run the part of that name. An error if there is none, as for a checkpoint of another program.
 pub(crate) fn supply(trainer: Trainer, part: Part, name: &str) -> Result<Trainer> {
     let change = registry().parts.get(&(part, name.to_owned()));
     let change = change.ok_or_else(|| {

@@ -287,10 +287,8 @@ fn strategies() -> impl TypedValueParser<Value = StrategyName> {
 }
 
 impl TrainArgs {
-    /// Gives a run the parts that its options take from the [registry](parts::Registry).
-    ///
-    /// # Errors
-    /// If this program does not have them.
+    /// Gives a run the parts that its options take from the [registry](parts::Registry). An error if this program does
+    /// not have them.
     pub(crate) fn supply(&self, mut trainer: Trainer) -> Result<Trainer> {
         if self.loss != USUAL_LOSS {
             trainer = parts::supply(trainer, Part::Loss, &self.loss)?;
@@ -301,11 +299,8 @@ impl TrainArgs {
         self.effects.registered.iter().try_fold(trainer, |trainer, name| parts::supply(trainer, Part::Effect, name))
     }
 
-    /// Returns the configuration of the run, before effects are decided on.
-    ///
-    /// # Errors
-    /// If an option is out of range or does not fit another. This is checked before any file is read or
-    /// written.
+    /// Returns the configuration of the run, before effects are decided on. An error if an option is out of range or
+    /// does not fit another. This is checked before any file is read or written.
     pub fn config(&self) -> Result<TrainConfig> {
         let mut config = TrainConfig { seed: self.seed, ..self.model.config() };
         config.opacity_weight = self.opacity_weight.unwrap_or(self.strategy.opacity_weight());

@@ -23,8 +23,7 @@ use splat_op::{
     Camera, Extras, Intrinsics, RenderOptions, Rendered, SplatError, Splats, environment, mixed, render_view,
 };
 
-use super::learned::{EffectContext, Falling, Learned};
-use super::{Effect, EffectKind, Leaf, RenderInput};
+use super::{Effect, EffectContext, EffectKind, Falling, Leaf, Learned, RenderInput};
 use crate::gaussians::{Gaussians, values_of};
 use crate::state::{State, StateError};
 use crate::{FileError, json};

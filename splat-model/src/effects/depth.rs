@@ -20,8 +20,7 @@ use splat_op::Rendered;
 use splat_op::depth_miss::depth_miss;
 
 use self::relative::Quantity;
-use super::learned::{EffectContext, Falling};
-use super::{Effect, EffectKind, RenderInput};
+use super::{Effect, EffectContext, EffectKind, Falling, RenderInput};
 pub use crate::capture::depth_maps::folder;
 use crate::capture::depth_maps::{self, DepthMap, UNIT, find};
 use crate::capture::{Capture, CaptureError};

@@ -14,8 +14,7 @@ use splat_op::{
 };
 
 use super::background::Background;
-use super::leaf::Leaf;
-use super::learned::EffectContext;
+use super::{EffectContext, Leaf};
 use crate::gaussians::{GaussianRows, Gaussians};
 use crate::state::{State, StateError};
 

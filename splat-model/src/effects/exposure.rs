@@ -11,9 +11,8 @@
 use burn::tensor::{Device, Tensor};
 use splat_op::colour_map;
 
-use super::EffectKind;
-use super::learned::Falling;
 use super::maps::{ColourMaps, MapKind};
+use super::{EffectKind, Falling};
 
 options! {
     /// Options of exposures.

@@ -13,9 +13,8 @@
 use burn::tensor::{Device, Tensor};
 use splat_op::bilateral::{self, MAP};
 
-use super::EffectKind;
-use super::learned::Falling;
 use super::maps::{ColourMaps, MapKind};
+use super::{EffectKind, Falling};
 
 /// Grid positions along a side of the picture.
 const SIDE: usize = 16;

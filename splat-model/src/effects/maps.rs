@@ -4,8 +4,7 @@
 use burn::tensor::{Device, Gradients, Tensor};
 use splat_op::Rendered;
 
-use super::learned::{EffectContext, Falling, Learned};
-use super::{Effect, EffectKind, Leaf, RenderInput};
+use super::{Effect, EffectContext, EffectKind, Falling, Leaf, Learned, RenderInput};
 use crate::state::{State, StateError};
 
 /// What sets the maps of one effect apart from those of another.

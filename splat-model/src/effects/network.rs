@@ -3,8 +3,7 @@
 use burn::module::{Module, ModuleMapper, Param};
 use burn::tensor::{Gradients, Int, Tensor};
 
-use super::leaf::Leaf;
-use super::learned::Learned;
+use super::{Leaf, Learned};
 use crate::state::{State, StateError};
 
 /// A Burn module of an effect or a loss, with Adam's moments of each of its float parameters. Parameters of other kinds stay as they are.

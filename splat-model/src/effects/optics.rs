@@ -13,8 +13,7 @@ use serde::{Deserialize, Serialize};
 use splat_op::optics::{blurred, rolled};
 use splat_op::{Camera, CameraModel, Intrinsics, Projected, SplatError};
 
-use super::learned::{EffectContext, Learned};
-use super::{Effect, Leaf, RenderInput, motion};
+use super::{Effect, EffectContext, Leaf, Learned, RenderInput, motion};
 use crate::state::{State, StateError};
 
 /// Selects the simulated effects.

@@ -20,8 +20,7 @@ use glam::{DAffine3, DQuat, DVec3};
 use splat_op::{Rendered, pose};
 
 use self::anchors::{Anchors, penalty, rotation};
-use super::learned::{EffectContext, Learned};
-use super::{Effect, EffectKind, Leaf, RenderInput};
+use super::{Effect, EffectContext, EffectKind, Leaf, Learned, RenderInput};
 use crate::gaussians::{Gaussians, values_of};
 use crate::state::{State, StateError};
 

@@ -7,9 +7,7 @@ use rand::Rng;
 use splat_op::Rendered;
 
 use super::background::Background;
-use super::effect::{Effect, RenderInput};
-use super::leaf::Leaf;
-use super::learned::EffectContext;
+use super::{Effect, EffectContext, Leaf, RenderInput};
 use crate::gaussians::{GaussianRows, Gaussians};
 use crate::state::{State, StateError};
 

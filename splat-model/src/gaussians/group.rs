@@ -7,8 +7,7 @@ use burn::tensor::kind::Basic;
 use burn::tensor::{Device, Tensor, TensorData, activation};
 use splat_op::{largest_tensor, read_back};
 
-use super::options::{Activation, BASE_GROUPS, GroupOptions, RowsError, SH, check_name};
-use super::rows::GroupRows;
+use super::{Activation, BASE_GROUPS, GroupOptions, GroupRows, RowsError, SH, check_name};
 
 /// A named parameter `[N, width]` with a row for each Gaussian.
 #[derive(Module, Debug)]

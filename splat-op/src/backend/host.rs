@@ -12,7 +12,7 @@ use burn_ndarray::NdArrayTensor;
 use bytemuck::Pod;
 
 use super::args::Args;
-use crate::simd::real::Real;
+use crate::simd::Real;
 
 /// A tensor in host memory.
 #[derive(Clone)]

@@ -9,8 +9,7 @@ use super::args::Args;
 #[cfg(feature = "cube")]
 use super::cube::{GpuArgs, GpuOutput};
 use super::host::{HostArgs, HostOutput};
-use crate::simd::f32_in_f64;
-use crate::simd::real::Real;
+use crate::simd::{Real, f32_in_f64};
 
 /// The largest number of inputs that an operation has gradients of.
 pub const MAX_DIFFERENTIABLE: usize = 8;

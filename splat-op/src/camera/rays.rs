@@ -7,10 +7,9 @@ use std::sync::{Arc, Mutex, PoisonError};
 use glam::DVec2;
 
 use super::lens::FAR;
-use super::{CameraModel, Intrinsics};
 #[cfg(feature = "cube")]
 use crate::gpu::{Buffer, Client, Gpu};
-use crate::tasks;
+use crate::{CameraModel, Intrinsics, tasks};
 
 /// Slope of a pixel without a ray.
 const NO_RAY: f64 = 1e30;

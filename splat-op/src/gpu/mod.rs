@@ -16,6 +16,9 @@ use cubecl::prelude::{CubeCount, CubeDim};
 
 pub use buffer::poison;
 pub(crate) use buffer::{Buffer, PART_BYTES, launch_scale, roomy};
+pub(crate) use math::*;
+pub(crate) use number::*;
+pub(crate) use reduce::*;
 
 use crate::counters::count_dispatches;
 use crate::limits::lowered_limit;

@@ -5,6 +5,11 @@ pub(crate) mod lanes;
 pub(crate) mod number;
 pub(crate) mod real;
 
+pub(crate) use self::blocks::{block_len, load, splat, store};
+pub(crate) use self::lanes::{Columns, Lanes, MaskOf, ROW_BLOCK, Vector, map_lanes, norm, width};
+pub(crate) use self::number::LaneNumber;
+pub(crate) use self::real::{LANES, Real};
+
 /// `each!(array, |element| value)`: the array of the values. A closure that the compiler leaves out of line lacks the vector
 /// instructions of its caller, and every operation on a vector in it is a call; so does `map` of an array. This is a loop without a
 /// closure. `.ci/run inlined` finds the calls that remain.
@@ -65,7 +70,7 @@ macro_rules! dispatch {
 pub(crate) use dispatch;
 
 /// As [`dispatch`], with AVX-512 too. A version for it takes as long to compile as that for AVX2. It is for the pass that takes most of a step
-/// and whose vectors, [`real::Real::Block`], are wider than AVX2's.
+/// and whose vectors, [`Real::Block`], are wider than AVX2's.
 macro_rules! dispatch_widest {
     ($float:ty, $simd:ident => $value:expr) => {
         $crate::simd::dispatch!($float, true, $simd => $value)
@@ -74,7 +79,7 @@ macro_rules! dispatch_widest {
 pub(crate) use dispatch_widest;
 
 /// Whether a float type is f32. Versions in f64, which serves as a reference, would take as long to compile as those in f32.
-pub(crate) const fn is_f32<F: real::Real>() -> bool {
+pub(crate) const fn is_f32<F: Real>() -> bool {
     matches!(F::DTYPE, burn::tensor::DType::F32)
 }
 

@@ -4,16 +4,13 @@ use std::slice;
 
 use burn::tensor::Tensor;
 
-use super::options::RenderOptions;
-use super::splats::{Colour, Splats};
-use crate::camera::{Camera, CameraModel, Intrinsics};
-use crate::check::{Reference, check_positive};
-use crate::error::SplatError;
+use crate::check::{Reference, check_value};
 use crate::intersect::tile_grid;
 use crate::limits::Need;
 use crate::project::COLUMNS;
 use crate::rasterize::RasterizeSpec;
 use crate::sh::sh_degree;
+use crate::{Camera, CameraModel, Colour, Intrinsics, RenderOptions, SplatError, Splats};
 
 /// Options in range, and the number of rows, the float type and the device that the tensors of a picture share.
 ///
@@ -50,11 +47,9 @@ impl<'a> Checked<'a> {
 
     pub fn camera(&self, camera: &Camera) -> Result<(), SplatError> {
         camera.intrinsics.check()?;
-        if self.options.along_rays() && camera.intrinsics.model == CameraModel::Orthographic {
-            let found = "RayMax for an orthographic camera".into();
-            let expected = "Affine, whose ellipse is the maximum along parallel rays";
-            return Err(SplatError::Value { field: "projection", found, expected });
-        }
+        let ok = !self.options.along_rays() || camera.intrinsics.model != CameraModel::Orthographic;
+        let expected = "Affine, whose ellipse is the maximum along parallel rays";
+        check_value("projection", ok, "RayMax for an orthographic camera", expected)?;
         self.pose(camera)
     }
 
@@ -72,7 +67,7 @@ impl<'a> Checked<'a> {
 
     pub fn features(&self, features: &Tensor<2>) -> Result<(), SplatError> {
         self.reference.check("features", features, [Some(self.count), None], "[N, C]")?;
-        check_positive("features", features.dims()[1], "at least one channel")
+        check_value("features", features.dims()[1] > 0, 0, "at least one channel")
     }
 
     fn harmonics(&self, blocks: &[Tensor<3>]) -> Result<(), SplatError> {

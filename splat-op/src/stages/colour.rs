@@ -3,14 +3,10 @@
 use burn::tensor::Tensor;
 
 use super::checked::Checked;
-use super::projected::Projected;
-use super::splats::{Colour, Splats};
 use crate::backend::apply;
-use crate::camera::{Camera, CameraModel};
-use crate::error::SplatError;
-use crate::options::RenderOptions;
 use crate::project::{COLUMNS, ProjectSpec};
 use crate::sh::operation::EvaluateSh;
+use crate::{Camera, CameraModel, Colour, Projected, RenderOptions, SplatError, Splats};
 
 /// Evaluates spherical harmonics for the directions from a camera to Gaussians; those of an orthographic camera are its axis.
 ///

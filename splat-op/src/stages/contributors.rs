@@ -2,15 +2,12 @@
 
 use burn::tensor::{Int, Tensor};
 
-use super::intersections::Intersections;
-use super::projected::Projected;
 use crate::backend::{Slot, apply};
-use crate::camera::Intrinsics;
-use crate::error::SplatError;
+use crate::check::check_value;
 use crate::limits::Need;
-use crate::options::RenderOptions;
 use crate::rasterize::RasterizeSpec;
 use crate::rasterize::operation::Contribute;
+use crate::{Intersections, Intrinsics, Projected, RenderOptions, SplatError};
 
 /// Largest number of contributors that [`contributors`] returns for a pixel.
 pub const MAX_CONTRIBUTORS: usize = 1024;
@@ -64,9 +61,7 @@ pub fn contributors(
     options: &RenderOptions,
 ) -> Result<Contributors, SplatError> {
     let checked = projected.checked(options)?;
-    if !(1..=MAX_CONTRIBUTORS).contains(&k) {
-        return Err(SplatError::Value { field: "k", found: k.to_string(), expected: "1 to 1024 contributors" });
-    }
+    check_value("k", (1..=MAX_CONTRIBUTORS).contains(&k), k, "1 to 1024 contributors")?;
     let Intrinsics { width, height, .. } = projected.intrinsics;
     let hint = "ask for fewer contributors of a pixel, or render a smaller picture";
     checked.reference().check_fits(&[Need::floats("the contributors", [height, width, k], hint)])?;

@@ -5,9 +5,9 @@ use std::borrow::Cow;
 use burn::tensor::{Bool, Tensor};
 
 use super::checked::Checked;
-use super::splats::{Extras, Splats};
 use crate::backend::custom_grad::plain;
-use crate::error::SplatError;
+use crate::check::check_value;
+use crate::{Extras, SplatError, Splats};
 
 /// Returns the Gaussians as [`project`](mod@crate::project) takes them, and whether factors stand in place of rotations and scales: those of
 /// the covariances of `extras`, if there are any.
@@ -22,14 +22,10 @@ pub(super) fn factored<'a>(
     let Some(covariances) = &extras.covariances else { return Ok((Cow::Borrowed(splats), false)) };
     let (count, options) = (checked.count, checked.options);
     checked.reference().check("covariances", covariances, [Some(count), Some(3), Some(3)], "[N, 3, 3]")?;
-    if options.along_rays() {
-        let expected = "Affine with covariances: RayMax takes rotations and scales";
-        return Err(SplatError::Value { field: "projection", found: "RayMax".into(), expected });
-    }
-    if options.normals {
-        let expected = "false with covariances: normals are those of rotations and scales";
-        return Err(SplatError::Value { field: "normals", found: "true".into(), expected });
-    }
+    let expected = "Affine with covariances: RayMax takes rotations and scales";
+    check_value("projection", !options.along_rays(), "RayMax", expected)?;
+    let expected = "false with covariances: normals are those of rotations and scales";
+    check_value("normals", !options.normals, true, expected)?;
     if count == 0 {
         return Ok((Cow::Borrowed(splats), false));
     }

@@ -3,15 +3,12 @@
 use burn::tensor::{Int, Tensor};
 
 use super::checked::Checked;
-use super::projected::Projected;
 use crate::backend::apply;
-use crate::camera::Intrinsics;
-use crate::error::SplatError;
 use crate::intersect::Kept;
 use crate::intersect::operation::Intersect;
-use crate::options::RenderOptions;
 use crate::rasterize::RasterizeSpec;
 use crate::ray_space::operation::BoundRows;
+use crate::{Intrinsics, Projected, RenderOptions, SplatError};
 
 /// The intersections of Gaussians and tiles of one view, as [`intersect`](fn@intersect) returns them.
 #[derive(Clone, Debug)]

@@ -3,11 +3,8 @@
 use burn::tensor::{Bool, Int, Tensor};
 
 use super::checked::Checked;
-use super::splats::Splats;
 use crate::backend::custom_grad::{constant, plain};
-use crate::camera::{Camera, CameraModel};
-use crate::error::SplatError;
-use crate::options::RenderOptions;
+use crate::{Camera, CameraModel, RenderOptions, SplatError, Splats};
 
 /// Returns the unit normal of each Gaussian, `[N, 3]`, world frame: its shortest axis, turned towards the camera. Of equally short axes it
 /// is the first.

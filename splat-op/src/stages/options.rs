@@ -1,8 +1,8 @@
 //! Options of a render: model choices, numerical dials and outputs.
 
-use crate::camera::{CameraModel, Intrinsics};
-use crate::error::SplatError;
+use crate::check::check_value;
 use crate::sh::SH_DEGREE_MAX;
+use crate::{CameraModel, Intrinsics, SplatError};
 
 /// Declares a struct of options. Each field has a builder, after its `=>`, that sets it.
 macro_rules! with_builders {
@@ -199,21 +199,16 @@ impl RenderOptions {
 
     pub(crate) fn check(&self) -> Result<(), SplatError> {
         let within = |field, value: f64, low: f64, high: f64, expected| {
-            if value >= low && value <= high {
-                Ok(())
-            } else {
-                Err(SplatError::Value { field, found: value.to_string(), expected })
-            }
+            check_value(field, value >= low && value <= high, value, expected)
         };
         within("blur", self.blur, 0.0, 1e6, "a variance from 0 to 1e6 px²")?;
         within("near", self.near, 0.0, 1e30, "a distance of at least 0")?;
         within("far", self.far, 0.0, f64::INFINITY, "a distance of at least 0")?;
         within("radius_clip", self.radius_clip, 0.0, 1e6, "a radius from 0 to 1e6 px")?;
         within("jacobian_margin", self.jacobian_margin, 0.0, 1e6, "a share of at least 0")?;
-        if let Some(degree) = self.sh_degree.filter(|degree| *degree > SH_DEGREE_MAX) {
-            let expected = "a degree from 0 to 4, or `None` for all degrees";
-            return Err(SplatError::Value { field: "sh_degree", found: degree.to_string(), expected });
-        }
+        let degree = self.sh_degree.unwrap_or_default();
+        let expected = "a degree from 0 to 4, or `None` for all degrees";
+        check_value("sh_degree", degree <= SH_DEGREE_MAX, degree, expected)?;
         within("alpha_min", self.alpha_min, 0.0, 1.0, "0 to 1")?;
         within("alpha_max", self.alpha_max, 0.0, 1.0, "0 to 1")?;
         within("transmittance_min", self.transmittance_min, 0.0, 1.0, "0 to 1")
@@ -222,15 +217,11 @@ impl RenderOptions {
     /// Refuses to list every Gaussian in every tile if there are more than [`MAX_UNCULLED_INTERSECTIONS`] pairs.
     pub(crate) fn check_uncut(&self, gaussians: usize, tiles: usize) -> Result<(), SplatError> {
         let pairs = gaussians.saturating_mul(tiles);
-        if self.alpha_min > 0.0 || pairs <= MAX_UNCULLED_INTERSECTIONS {
-            return Ok(());
-        }
-        Err(SplatError::Value {
-            field: "alpha_min",
-            found: format!("0 for {gaussians} Gaussians in {tiles} tiles, {pairs} pairs"),
-            expected: "a value above 0, so that Gaussians are listed only in the tiles they reach, or at most 67108864 \
-                       pairs: use fewer Gaussians or render a smaller picture",
-        })
+        let ok = self.alpha_min > 0.0 || pairs <= MAX_UNCULLED_INTERSECTIONS;
+        let expected = "a value above 0, so that Gaussians are listed only in the tiles they reach, or at most 67108864 \
+                        pairs: use fewer Gaussians or render a smaller picture";
+        let found = format_args!("0 for {gaussians} Gaussians in {tiles} tiles, {pairs} pairs");
+        check_value("alpha_min", ok, found, expected)
     }
 }
 

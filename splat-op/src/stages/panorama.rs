@@ -13,15 +13,11 @@ use burn::tensor::{DType, Device, Int, Tensor, TensorData};
 use glam::{DVec2, DVec3};
 
 use super::render::render_each;
-use super::rendered::Rendered;
-use super::splats::{Extras, Splats};
 use crate::abilities::{check_fits, is_gpu};
 use crate::backend::custom_grad::constant;
-use crate::camera::{Camera, Intrinsics};
-use crate::check::Reference;
-use crate::error::SplatError;
+use crate::check::{Reference, check_value};
 use crate::limits::Need;
-use crate::options::{Accumulation, RenderOptions};
+use crate::{Accumulation, Camera, Extras, Intrinsics, RenderOptions, Rendered, SplatError, Splats};
 
 /// Number of pixels of a face beyond the cube's, on each side.
 const MARGIN: usize = 1;
@@ -79,9 +75,7 @@ impl Panorama {
     /// As [`Self::new`], and if `side` is zero or above 18,916 px.
     pub fn with_faces(width: usize, height: usize, side: usize, device: &Device) -> Result<Self, SplatError> {
         Intrinsics::centred(width, height, 1.0).check()?;
-        if !(1..=MAX_SIDE).contains(&side) {
-            return Err(SplatError::Value { field: "side", found: side.to_string(), expected: "1 to 18916 px" });
-        }
+        check_value("side", (1..=MAX_SIDE).contains(&side), side, "1 to 18916 px")?;
         let face = Intrinsics::centred(side + 2 * MARGIN, side + 2 * MARGIN, side as f64 / 2.0);
         check_fits(device, &[Need::floats("the tables of a panorama", [4, width, height], "make a smaller panorama")])?;
         let (row, pixels) = (face.width, width * height);
@@ -154,19 +148,11 @@ impl Panorama {
         let reference = Reference::new("means", &splats.means)?;
         reference.check("cam_from_world", cam_from_world, [Some(3), Some(4)], "[3, 4]")?;
         reference.check_device("panorama", &self.corners.device())?;
-        if extras.backgrounds.is_some() {
-            let (found, expected) = ("given".into(), "`background`: all faces have one");
-            return Err(SplatError::Value { field: "backgrounds", found, expected });
-        }
-        if extras.tile_mask.is_some() {
-            let (found, expected) = ("given".into(), "none: a panorama has no tiles");
-            return Err(SplatError::Value { field: "tile_mask", found, expected });
-        }
-        if options.radii || options.visible {
-            let field = if options.radii { "radii" } else { "visible" };
-            let expected = "false: a panorama has no ellipses, but those of each of its `faces`";
-            return Err(SplatError::Value { field, found: "true".into(), expected });
-        }
+        check_value("backgrounds", extras.backgrounds.is_none(), "given", "`background`: all faces have one")?;
+        check_value("tile_mask", extras.tile_mask.is_none(), "given", "none: a panorama has no tiles")?;
+        let expected = "false: a panorama has no ellipses, but those of each of its `faces`";
+        check_value("radii", !options.radii, true, expected)?;
+        check_value("visible", !options.visible, true, expected)?;
         let of_faces = options.of_rasterize().with_expected_depth(false);
         let faces = render_each(splats, &self.faces(cam_from_world), extras, &of_faces)?;
         let [side, _, channels] = faces[0].colour.dims();

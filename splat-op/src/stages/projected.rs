@@ -4,15 +4,12 @@ use burn::tensor::{Bool, Tensor};
 
 use super::checked::{Checked, packed_need};
 use super::covariances::factored;
-use super::splats::{Extras, Splats};
 use crate::backend::apply;
-use crate::camera::{Camera, Intrinsics};
 use crate::check::Reference;
-use crate::error::SplatError;
-use crate::options::RenderOptions;
 use crate::project::operation::Project;
 use crate::project::{COLUMNS, Geometry, ProjectSpec, RADIUS_SIGMAS};
 use crate::ray_space::operation::RaySpace;
+use crate::{Camera, Extras, Intrinsics, RenderOptions, SplatError, Splats};
 
 /// The screen-space ellipses of a view, one tensor per field.
 ///

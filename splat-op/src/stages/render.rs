@@ -11,15 +11,12 @@ use super::intersections::listed;
 use super::normals::facing;
 use super::projected::projected;
 use super::rendered::{Blend, Rendered, blended};
-use super::splats::{Extras, Splats};
 use super::tile_mask::checked_mask;
 use crate::abilities::check_fits;
 use crate::backend::custom_grad::constant;
-use crate::camera::Camera;
-use crate::check::check_positive;
-use crate::error::SplatError;
+use crate::check::check_value;
 use crate::limits::Need;
-use crate::options::RenderOptions;
+use crate::{Camera, Extras, RenderOptions, SplatError, Splats};
 
 /// Renders Gaussians as seen by one or several cameras with pictures of one size.
 ///
@@ -36,15 +33,13 @@ pub fn render(
     extras: &Extras,
     options: &RenderOptions,
 ) -> Result<Rendered<4>, SplatError> {
-    check_positive("cameras", cameras.len(), "at least one camera")?;
+    check_value("cameras", !cameras.is_empty(), 0, "at least one camera")?;
     let size = |camera: &Camera| (camera.intrinsics.width, camera.intrinsics.height);
     let (width, height) = size(&cameras[0]);
-    if let Some(other) = cameras.iter().find(|camera| size(camera) != (width, height)) {
-        return Err(SplatError::Value {
-            field: "cameras",
-            found: format!("pictures of {:?} and {:?} px", (width, height), size(other)),
-            expected: "cameras of one size: `render_each` takes others",
-        });
+    for other in cameras.iter().map(size) {
+        let found = format_args!("pictures of {:?} and {other:?} px", (width, height));
+        let expected = "cameras of one size: `render_each` takes others";
+        check_value("cameras", other == (width, height), found, expected)?;
     }
     let all = [cameras.len(), splats.colour.channels(), height, width];
     let need = Need::floats("the pictures of all cameras", all, "render fewer cameras in one call");
@@ -125,10 +120,8 @@ pub fn render_view(
     extras: &Extras,
     options: &RenderOptions,
 ) -> Result<Rendered<3>, SplatError> {
-    if extras.backgrounds.is_some() {
-        let (found, expected) = ("given".into(), "`background`: one camera has one, and `render_each` takes several");
-        return Err(SplatError::Value { field: "backgrounds", found, expected });
-    }
+    let expected = "`background`: one camera has one, and `render_each` takes several";
+    check_value("backgrounds", extras.backgrounds.is_none(), "given", expected)?;
     Ok(render_each(splats, slice::from_ref(camera), extras, options)?.remove(0))
 }
 

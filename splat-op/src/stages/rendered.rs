@@ -4,14 +4,10 @@ use burn::tensor::kind::Basic;
 use burn::tensor::{Bool, Tensor};
 
 use super::checked::Checked;
-use super::intersections::Intersections;
-use super::projected::Projected;
-use super::splats::Extras;
 use crate::backend::apply;
-use crate::error::SplatError;
-use crate::options::RenderOptions;
 use crate::rasterize::RasterizeSpec;
 use crate::rasterize::operation::Rasterize;
+use crate::{Extras, Intersections, Projected, RenderOptions, SplatError};
 
 /// Rendered pictures: `Rendered<3>` holds the picture of one camera, `[H, W, …]`; `Rendered<4>` holds those of several cameras,
 /// `[B, H, W, …]`. Pictures are differentiable.

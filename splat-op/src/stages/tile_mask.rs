@@ -4,11 +4,8 @@ use burn::tensor::{Bool, DType, Int, Tensor};
 
 use super::checked::Checked;
 use super::intersections::{Intersections, listed};
-use super::projected::Projected;
-use crate::camera::Intrinsics;
-use crate::error::SplatError;
 use crate::intersect::tile_grid;
-use crate::options::RenderOptions;
+use crate::{Intrinsics, Projected, RenderOptions, SplatError};
 
 /// Lists the Gaussians as [`intersect`](fn@crate::intersect), in the tiles where `tile_mask` is true; the lists of all others are empty.
 ///

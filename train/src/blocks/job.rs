@@ -13,10 +13,8 @@ use crate::train::TrainArgs;
 /// Options of `splat train` that a plan replaces by its own.
 pub const REPLACED: [&str; 4] = ["--effects", "--sh-degree", "--max-splats", "--test-every"];
 
-/// Reads options of `splat train`, as they follow `--`.
-///
-/// # Errors
-/// If `splat train` refuses them, or blocks cannot be trained with them.
+/// Reads options of `splat train`, as they follow `--`. An error if `splat train` refuses them, or blocks cannot be
+/// trained with them.
 pub fn training(capture: &Path, options: &[String]) -> Result<TrainArgs> {
     let capture = utf8(capture)?;
     let line = ["splat", "train", capture].into_iter().chain(options.iter().map(String::as_str));
@@ -56,10 +54,7 @@ pub fn without(words: &[String], options: &[&str]) -> Vec<String> {
     left
 }
 
-/// A line of words, each quoted where the shell would change it.
-///
-/// # Errors
-/// If a word has a line feed: a line is a job.
+/// A line of words, each quoted where the shell would change it. An error if a word has a line feed: a line is a job.
 pub fn line(words: &[&str]) -> Result<String> {
     let plain = |c: char| c.is_ascii_alphanumeric() || "_./=,:@%+-".contains(c);
     let quoted = |word: &&str| {

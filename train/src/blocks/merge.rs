@@ -28,10 +28,8 @@ pub struct MergeArgs {
     pub out: PathBuf,
 }
 
-/// Writes the scene. `splat eval` scores it on the whole capture.
-///
-/// # Errors
-/// If a block is not finished, the blocks do not fit together, or the scene is one of the files that are read or cannot be written.
+/// Writes the scene. `splat eval` scores it on the whole capture. An error if a block is not finished, the blocks do
+/// not fit together, or the scene is one of the files that are read or cannot be written.
 pub fn merge(args: &MergeArgs) -> Result<()> {
     let folder = PlanFolder::open(&args.plan)?;
     let format = format_of(&args.out)?;

@@ -63,10 +63,8 @@ pub struct PlanArgs {
     pub options: Vec<String>,
 }
 
-/// Trains the coarse scene, writes the plan and prints its blocks.
-///
-/// # Errors
-/// If the capture cannot be read or cut, an option is refused, or the folder holds a plan already.
+/// Trains the coarse scene, writes the plan and prints its blocks. An error if the capture cannot be read or cut, an
+/// option is refused, or the folder holds a plan already.
 pub fn plan(args: &PlanArgs) -> Result<()> {
     let training = job::training(&args.capture, &args.options)?;
     // What the plan prints is no log of a run.

@@ -18,10 +18,7 @@ pub struct StatusArgs {
     pub plan: PathBuf,
 }
 
-/// Prints a line for each block, from its output folder.
-///
-/// # Errors
-/// If the folder holds no plan.
+/// Prints a line for each block, from its output folder. An error if the folder holds no plan.
 pub fn status(args: &StatusArgs) -> Result<()> {
     let folder = PlanFolder::open(&args.plan)?;
     progress::say(&format!(

@@ -40,10 +40,8 @@ struct CaptureReport<'a> {
     seconds: f64,
 }
 
-/// Describes a scene or a capture on standard output.
-///
-/// # Errors
-/// If the file is no scene, or the folder no capture, or one of its pictures cannot be read.
+/// Describes a scene or a capture on standard output. An error if the file is no scene, or the folder no capture, or
+/// one of its pictures cannot be read.
 pub fn run(args: &InspectArgs) -> Result<()> {
     let (shown, start) = (args.path.display(), Instant::now());
     if args.path.is_file() && !Capture::is_in(&args.path) {

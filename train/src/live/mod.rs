@@ -20,15 +20,8 @@ use splat_model::trainer::Trainer;
 use self::shared::{FAREWELL, SCENE, Shared, Status, WorstView};
 use crate::output::last_name;
 use crate::progress;
-use crate::report::history::History;
-use crate::report::html::escape;
-use crate::report::log::RunLog;
-use crate::report::metrics::Metrics;
-use crate::report::page::{CURVES, CURVES_SCRIPT, PAGE_STYLE, SCENE_BYTES};
-use crate::report::pictures;
-use crate::view::page::{SceneSource, Viewer, document};
-use crate::view::scene::{ShownScene, Viewpoint};
-use crate::view::server::{LOCALHOST, Server};
+use crate::report::{CURVES, CURVES_SCRIPT, History, Metrics, PAGE_STYLE, RunLog, SCENE_BYTES, escape, pictures};
+use crate::view::{LOCALHOST, SceneSource, Server, ShownScene, Viewer, Viewpoint, document};
 
 /// Shortest time between two updates of the same kind.
 const BETWEEN: Duration = Duration::from_secs(1);

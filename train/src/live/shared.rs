@@ -10,11 +10,8 @@ use image::codecs::jpeg::JpegEncoder;
 use serde::Serialize;
 use splat_model::gaussians::GaussianRows;
 
-use crate::report::history::History;
-use crate::report::metrics::Metrics;
-use crate::report::page::SCENE_BYTES;
-use crate::view::scene::ShownScene;
-use crate::view::server::Site;
+use crate::report::{History, Metrics, SCENE_BYTES};
+use crate::view::{ShownScene, Site};
 
 /// The paths of the server.
 pub const SCENE: &str = "/scene.ply";

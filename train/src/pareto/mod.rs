@@ -57,10 +57,8 @@ pub struct ParetoArgs {
     pub masks: bool,
 }
 
-/// Measures all settings, writes the table, and prints the frontier.
-///
-/// # Errors
-/// If the capture or the scene cannot be read, no photograph is held out, a setting is broken, or the results cannot be written.
+/// Measures all settings, writes the table, and prints the frontier. An error if the capture or the scene cannot be
+/// read, no photograph is held out, a setting is broken, or the results cannot be written.
 pub fn run(args: &ParetoArgs) -> Result<()> {
     let (device, _) = args.show.device.resolve()?;
     let capture = input::capture(&args.capture)?;

@@ -56,10 +56,8 @@ const CHECKED: usize = 8;
 const TOLERANCE: f64 = 1e-9;
 
 /// Compares a picture of the reference renderer with [`ExactView`], which visits every Gaussian in every pixel, in a random
-/// pixel of each field of a grid of 8 × 8. Returns the largest difference.
-///
-/// # Errors
-/// If the two differ by more than rounding: no error measured against the reference would mean anything.
+/// pixel of each field of a grid of 8 × 8. Returns the largest difference. An error if the two differ by more than
+/// rounding: no error measured against the reference would mean anything.
 fn check(place: &DeviceScene, view: usize, options: &RenderOptions, picture: &[f64]) -> Result<f64> {
     debug_assert_eq!(place.dtype, DType::F64);
     let camera = &place.cameras[view];

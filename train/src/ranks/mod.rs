@@ -43,10 +43,8 @@ pub(crate) enum Order {
     End,
 }
 
-/// Returns the ranks of this process: those that `mpirun` or `srun` started together, or the process alone.
-///
-/// # Errors
-/// If several were started and this build has no MPI, or they do not find each other.
+/// Returns the ranks of this process: those that `mpirun` or `srun` started together, or the process alone. An error if
+/// several were started and this build has no MPI, or they do not find each other.
 pub(crate) fn join() -> Result<Rc<dyn Ranks>> {
     match started_together() {
         0 | 1 => Ok(Rc::new(Alone)),
@@ -93,10 +91,8 @@ fn own_rank() -> usize {
     0
 }
 
-/// Checks that all ranks were started with the same version and options.
-///
-/// # Errors
-/// On every rank, for the first difference.
+/// Checks that all ranks were started with the same version and options. An error on every rank, for the first
+/// difference.
 pub(crate) fn agree_on_start(ranks: &dyn Ranks, options: &impl Serialize) -> Result<()> {
     if ranks.count() == 1 {
         return Ok(());
@@ -108,10 +104,8 @@ pub(crate) fn agree_on_start(ranks: &dyn Ranks, options: &impl Serialize) -> Res
     Ok(agree(ranks, &facts)?)
 }
 
-/// Checks that all ranks see the same files of photographs, by their sizes.
-///
-/// # Errors
-/// On every rank, for the first difference.
+/// Checks that all ranks see the same files of photographs, by their sizes. An error on every rank, for the
+/// first difference.
 pub(crate) fn agree_on_files(ranks: &dyn Ranks, capture: &Capture, views: &[usize]) -> Result<()> {
     if ranks.count() == 1 {
         return Ok(());
@@ -124,10 +118,7 @@ pub(crate) fn agree_on_files(ranks: &dyn Ranks, capture: &Capture, views: &[usiz
     Ok(agree(ranks, &views.iter().map(fact).collect::<Vec<_>>())?)
 }
 
-/// Sends a value from rank 0 to all ranks, which pass none.
-///
-/// # Errors
-/// If another rank is gone.
+/// Sends a value from rank 0 to all ranks, which pass none. An error if another rank is gone.
 pub(crate) fn tell<T: Serialize + DeserializeOwned>(
     ranks: &dyn Ranks,
     value: Option<T>,

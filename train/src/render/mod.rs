@@ -78,10 +78,8 @@ pub enum PictureFormat {
     Npy,
 }
 
-/// Renders the views, writes the pictures, and prints their paths. Returns the paths.
-///
-/// # Errors
-/// If the capture or the scene cannot be read, the view does not exist, or a picture is one of the files that are read or cannot be written.
+/// Renders the views, writes the pictures, and prints their paths. Returns the paths. An error if the capture or the
+/// scene cannot be read, the view does not exist, or a picture is one of the files that are read or cannot be written.
 pub fn run(args: &RenderArgs) -> Result<Vec<PathBuf>> {
     let (device, _) = args.show.device.resolve()?;
     let capture = input::capture(&args.capture)?;

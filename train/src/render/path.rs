@@ -25,10 +25,8 @@ pub fn pinhole(like: &Intrinsics) -> Intrinsics {
     Intrinsics::centred((like.width & !1).max(2), (like.height & !1).max(2), like.fy)
 }
 
-/// Returns the poses of an orbit, `cam_from_world`, from those of a capture's cameras, `world_from_cam`.
-///
-/// # Errors
-/// If all cameras are at one place.
+/// Returns the poses of an orbit, `cam_from_world`, from those of a capture's cameras, `world_from_cam`. An error if
+/// all cameras are at one place.
 pub fn orbit(poses: &[DAffine3], count: usize) -> Result<Vec<DAffine3>> {
     let mean = |of: &dyn Fn(&DAffine3) -> DVec3| poses.iter().map(of).sum::<DVec3>() / poses.len() as f64;
     let up = -mean(&|pose| pose.matrix3.y_axis).try_normalize().unwrap_or(DVec3::Y);
@@ -61,10 +59,8 @@ pub struct Video<'a> {
 }
 
 impl<'a> Video<'a> {
-    /// Begins a video of pictures of this size. The name of the file gives its format.
-    ///
-    /// # Errors
-    /// If ffmpeg is not installed, with how to install it.
+    /// Begins a video of pictures of this size. The name of the file gives its format. An error if ffmpeg is not
+    /// installed, with how to install it.
     pub fn begin(path: &'a Path, Intrinsics { width, height, .. }: &Intrinsics, fps: u32) -> Result<Self> {
         let name = path.file_name().with_context(|| format!("{} names no file", path.display()))?;
         ensure!(
@@ -89,10 +85,7 @@ impl<'a> Video<'a> {
         Ok(Self { ffmpeg: Running(ffmpeg), path, folder })
     }
 
-    /// Adds a picture: RGB, 8 bits each.
-    ///
-    /// # Errors
-    /// If ffmpeg has ended, with what it says.
+    /// Adds a picture: RGB, 8 bits each. An error if ffmpeg has ended, with what it says.
     pub fn add(&mut self, rgb: &[u8]) -> Result<()> {
         let written = self.ffmpeg.0.stdin.as_mut().map(|pipe| pipe.write_all(rgb));
         match written {

@@ -114,10 +114,8 @@ impl RunLog {
         }
     }
 
-    /// Scores the present scene on a few of the held-out photographs. The clock of the run stands still.
-    ///
-    /// # Errors
-    /// If a view cannot be rendered.
+    /// Scores the present scene on a few of the held-out photographs. The clock of the run stands still. An error if a
+    /// view cannot be rendered.
     pub fn evaluate(
         &mut self,
         trainer: &Trainer,

@@ -20,7 +20,11 @@ use splat_model::evaluate::{Scores, evaluate_each};
 use splat_model::metrics::lpips::Lpips;
 use splat_op::{RenderOptions, Splats};
 
-use self::metrics::Metrics;
+pub use self::history::History;
+pub use self::html::{escape, in_script, table};
+pub use self::log::{LogLine, RunLog};
+pub use self::metrics::{Metrics, Seconds, peak_rss_mib, seconds_since};
+pub use self::page::{CURVES, CURVES_SCRIPT, PAGE_STYLE, ReportPage, SCENE_BYTES};
 use crate::output::OutputFolder;
 use crate::progress;
 
@@ -35,10 +39,8 @@ pub const POSES: &str = "poses.json";
 /// The folder of pictures.
 pub const VIEWS: &str = "views";
 
-/// Scores a scene on photographs, with LPIPS if it is given, and writes a comparison picture of each to `views/`.
-///
-/// # Errors
-/// If a view cannot be rendered or a picture cannot be written.
+/// Scores a scene on photographs, with LPIPS if it is given, and writes a comparison picture of each to `views/`. An
+/// error if a view cannot be rendered or a picture cannot be written.
 pub fn measure(
     splats: &Splats,
     photos: &[Photograph],

@@ -15,8 +15,7 @@ use splat_model::trainer::Trainer;
 
 use super::TrainArgs;
 use crate::progress;
-use crate::report::METRICS;
-use crate::report::history::History;
+use crate::report::{History, METRICS};
 
 pub const FOLDER: &str = "checkpoints";
 
@@ -115,10 +114,8 @@ impl Checkpoints {
     }
 
     /// Clears the folder of checkpoints for a new run, whose only one can be that before the first step of a run which was killed then. All
-    /// other files stay.
-    ///
-    /// # Errors
-    /// If an unfinished run is there, or a file of another program with the name of a checkpoint.
+    /// other files stay. An error if an unfinished run is there, or a file of another program with the name of a
+    /// checkpoint.
     pub fn begin(&self) -> Result<()> {
         let steps = steps_in(&self.folder);
         if let Some((_, path)) = steps.iter().find(|(_, path)| !State::is_in(path)) {
@@ -140,10 +137,8 @@ impl Checkpoints {
         }
     }
 
-    /// Writes a checkpoint, and removes all that are older than its predecessor.
-    ///
-    /// # Errors
-    /// If it cannot be written; the others are unchanged then.
+    /// Writes a checkpoint, and removes all that are older than its predecessor. An error if it cannot be written; the
+    /// others are unchanged then.
     pub fn write(&self, trainer: &mut Trainer, args: &TrainArgs, so_far: &SoFar) -> Result<PathBuf> {
         let mut state = State::default();
         state.tell("version", &env!("CARGO_PKG_VERSION"))?;
@@ -200,10 +195,8 @@ fn locked(lock: &File) -> Result<(), TryLockError> {
     lock.try_lock()
 }
 
-/// Reads the newest checkpoint of the run that wrote to `out`.
-///
-/// # Errors
-/// If there is none, or it cannot be read, is damaged, or was written by another version.
+/// Reads the newest checkpoint of the run that wrote to `out`. An error if there is none, or it cannot be read, is
+/// damaged, or was written by another version.
 pub fn newest(out: &Path) -> Result<SavedRun> {
     let shown = out.display();
     ensure!(out.is_dir(), "{shown} is not a folder: give the `--out` of the run to resume");

@@ -13,19 +13,13 @@ use super::TrainArgs;
 /// File of a run's options, in its output folder.
 pub const CONFIG: &str = "run.toml";
 
-/// Formats options for [`CONFIG`].
-///
-/// # Errors
-/// If an option has no place in TOML: a seed above 2⁶³.
+/// Formats options for [`CONFIG`]. An error if an option has no place in TOML: a seed above 2⁶³.
 pub fn to_toml(args: &TrainArgs) -> Result<String> {
     let options = toml::to_string(args).context("an option cannot be written as TOML")?;
     Ok(format!("# Options of `splat train`: `splat train --config {CONFIG}` trains with them again.\n{options}"))
 }
 
-/// Reads options of `splat train` from a file alone.
-///
-/// # Errors
-/// If the file cannot be read or is no such file.
+/// Reads options of `splat train` from a file alone. An error if the file cannot be read or is no such file.
 pub fn read(path: &Path) -> Result<TrainArgs> {
     let command = TrainArgs::augment_args(clap::Command::new("train").no_binary_name(true));
     let parsed = |words: Vec<String>| TrainArgs::from_arg_matches(&command.clone().try_get_matches_from(words)?);
@@ -33,10 +27,8 @@ pub fn read(path: &Path) -> Result<TrainArgs> {
     parsed(words).map_err(|error| anyhow!("{}: {}", path.display(), error.render()))
 }
 
-/// Returns the options of a file as words of a command line for `train`, without those that `given` words replace.
-///
-/// # Errors
-/// If the file cannot be read, is no TOML, or names something that is no option.
+/// Returns the options of a file as words of a command line for `train`, without those that `given` words replace. An
+/// error if the file cannot be read, is no TOML, or names something that is no option.
 pub fn words(path: &Path, train: &clap::Command, given: &TrainArgs) -> Result<Vec<String>> {
     let shown = path.display();
     let text = fs::read_to_string(path).with_context(|| format!("cannot read {shown}, which `--config` names"))?;

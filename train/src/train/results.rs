@@ -25,13 +25,11 @@ use crate::live::Live;
 use crate::lpips::LpipsArgs;
 use crate::output::OutputFolder;
 use crate::progress;
-use crate::report::history::History;
-use crate::report::log::LogLine;
-use crate::report::metrics::{self, Metrics, Seconds, peak_rss_mib, seconds_since};
-use crate::report::page::{ReportPage, SCENE_BYTES};
-use crate::report::{self, METRICS, POSES, SCENE};
-use crate::view::page::{SceneSource, Viewer};
-use crate::view::scene::{ShownScene, Viewpoint};
+use crate::report::{
+    self, History, LogLine, METRICS, Metrics, POSES, ReportPage, SCENE, SCENE_BYTES, Seconds, metrics, peak_rss_mib,
+    seconds_since,
+};
+use crate::view::{SceneSource, ShownScene, Viewer, Viewpoint};
 
 /// Result of the steps, when all are done.
 pub struct Done<'a> {

@@ -16,16 +16,12 @@ use super::setup::Setup;
 use super::{ResumeArgs, TrainArgs};
 use crate::progress;
 use crate::ranks::{self, RunSetup};
-use crate::report::log::LogLine;
-use crate::report::metrics::{Metrics, seconds_since};
-use crate::view::server::Server;
+use crate::report::{LogLine, Metrics, seconds_since};
+use crate::view::Server;
 
-/// Trains, measures, writes all files, and prints their location.
-///
-/// # Errors
-/// If the capture cannot be read, the results cannot be written, or an option is out of range; or if a loss or a
-/// gradient is not finite: `scene.ply` is the scene before that step then. [`Interrupted`](super::Interrupted) if
-/// Ctrl-C or SIGTERM ended it.
+/// Trains, measures, writes all files, and prints their location. An error if the capture cannot be read, the results
+/// cannot be written, or an option is out of range; or if a loss or a gradient is not finite: `scene.ply` is the scene
+/// before that step then. [`Interrupted`](super::Interrupted) if Ctrl-C or SIGTERM ended it.
 pub fn run(args: &TrainArgs) -> Result<Metrics> {
     run_with(args, |trainer| trainer)
 }
@@ -36,10 +32,8 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
     Run::begin(args.clone(), None, Rc::new(Alone), change)?.finish()
 }
 
-/// Runs as [`run`] does, on all ranks that were started together.
-///
-/// # Errors
-/// Those of [`run`], and if the ranks differ in version or options.
+/// Runs as [`run`] does, on all ranks that were started together. An error as for [`run`], and if the ranks differ in
+/// version or options.
 pub fn run_together(args: &TrainArgs) -> Result<()> {
     let ranks = ranks::join()?;
     ranks::agree_on_start(&*ranks, args)?;
@@ -51,9 +45,7 @@ pub fn run_together(args: &TrainArgs) -> Result<()> {
 
 /// Resumes a run from its newest checkpoint, with its original options, on all ranks that were started together. A run of which there is
 /// nothing but its options begins, and a finished one is left alone, so that the same line can be run again and again.
-///
-/// # Errors
-/// If no checkpoint can be resumed from or the ranks differ in version or options, and as for [`run`].
+/// An error if no checkpoint can be resumed from or the ranks differ in version or options, and as for [`run`].
 pub fn resume_together(args: &ResumeArgs) -> Result<()> {
     let ranks = ranks::join()?;
     ranks::agree_on_start(&*ranks, args)?;

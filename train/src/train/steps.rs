@@ -15,8 +15,7 @@ use super::setup::Setup;
 use super::time_limit::{TimeLimit, set_steps};
 use crate::live::Live;
 use crate::ranks::{self, Order};
-use crate::report::log::RunLog;
-use crate::report::metrics::Metrics;
+use crate::report::{Metrics, RunLog};
 use crate::stop::{Interrupted, Stop};
 
 /// Longest time between checkpoints.
@@ -51,10 +50,8 @@ fn scores_by_itself(step: usize, steps: usize, scoring_s: f64, training_s: f64) 
 }
 
 impl Run {
-    /// Runs all remaining steps and writes the results.
-    ///
-    /// # Errors
-    /// If a step fails or a result cannot be written; [`Interrupted`] if the run was asked to stop.
+    /// Runs all remaining steps and writes the results. An error if a step fails or a result cannot be written;
+    /// [`Interrupted`] if the run was asked to stop.
     pub fn finish(self) -> Result<Metrics> {
         let Self { setup, mut trainer, test, mut checkpoints, so_far, server, ranks, load_s } = self;
         let Setup { job: Job { args, capture, device, .. }, out, lpips, .. } = &setup;

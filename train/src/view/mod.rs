@@ -9,9 +9,9 @@ use std::path::PathBuf;
 use anyhow::{Context, Result};
 use splat_model::ply::TrainedAs;
 
-use self::page::{SceneSource, Viewer};
-use self::scene::ShownScene;
-use self::server::{LOCALHOST, ServedFile, Server};
+pub use self::page::{SceneSource, Viewer, document};
+pub use self::scene::{ShownScene, Viewpoint};
+pub use self::server::{LOCALHOST, ServedFile, Server, Site};
 use crate::{input, output, progress};
 
 /// Options of `splat view`.
@@ -24,10 +24,8 @@ pub struct ViewArgs {
     pub port: u16,
 }
 
-/// Reads the scene, prints its address, and serves it until the process is ended (Ctrl-C).
-///
-/// # Errors
-/// If the file is missing or is not a scene, or the port is not available.
+/// Reads the scene, prints its address, and serves it until the process is ended (Ctrl-C). An error if the file is
+/// missing or is not a scene, or the port is not available.
 pub fn run(args: &ViewArgs) -> Result<()> {
     // An unavailable port is found before the scene is read, which may take long.
     let server = Server::bind(LOCALHOST, args.port, "--port")?;

@@ -45,10 +45,8 @@ pub struct Extent {
 
 impl ShownScene {
     /// Prepares a scene in at most `most_bytes`, if necessary with spherical harmonics of a lower degree, and then only
-    /// with the Gaussians that cover the most. Gaussians that cannot be drawn are left out.
-    ///
-    /// # Errors
-    /// If the rows do not fit together, or none of them can be drawn.
+    /// with the Gaussians that cover the most. Gaussians that cannot be drawn are left out. An error if the rows do not
+    /// fit together, or none of them can be drawn.
     pub fn new(rows: &GaussianRows, most_bytes: usize) -> Result<Self> {
         rows.check()?;
         let usable: Vec<usize> = (0..rows.len()).filter(|&i| rows.is_usable(i)).collect();

@@ -48,10 +48,8 @@ pub struct Server {
 pub const LOCALHOST: &str = "127.0.0.1";
 
 impl Server {
-    /// Begins to listen on a port of an address; 0 chooses a free one. `option` is the option that names them.
-    ///
-    /// # Errors
-    /// If the port is taken, this user may not use it, or this machine does not have the address.
+    /// Begins to listen on a port of an address; 0 chooses a free one. `option` is the option that names them. An error
+    /// if the port is taken, this user may not use it, or this machine does not have the address.
     pub fn bind(host: &str, port: u16, option: &str) -> Result<Self> {
         let http = tiny_http::Server::http((host, port)).map_err(|error| {
             let why = match error.downcast_ref::<std::io::Error>().map(std::io::Error::kind) {
@@ -78,10 +76,8 @@ impl Server {
         format!("http://{host}:{}/{token}", self.port)
     }
 
-    /// Answers requests until the process ends, or [`Self::close`] is called.
-    ///
-    /// # Errors
-    /// If no more connections can be accepted, or the server was closed.
+    /// Answers requests until the process ends, or [`Self::close`] is called. An error if no more connections can be
+    /// accepted, or the server was closed.
     pub fn serve(&self, site: &(impl Site + ?Sized)) -> Result<()> {
         loop {
             let request = self.http.recv().map_err(|error| anyhow!("the server cannot go on: {error}"))?;

@@ -3,9 +3,8 @@
 use serde::Serialize;
 
 use super::detail::Detail;
-use super::observations::PointObservations;
 use super::pictures::Glance;
-use super::{Capture, quantile};
+use super::{Capture, PointObservations, quantile};
 
 /// Sharpness of the photographs: the energy of differences between neighbouring pixels divided by that between pixels three
 /// apart, in the least sharp of four directions, because camera motion blurs along its direction only. It is one ninth for

@@ -3,8 +3,7 @@
 use glam::DVec3;
 use serde::Serialize;
 
-use super::observations::PointObservations;
-use super::{Capture, quantile};
+use super::{Capture, PointObservations, quantile};
 use crate::capture::spread::Spread;
 use crate::optim::scene_extent;
 

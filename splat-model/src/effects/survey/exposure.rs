@@ -6,8 +6,7 @@
 
 use serde::Serialize;
 
-use super::observations::PointObservations;
-use super::{Capture, deviation, quantile};
+use super::{Capture, PointObservations, deviation, quantile};
 
 /// Range of usable values. Values outside are clipped or mostly noise.
 pub(super) const USABLE: std::ops::RangeInclusive<f32> = 0.04..=0.96;

@@ -2,8 +2,7 @@
 
 use serde::Serialize;
 
-use super::observations::PointObservations;
-use super::quantile;
+use super::{PointObservations, quantile};
 
 /// Ratios of footprints. A footprint is the number of pixels per scene unit at a point: focal length divided by depth.
 /// Renders at the photographs' size have the same footprints, so this is the range of sizes in training and viewing.

@@ -11,8 +11,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use super::exposure::USABLE;
-use super::observations::PointObservations;
-use super::{Capture, ViewDependenceEvidence, quantile};
+use super::{Capture, PointObservations, ViewDependenceEvidence, quantile};
 use crate::solve::solve;
 
 /// Iterations between maps and colours, which converge within a few.

@@ -36,6 +36,7 @@ pub use self::footprint::FootprintEvidence;
 pub use self::grading::GradingEvidence;
 pub use self::lens::LensEvidence;
 pub use self::observations::ObservationSource;
+use self::observations::{ColourSample, PointObservation, PointObservations};
 pub use self::pose::{PoseEvidence, PoseSource};
 pub use self::shutter::ShutterEvidence;
 pub use self::view_dependence::ViewDependenceEvidence;
@@ -103,7 +104,7 @@ impl Survey {
         let size = |&view: &usize| capture.views[view].intrinsics.width * capture.views[view].intrinsics.height;
         let pixels: usize = views.iter().map(size).sum();
         let surveyed = selection::select(capture, views, Self::MOST_PIXELS);
-        let mut observations = observations::PointObservations::of(capture, &surveyed);
+        let mut observations = PointObservations::of(capture, &surveyed);
         let glances = pictures::look(capture, &surveyed, &mut observations)?;
         let fit = exposure::fit(&observations, capture.views.len());
         Ok(Self {

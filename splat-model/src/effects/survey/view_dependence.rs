@@ -3,8 +3,7 @@
 use serde::Serialize;
 
 use super::exposure::Fit;
-use super::observations::{ColourSample, PointObservation, PointObservations};
-use super::quantile;
+use super::{ColourSample, PointObservation, PointObservations, quantile};
 
 /// Smallest number of comparable photographs of a point. With fewer, the outliers could be fewer than three, which an
 /// occluder could cause.

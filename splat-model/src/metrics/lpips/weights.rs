@@ -8,8 +8,7 @@ use burn::tensor::{Device, Tensor, TensorData};
 use safetensors::{Dtype, SafeTensors};
 use splat_op::is_gpu;
 
-use super::layers::{Net, NetworkLayer};
-use super::{Convolution, Lpips, MOST_ON_CPU, MOST_ON_GPU};
+use super::{Convolution, Lpips, MOST_ON_CPU, MOST_ON_GPU, Net, NetworkLayer};
 use crate::FileError;
 use crate::ply::brief;
 

@@ -10,9 +10,7 @@ use std::ops::RangeInclusive;
 use fearless_simd::prelude::*;
 
 use super::{LUMA, MAP, SliceSize, Sliced};
-use crate::simd::blocks::{block_len, load, splat, store};
-use crate::simd::dispatch;
-use crate::simd::real::Real;
+use crate::simd::{Real, block_len, dispatch, load, splat, store};
 use crate::tasks;
 
 /// Where the centres of `pixels` pixels lie along an axis of the grid, counted from the first of `count` places.

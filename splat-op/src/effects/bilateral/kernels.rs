@@ -4,9 +4,7 @@
 use cubecl::prelude::*;
 
 use super::{LUMA, MAP};
-use crate::gpu::UNITS;
-use crate::gpu::math::within;
-use crate::gpu::reduce::cube_sum;
+use crate::gpu::{UNITS, cube_sum, within};
 
 /// Sizes of picture and grid.
 #[derive(CubeType, CubeLaunch, Clone, Copy)]

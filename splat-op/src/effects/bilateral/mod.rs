@@ -31,9 +31,8 @@ pub use self::roughness::roughness;
 use crate::backend::apply;
 use crate::backend::custom_grad::constant;
 use crate::check::Reference;
-use crate::error::SplatError;
 use crate::record::record;
-use crate::tensor_code::is_tensor_code;
+use crate::{SplatError, is_tensor_code};
 
 /// Entries of a colour map: three rows of four.
 pub const MAP: usize = 12;

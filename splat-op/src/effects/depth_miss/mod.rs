@@ -14,10 +14,9 @@ mod tests;
 
 use burn::tensor::{DType, Int, Tensor};
 
-use crate::abilities::is_gpu;
 use crate::backend::custom_grad::{constant, plain};
 use crate::check::Reference;
-use crate::error::SplatError;
+use crate::{SplatError, is_gpu};
 
 /// The least alpha of a pixel whose depth counts.
 pub const COVERED: f64 = 0.5;

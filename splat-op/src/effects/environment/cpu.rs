@@ -6,9 +6,7 @@ use fearless_simd::prelude::*;
 use super::Sky;
 use crate::sh::basis::basis_of;
 use crate::sh::{SH_COEFFICIENTS_MAX, degree_of};
-use crate::simd::blocks::{block_len, load, splat, store};
-use crate::simd::dispatch;
-use crate::simd::real::Real;
+use crate::simd::{Real, block_len, dispatch, load, splat, store};
 use crate::tasks;
 
 /// Number of pixels per task.

@@ -2,9 +2,7 @@
 
 use cubecl::prelude::*;
 
-use crate::gpu::UNITS;
-use crate::gpu::math::Vec3;
-use crate::gpu::reduce::cube_sum;
+use crate::gpu::{UNITS, Vec3, cube_sum};
 use crate::sh::coefficients_of;
 use crate::sh::forward::basis;
 

@@ -2,8 +2,7 @@
 
 use super::Sky;
 use super::kernels::{RUN, alpha_backward_kernel, coefficients_backward_kernel, environment_kernel};
-use crate::gpu::reduce::launch_column_sums;
-use crate::gpu::{Buffer, Gpu, launch_unchecked};
+use crate::gpu::{Buffer, Gpu, launch_column_sums, launch_unchecked};
 use crate::sh::degree_of;
 
 /// Number of pixels, and the degree.

@@ -29,10 +29,9 @@ use burn::tensor::Tensor;
 use crate::backend::apply;
 use crate::backend::custom_grad::constant;
 use crate::check::Reference;
-use crate::error::SplatError;
 use crate::record::record;
 use crate::sh::sh_degree;
-use crate::tensor_code::is_tensor_code;
+use crate::{SplatError, is_tensor_code};
 
 record! {
     /// Inputs of the composition, or their gradients.

@@ -6,10 +6,7 @@ use super::formulas::Change;
 use super::{Exposed, OpticsSpec, PARAMETERS};
 use crate::linalg::Number;
 use crate::project::{COLUMNS, Ellipse};
-use crate::simd::lanes::{Columns, MaskOf, ROW_BLOCK, width};
-use crate::simd::number::LaneNumber;
-use crate::simd::real::Real;
-use crate::simd::{dispatch, each};
+use crate::simd::{Columns, LaneNumber, MaskOf, ROW_BLOCK, Real, dispatch, each, width};
 use crate::tasks;
 
 /// Number of Gaussians per task.

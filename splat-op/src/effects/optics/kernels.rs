@@ -5,9 +5,7 @@ use cubecl::prelude::*;
 
 use super::formulas::Change;
 use super::{OpticsEffect, PARAMETERS};
-use crate::gpu::UNITS;
-use crate::gpu::number::{KernelNumber, load_row, store_row};
-use crate::gpu::reduce::cube_sum;
+use crate::gpu::{KernelNumber, UNITS, cube_sum, load_row, store_row};
 use crate::project::axis::CameraAxis;
 use crate::project::{COLUMNS, Ellipse};
 

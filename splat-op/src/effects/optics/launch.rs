@@ -2,8 +2,7 @@
 
 use super::kernels::{ChangeArgLaunch, expose_backward_kernel, expose_kernel};
 use super::{Exposed, OpticsSpec, PARAMETERS};
-use crate::gpu::reduce::launch_column_sums;
-use crate::gpu::{Buffer, Gpu, UNITS, launch_unchecked};
+use crate::gpu::{Buffer, Gpu, UNITS, launch_column_sums, launch_unchecked};
 use crate::project::COLUMNS;
 use crate::project::axis::CameraAxisLaunch;
 

@@ -69,12 +69,9 @@ mod tests;
 use burn::tensor::Tensor;
 
 use crate::backend::apply;
-use crate::camera::{CameraModel, Intrinsics};
-use crate::check::Reference;
-use crate::error::SplatError;
+use crate::check::{Reference, check_value};
 use crate::record::record;
-use crate::stages::Projected;
-use crate::tensor_code::is_tensor_code;
+use crate::{CameraModel, Intrinsics, Projected, SplatError, is_tensor_code};
 
 /// Largest vertical motion over a rolling shutter, as a share of the picture's height. Faster points are clamped to it.
 pub(crate) const LARGEST_SHARE: f64 = 0.5;
@@ -152,14 +149,10 @@ fn exposed(
     margin: f64,
 ) -> Result<Projected, SplatError> {
     let intrinsics = *projected.intrinsics();
-    if intrinsics.model != CameraModel::Pinhole {
-        return Err(SplatError::Value {
-            field: "model",
-            found: format!("{:?}", intrinsics.model),
-            expected: "Pinhole, because ellipses are moved and widened for that alone: average renders from several poses \
-                       instead, which any camera can do",
-        });
-    }
+    let model = intrinsics.model;
+    let expected = "Pinhole, because ellipses are moved and widened for that alone: average renders from several poses \
+                    instead, which any camera can do";
+    check_value("model", model == CameraModel::Pinhole, format_args!("{model:?}"), expected)?;
     let reference = Reference::new("projected", projected.packed())?;
     reference.check("twist", twist, [Some(PARAMETERS)], "[6]")?;
     let spec = OpticsSpec { intrinsics, exposure, margin };

@@ -5,8 +5,7 @@ use burn::tensor::Tensor;
 
 use super::{LARGEST_SHARE, OpticsEffect, OpticsSpec, PARAMETERS};
 use crate::backend::custom_grad::{constant, plain};
-use crate::error::SplatError;
-use crate::{Ellipses, Projected};
+use crate::{Ellipses, Projected, SplatError};
 
 /// The changed ellipses.
 pub(super) fn exposed(of: &Projected, twist: &Tensor<1>, spec: &OpticsSpec) -> Result<Projected, SplatError> {

@@ -6,9 +6,7 @@ use super::cpu::{expose_backward_cpu, expose_cpu};
 use super::formulas::{Change, Moving, Rolled, Widened};
 use super::*;
 use crate::project::{COLUMNS, Ellipse};
-use crate::simd::dispatch;
-use crate::simd::number::LaneNumber;
-use crate::simd::real::Real;
+use crate::simd::{LaneNumber, Real, dispatch};
 use crate::testing::finite::{check_gradient, inner_product};
 use crate::testing::random::Random;
 

@@ -5,12 +5,9 @@ use std::sync::atomic::{AtomicU32, Ordering};
 
 use super::extent::{ExtentRules, ExtentScratch};
 use super::{Cut, IntersectionLists, PixelBox, tile_grid};
-use crate::camera::Intrinsics;
 use crate::project::{COLUMNS, Ellipse};
-use crate::simd::dispatch;
-use crate::simd::lanes::ROW_BLOCK;
-use crate::simd::real::Real;
-use crate::tasks;
+use crate::simd::{ROW_BLOCK, Real, dispatch};
+use crate::{Intrinsics, tasks};
 
 /// Number of Gaussians per task that finds intersections.
 const CHUNK: usize = 2048;

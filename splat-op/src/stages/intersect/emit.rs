@@ -5,8 +5,7 @@ use cubecl::prelude::*;
 
 use super::forward::{TileCoverage, TileMask};
 use super::sort::uniform;
-use crate::gpu::UNITS;
-use crate::gpu::reduce::{SUM_ROOM, cube_exclusive_sum};
+use crate::gpu::{SUM_ROOM, UNITS, cube_exclusive_sum};
 
 /// Number of intersections that a cube writes.
 pub(super) const LIST_BLOCK: usize = 4 * UNITS;

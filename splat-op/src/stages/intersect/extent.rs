@@ -7,9 +7,7 @@ use fearless_simd::prelude::*;
 use super::{Cut, PixelBox, TILE_SIZE, tile_grid};
 use crate::camera::Intrinsics;
 use crate::project::{COLUMNS, Ellipse};
-use crate::simd::each;
-use crate::simd::lanes::{Columns, ROW_BLOCK, width};
-use crate::simd::real::{LANES, Real};
+use crate::simd::{Columns, LANES, ROW_BLOCK, Real, each, width};
 
 /// Returns the largest `u² + v²` at which a Gaussian's alpha reaches `alpha_min`; negative if there is none.
 #[inline(always)]

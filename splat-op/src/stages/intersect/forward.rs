@@ -10,7 +10,7 @@ use cubecl::prelude::*;
 
 use super::TILE_SIZE;
 use super::sort::HIDDEN;
-use crate::gpu::math::{Vec3, finite, undefined, within};
+use crate::gpu::{Vec3, finite, undefined, within};
 use crate::project::COLUMNS;
 use crate::project::forward::PackedEllipse;
 

@@ -16,8 +16,7 @@
 
 use cubecl::prelude::*;
 
-use crate::gpu::reduce::{SUM_ROOM, cube_exclusive_sum, wait};
-use crate::gpu::{Buffer, Gpu, SHARED_BYTES, UNITS, given, launch_unchecked};
+use crate::gpu::{Buffer, Gpu, SHARED_BYTES, SUM_ROOM, UNITS, cube_exclusive_sum, given, launch_unchecked, wait};
 
 /// Key of what the sort leaves out.
 pub(crate) const HIDDEN: u32 = u32::MAX;

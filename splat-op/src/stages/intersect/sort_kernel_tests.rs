@@ -3,8 +3,7 @@
 use cubecl::prelude::*;
 
 use super::sort::{HIDDEN, Sorted, launch_sort};
-use crate::gpu::reduce::{SUM_ROOM, cube_exclusive_sum};
-use crate::gpu::{Buffer, Gpu, UNITS, cubes};
+use crate::gpu::{Buffer, Gpu, SUM_ROOM, UNITS, cube_exclusive_sum, cubes};
 use crate::testing::gpu::gpu;
 use crate::testing::random::Random;
 

@@ -4,7 +4,7 @@ use super::cpu::intersect_cpu;
 use super::{IntersectionLists, TILE_SIZE, tile_grid};
 use crate::camera::Intrinsics;
 use crate::project::{COLUMNS, Ellipse};
-use crate::simd::real::Real;
+use crate::simd::Real;
 use crate::testing::random::Random;
 
 /// Sizes that are multiples of a tile, sizes that are not, and sizes of a single pixel along one side or both.

@@ -2,7 +2,7 @@
 
 use cubecl::prelude::*;
 
-use crate::gpu::math::{Vec3, within};
+use crate::gpu::{Vec3, within};
 
 /// One axis of the picture, px.
 #[derive(CubeType, CubeLaunch, Clone, Copy)]

@@ -16,9 +16,7 @@ use super::Geometry;
 use super::axis::{CameraAxis, JacobianRow};
 use super::forward::{Gaussian, GeometryInputs, PackedEllipse, ProjectCamera, ProjectionTerms, project_one};
 use super::lens_kernel::{SeenGrad, bent_backward};
-use crate::gpu::UNITS;
-use crate::gpu::math::{Mat3, POSE, Pose, Quaternion, Vec3};
-use crate::gpu::reduce::cube_vector_sum;
+use crate::gpu::{Mat3, POSE, Pose, Quaternion, UNITS, Vec3, cube_vector_sum};
 
 /// Whether any field is not zero, by its bits, so that NaN counts.
 #[cube]

@@ -6,11 +6,8 @@ use fearless_simd::prelude::*;
 use super::simd::{GaussiansSimd, ProjectCameraSimd, ProjectionTermsSimd};
 use super::simd_backward::GradientsSimd;
 use super::{COLUMNS, Ellipse, Geometry, ProjectSpec, WIDTHS};
-use crate::camera::CameraModel;
-use crate::simd::lanes::{Columns, ROW_BLOCK, width};
-use crate::simd::real::Real;
-use crate::simd::{dispatch, each};
-use crate::tasks;
+use crate::simd::{Columns, ROW_BLOCK, Real, dispatch, each, width};
+use crate::{CameraModel, tasks};
 
 /// Number of Gaussians per task. Sums over all Gaussians add one partial sum per chunk in order, so the number of threads never
 /// changes a result.

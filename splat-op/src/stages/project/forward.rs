@@ -6,7 +6,7 @@ use cubecl::prelude::*;
 use super::axis::{CameraAxis, JacobianRow};
 use super::lens_kernel::{DistortionArg, bent_rows};
 use super::{COLUMNS, COMPENSATION_MIN};
-use crate::gpu::math::{Mat3, Pose, Quaternion, Vec3, finite};
+use crate::gpu::{Mat3, Pose, Quaternion, Vec3, finite};
 
 /// Camera and options as arguments of the kernels.
 #[derive(CubeType, CubeLaunch, Clone, Copy)]

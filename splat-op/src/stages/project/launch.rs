@@ -5,9 +5,7 @@ use super::backward::{GeometryOutputsLaunch, project_backward_kernel};
 use super::forward::{GeometryInputsLaunch, ProjectCameraLaunch, project_forward_kernel};
 use super::lens_kernel::distortion_arg;
 use super::{COLUMNS, Geometry, ProjectSpec, RADIUS_SIGMAS, WIDTHS};
-use crate::gpu::math::POSE;
-use crate::gpu::reduce::launch_column_sums;
-use crate::gpu::{Buffer, Gpu, UNITS, launch_unchecked};
+use crate::gpu::{Buffer, Gpu, POSE, UNITS, launch_column_sums, launch_unchecked};
 
 /// Camera and options as an argument of the kernels, computed in f64 and rounded once.
 pub(crate) fn project_camera(spec: &ProjectSpec) -> ProjectCameraLaunch {

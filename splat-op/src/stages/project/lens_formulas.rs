@@ -4,8 +4,7 @@
 use super::lens::{HALF_ANGLE_F32, HALF_ANGLE_F64};
 use crate::camera::{CameraModel, Intrinsics};
 use crate::linalg::{Matrix3, Number, add, dot, dot2, scale, sub};
-use crate::simd::each;
-use crate::simd::real::Real;
+use crate::simd::{Real, each};
 
 /// A lens's planar map.
 #[derive(Clone, Copy)]

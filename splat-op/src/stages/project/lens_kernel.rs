@@ -6,8 +6,7 @@ use cubecl::prelude::*;
 use super::axis::{CameraAxis, CameraAxisExpand, JacobianRow, JacobianRowExpand};
 use super::lens_formulas::{Distortion, LensProjection, LensProjectionGrad};
 use crate::camera::{CameraModel, Intrinsics};
-use crate::gpu::math::{Mat3, Mat3Expand, Vec2, Vec2Launch, Vec3, Vec3Expand};
-use crate::gpu::number::{KernelNumber, vec3};
+use crate::gpu::{KernelNumber, Mat3, Mat3Expand, Vec2, Vec2Launch, Vec3, Vec3Expand, vec3};
 
 /// A lens as an argument of the kernels, with the fields of [`Distortion`].
 #[allow(dead_code, reason = "kernels read the fields of the expanded type")]

@@ -45,9 +45,8 @@ mod testing;
 #[cfg(test)]
 mod tests;
 
-use crate::camera::Intrinsics;
-use crate::options::RenderOptions;
 use crate::record::record;
+use crate::{Intrinsics, RenderOptions};
 
 /// Number of columns of the packed output.
 pub(crate) const COLUMNS: usize = 7;

@@ -6,10 +6,7 @@ use fearless_simd::prelude::*;
 use super::lens_formulas::{Distortion, LensProjection, LensProjectionGrad};
 use super::{COMPENSATION_MIN, Ellipse, ProjectSpec, RADIUS_SIGMAS};
 use crate::linalg::{Matrix3, add, cross, dot, hadamard, matmul, matvec, rotation_of, scale, sub};
-use crate::simd::each;
-use crate::simd::lanes::{Lanes, MaskOf, Vector, norm};
-use crate::simd::number::LaneNumber;
-use crate::simd::real::Real;
+use crate::simd::{LaneNumber, Lanes, MaskOf, Real, Vector, each, norm};
 
 /// The camera, as numbers or broadcast to all lanes.
 pub(crate) struct ProjectCameraSimd<L> {

@@ -6,10 +6,7 @@ use super::Ellipse;
 use super::lens_formulas::LensProjectionGrad;
 use super::simd::{GaussiansSimd, ProjectCameraSimd, ProjectionTermsSimd};
 use crate::linalg::{Matrix3, add, cross, dot, hadamard, matmul, matvec, scale, sub, transpose, transposed_matvec};
-use crate::simd::each;
-use crate::simd::lanes::{MaskOf, Vector, norm};
-use crate::simd::number::LaneNumber;
-use crate::simd::real::Real;
+use crate::simd::{LaneNumber, MaskOf, Real, Vector, each, norm};
 
 impl<S: Simd, F: Real> ProjectionTermsSimd<S, F> {
     /// Gradients of `m0, m1` and of the opacity from those of the ellipse.

@@ -4,7 +4,7 @@ use super::cpu::{project_backward_cpu, project_cpu};
 use super::{COLUMNS, COMPENSATION_MIN, Geometry, ProjectSpec};
 use crate::camera::{CameraModel, Intrinsics};
 use crate::options::RenderOptions;
-use crate::simd::real::Real;
+use crate::simd::Real;
 use crate::testing::finite::{check_gradient, inner_product};
 use crate::testing::lenses::{FOX, ORTHOGRAPHIC, lenses};
 use crate::testing::random::Random;

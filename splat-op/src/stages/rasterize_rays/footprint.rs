@@ -12,8 +12,7 @@ use crate::rasterize::pixels::{TilePixels, lanes};
 use crate::rasterize::splat_cpu::{Footprint, FootprintLanes, FootprintView, PairSums, SplatAt};
 use crate::rasterize::tile_blocks::TileBlocks;
 use crate::ray_space::{LensFrame, SLOPES, beyond, columns};
-use crate::simd::each;
-use crate::simd::real::Real;
+use crate::simd::{Real, each};
 
 /// A Gaussian in the form that the loops over pixels multiply by. Nothing is scaled, as it is in `rasterize`: where `s` is a small
 /// difference of products, their rounding would show.

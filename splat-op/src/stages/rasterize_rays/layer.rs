@@ -5,7 +5,7 @@ use cubecl::prelude::*;
 use super::pair_sums::RaySums;
 use super::{D_MIN, WHITENED_MAX};
 use crate::camera::LEAST_NO_RAY;
-use crate::gpu::math::{Vec2, Vec3, finite, within};
+use crate::gpu::{Vec2, Vec3, finite, within};
 use crate::project::forward::PackedEllipse;
 use crate::rasterize::blocks::{BLOCK_PIXELS, HALF_BLOCKS, pixel_of};
 use crate::rasterize::layer::{Four, KernelShape, RasterFrame, SplatInputs, TilePixel, four};

@@ -6,8 +6,7 @@ use super::bounds::BoundsRules;
 use super::lens_bounds::LensLimits;
 use super::{LENS_COLUMNS, RAY_SPACE};
 use crate::camera::{Intrinsics, PictureRays};
-use crate::gpu::math::{Vec2, Vec2Launch};
-use crate::gpu::number::{KernelNumber, load_row, store_row};
+use crate::gpu::{KernelNumber, Vec2, Vec2Launch, load_row, store_row};
 use crate::project::{COLUMNS, Ellipse};
 
 /// Limits of a lens as an argument.

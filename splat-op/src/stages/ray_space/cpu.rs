@@ -12,10 +12,7 @@ use crate::project::simd::{GaussiansSimd, ProjectCameraSimd};
 use crate::project::simd_backward::GradientsSimd;
 use crate::project::{COLUMNS, Ellipse, Geometry, ProjectSpec};
 use crate::rasterize::RasterizeSpec;
-use crate::simd::lanes::{Columns, ROW_BLOCK, width};
-use crate::simd::number::LaneNumber;
-use crate::simd::real::Real;
-use crate::simd::{dispatch, each};
+use crate::simd::{Columns, LaneNumber, ROW_BLOCK, Real, dispatch, each, width};
 use crate::tasks;
 
 /// Gaussians per task.

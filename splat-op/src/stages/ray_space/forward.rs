@@ -4,8 +4,7 @@ use cubecl::prelude::*;
 
 use super::formulas::{Factored, RaySpaceTerms};
 use super::{LENS_COLUMNS, LensFrame, RAY_SPACE};
-use crate::gpu::math::{Mat3, Vec2, Vec3};
-use crate::gpu::number::{KernelMask, KernelNumber, store_row};
+use crate::gpu::{KernelMask, KernelNumber, Mat3, Vec2, Vec3, store_row};
 use crate::project::forward::{
     Gaussian, GaussianExpand, GeometryInputs, ProjectCamera, ProjectionTerms, ProjectionTermsExpand, project_one,
 };

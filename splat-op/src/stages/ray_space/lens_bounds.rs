@@ -6,8 +6,7 @@ use super::{EXTENT, RAY_SPACE, ROUNDING};
 use crate::camera::{Intrinsics, PictureRays};
 use crate::linalg::{Number, dot2};
 use crate::project::Ellipse;
-use crate::simd::each;
-use crate::simd::real::Real;
+use crate::simd::{Real, each};
 
 /// A row for `intersect`, whether it is known to hold all that shows, and whether nothing shows.
 pub(super) struct Bounded<N: Number> {

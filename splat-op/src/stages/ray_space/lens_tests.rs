@@ -8,7 +8,7 @@ use crate::options::{Projection, RenderOptions};
 use crate::project::cpu::project_cpu;
 use crate::project::{COLUMNS, Ellipse, Geometry, ProjectSpec};
 use crate::rasterize::RasterizeSpec;
-use crate::simd::real::Real;
+use crate::simd::Real;
 use crate::testing::lenses::lenses;
 use crate::testing::random::Random;
 

@@ -9,9 +9,7 @@ use crate::linalg::{Matrix3, Number, add};
 use crate::project::lens_formulas::LensProjectionGrad;
 use crate::project::simd::{Bent, GaussiansSimd, ProjectCameraSimd, ProjectionTermsSimd, through_lens};
 use crate::project::simd_backward::{GradientsSimd, ShapeGrad, any_not_zero};
-use crate::simd::each;
-use crate::simd::number::LaneNumber;
-use crate::simd::real::Real;
+use crate::simd::{LaneNumber, Real, each};
 
 /// Eight Gaussians in ray space.
 pub(super) struct RaySpaceSimd<S: Simd, F: Real> {

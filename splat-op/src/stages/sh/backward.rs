@@ -9,9 +9,7 @@ use cubecl::prelude::*;
 
 use super::forward::{CameraPosition, Frame, NORMS, basis, coefficient, linear_colour, load_row, may_show};
 use super::{coefficients_of, vector_width};
-use crate::gpu::UNITS;
-use crate::gpu::math::{Mat3, Pose, Vec3, positive};
-use crate::gpu::reduce::cube_vector_sum;
+use crate::gpu::{Mat3, Pose, UNITS, Vec3, cube_vector_sum, positive};
 
 /// `Σₖ wₖ ∇pₖ(d)` for the polynomials `pₖ` of [`basis`], grouped by degree. Only the component normal to `d` is meaningful on the
 /// sphere.

@@ -3,7 +3,7 @@
 use std::ops::{Add, Mul, Sub};
 
 use super::SH_COEFFICIENTS_MAX;
-use crate::simd::real::Real;
+use crate::simd::Real;
 
 // Normalisations, named by degree and by position within the degree, with the signs of the original code.
 const Y0: f64 = 0.282_094_791_773_878_14;

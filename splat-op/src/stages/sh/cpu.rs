@@ -4,7 +4,7 @@ use super::basis::{basis, basis_backward};
 use super::{SH_COEFFICIENTS_MAX, Shading, degree_of, extent_sigmas};
 use crate::linalg::{Matrix3, add, cross, dot, matvec, norm, scale, sub, transpose, transposed_matvec};
 use crate::project::{COLUMNS, Ellipse, ProjectSpec};
-use crate::simd::real::Real;
+use crate::simd::Real;
 use crate::tasks;
 
 /// Number of Gaussians per task, and per partial sum of the pose's gradient, whose sum is ordered.

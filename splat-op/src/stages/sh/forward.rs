@@ -4,7 +4,7 @@
 use cubecl::prelude::*;
 
 use super::{SH_COEFFICIENTS_MAX, coefficients_of, vector_width};
-use crate::gpu::math::{Mat3, Pose, Vec3, negative, positive};
+use crate::gpu::{Mat3, Pose, Vec3, negative, positive};
 use crate::project::forward::PackedEllipse;
 
 /// Position of the camera in the world frame: the point that the pose maps to zero, `−A⁻¹ t`, by the general inverse.

@@ -5,9 +5,7 @@ use cubecl::prelude::{CubeCount, CubeDim};
 use super::backward::{pose_backward_kernel, sh_backward_kernel};
 use super::forward::{FrameLaunch, sh_forward_kernel};
 use super::{Shading, degree_of, extent_sigmas, vector_width};
-use crate::gpu::math::POSE;
-use crate::gpu::reduce::launch_column_sums;
-use crate::gpu::{Buffer, Gpu, UNITS, given, launch_unchecked};
+use crate::gpu::{Buffer, Gpu, POSE, UNITS, given, launch_column_sums, launch_unchecked};
 use crate::project::ProjectSpec;
 
 /// Gaussians whose colours are computed: those whose packed ellipses, `[N, 7]`, can show in a picture.

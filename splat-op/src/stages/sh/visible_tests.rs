@@ -7,7 +7,7 @@ use crate::intersect::cpu::intersect_cpu;
 use crate::options::RenderOptions;
 use crate::project::cpu::project_cpu;
 use crate::project::{COLUMNS, Geometry, ProjectSpec};
-use crate::simd::real::Real;
+use crate::simd::Real;
 use crate::testing::random::Random;
 
 /// Number of coefficients per channel, degree 2.

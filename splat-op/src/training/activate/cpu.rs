@@ -3,9 +3,7 @@
 use fearless_simd::prelude::*;
 
 use super::rule::{LARGEST, LARGEST_LOG_SCALE, Raw};
-use crate::simd::lanes::{ROW_BLOCK, map_lanes};
-use crate::simd::real::Real;
-use crate::simd::{dispatch, each};
+use crate::simd::{ROW_BLOCK, Real, dispatch, each, map_lanes};
 use crate::tasks;
 
 /// Number of Gaussians per task.

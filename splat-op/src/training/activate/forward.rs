@@ -4,7 +4,7 @@
 use cubecl::prelude::*;
 
 use super::rule::{LARGEST, LARGEST_LOG_SCALE};
-use crate::gpu::math::{finite, own_values_finite};
+use crate::gpu::{finite, own_values_finite};
 
 /// Exponent below which `exp` is less than the smallest subnormal f32.
 const SMALLEST_EXPONENT: f32 = -110.0;

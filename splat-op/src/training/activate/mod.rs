@@ -41,8 +41,7 @@ pub use rule::{LARGEST, LARGEST_LOG_SCALE};
 
 use crate::backend::apply;
 use crate::check::Reference;
-use crate::error::SplatError;
-use crate::tensor_code::is_tensor_code;
+use crate::{SplatError, is_tensor_code};
 
 /// Gaussians with unconstrained parameters, one row each, all of one float type and on one device.
 #[derive(Clone, Debug)]

@@ -4,7 +4,7 @@ use cubecl::prelude::*;
 
 use super::rule::{Band, LAST_BIT};
 use crate::activate::forward::bounded;
-use crate::gpu::math::{clamped, own_values_finite};
+use crate::gpu::{clamped, own_values_finite};
 
 /// The scalars of one step.
 #[derive(CubeType, CubeLaunch, Clone, Copy)]

@@ -36,9 +36,8 @@ use burn::backend::Dispatch;
 use burn::tensor::{DType, Int, Tensor};
 pub use rule::{Band, Factors, LAST_BIT, Rates, VERDICT};
 
-use crate::abilities::is_gpu;
 use crate::backend::{Slot, apply_all};
-use crate::tensor_code::is_tensor_code;
+use crate::{is_gpu, is_tensor_code};
 
 /// Whether there is a kernel for a parameter or a loss: in f32, on a GPU, and not in [tensor code](crate::in_tensor_code).
 pub fn has_kernel<const D: usize>(tensor: &Tensor<D>) -> bool {

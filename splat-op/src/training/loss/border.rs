@@ -4,8 +4,7 @@ use fearless_simd::prelude::*;
 
 use super::sweep::{PlaneSize, Sweep, splat};
 use super::taps::{HALF, TAPS, half_window};
-use crate::simd::dispatch;
-use crate::simd::real::{LANES, Real};
+use crate::simd::{LANES, Real, dispatch};
 
 /// The excess `e` at the pixels whose window leaves the picture; see [`super`].
 pub(super) struct Excess<F> {

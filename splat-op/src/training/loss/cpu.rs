@@ -10,8 +10,7 @@ use fearless_simd::prelude::*;
 use super::border::Excess;
 use super::sweep::{PlaneSize, Sweep, load, splat, store};
 use super::taps::{C1, C2, Compared, HALF};
-use crate::simd::dispatch;
-use crate::simd::real::{LANES, Real};
+use crate::simd::{LANES, Real, dispatch};
 use crate::tasks;
 
 /// Number of rows per task. The first sweep goes over five rows more above and below, and filters ten.

@@ -4,8 +4,7 @@
 use cubecl::prelude::*;
 
 use super::taps::{C1, C2, HALF, TAPS, half_window};
-use crate::gpu::UNITS;
-use crate::gpu::reduce::cube_sum;
+use crate::gpu::{UNITS, cube_sum};
 
 /// Returns the number of values of a unit. Neighbouring units read a row together, so each takes one value of it.
 pub(super) const fn strip_of(vertical: bool) -> usize {

@@ -5,7 +5,7 @@ use std::ops::Range;
 use fearless_simd::prelude::*;
 
 use super::taps::{HALF, TAPS, half_window};
-use crate::simd::real::{LANES, Real};
+use crate::simd::{LANES, Real};
 
 /// Size of a plane, px.
 #[derive(Clone, Copy)]

@@ -3,7 +3,7 @@
 use super::cpu::{moments_cpu, photometric_cpu};
 use super::sweep::PlaneSize;
 use super::taps::Compared;
-use crate::simd::real::Real;
+use crate::simd::Real;
 use crate::testing::ceiling::{PerturbedReference, rounded, to_f32};
 use crate::testing::random::Random;
 

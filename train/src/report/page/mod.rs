@@ -9,12 +9,9 @@ use std::io::Write as _;
 use anyhow::Result;
 
 use self::comparisons::Comparisons;
-use super::history::History;
-use super::html::{escape, in_script};
-use super::metrics::Metrics;
-use super::{REPORT, SCENE};
+use super::{History, Metrics, REPORT, SCENE, escape, in_script};
 use crate::output::{OutputFolder, last_name};
-use crate::view::page::{Viewer, document};
+use crate::view::{Viewer, document};
 
 /// Largest size of the scene in a page; its text encoding is a third longer. Browsers are slow with longer pages.
 pub const SCENE_BYTES: usize = 20_000_000;

@@ -4,9 +4,7 @@ use std::fmt::Write;
 
 use splat_model::evaluate::Scores;
 
-use super::super::html::{escape, table};
-use super::super::metrics::{Metrics, Seconds};
-use super::super::{METRICS, VIEWS, perceived};
+use super::super::{METRICS, Metrics, Seconds, VIEWS, escape, perceived, table};
 use super::comparisons::{Comparisons, MOST};
 use crate::effects::ChosenEffects;
 use crate::inspect;

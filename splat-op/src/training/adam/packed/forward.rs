@@ -5,7 +5,7 @@ use cubecl::prelude::*;
 use super::{BASE, CODE_BITS, CODES_PER_WORD, DROPPED, LARGEST_LEVEL, LARGEST_SECOND, SECOND_BITS};
 use crate::adam::forward::StepFactors;
 use crate::adam::rule::Band;
-use crate::gpu::math::clamped;
+use crate::gpu::clamped;
 
 /// The scalars of one step.
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
