@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use super::find::OURS;
 use super::names::{PICTURES, entries, files_below, parent};
-use super::{Capture, depth_maps, masks};
+use super::{Capture, View, depth_maps, masks};
 
 pub(super) fn remarks(capture: &Capture) -> Vec<String> {
     // What this program writes holds nothing of the user's.
@@ -13,8 +13,13 @@ pub(super) fn remarks(capture: &Capture) -> Vec<String> {
         return Vec::new();
     }
     let masks = (masks::folders(capture), masks::find(capture));
-    let depth = (depth_maps::folders(capture), depth_maps::find(capture));
+    let depth = (depth_maps::folders(capture), depth_maps::with_panoramas(capture));
     let mut remarks = Vec::new();
+    let of_panorama = |(view, file): (&View, &Option<PathBuf>)| view.face() == Some(0) && file.is_some();
+    let of_panoramas = capture.views.iter().zip(&depth.1).filter(|pair| of_panorama(*pair)).count();
+    if of_panoramas > 0 {
+        remarks.push(format!("depth maps of panoramas are not used: {of_panoramas}"));
+    }
     let mut used: HashSet<PathBuf> = capture.views.iter().map(|view| view.image_path.clone()).collect();
     for (folders, found) in [masks, depth] {
         let found: HashSet<PathBuf> = found.into_iter().flatten().collect();
@@ -45,7 +50,7 @@ fn unmatched(capture: &Capture, folder: &Path, found: &HashSet<PathBuf>) -> Opti
     };
     let left: Vec<&String> = files.iter().filter(|name| !found.contains(&folder.join(name))).collect();
     let (first, view) = (left.first()?, capture.views.first()?);
-    let [whole, short] = masks::names(&view.name, "png").map(|name| named(&capture.folder, &folder.join(name)));
+    let [whole, short] = masks::names(view.photograph(), "png").map(|name| named(&capture.folder, &folder.join(name)));
     let belong = match left.len() == files.len() {
         true => "none belongs to a photograph".to_string(),
         false => format!("{} of them belong to no photograph", left.len()),

@@ -161,7 +161,7 @@ fn the_poles_are_like_any_other_place() {
     let (mut compared, mut worst) = (0, 0.0_f64);
     for pixel in (0..height).flat_map(|y| (0..width).map(move |x| [x, y])) {
         let seen = ray(pixel, [width, height]);
-        let px = panorama.px_from_cam(turn.transpose() * seen);
+        let px = panorama.picture().px_from_cam(turn.transpose() * seen);
         let mut lengths = seen.abs().to_array();
         lengths.sort_by(f64::total_cmp);
         // The other picture is interpolated where its pixels are square.
@@ -239,12 +239,12 @@ fn positions_are_those_of_colmap() {
         (DVec3::new(-1.0, 1.0, -1.0), [10.0, 20.0 + 40.0 / PI * (0.5_f64.sqrt()).atan()]),
     ];
     for (point, px) in places {
-        let found = panorama.px_from_cam(3.0 * point);
+        let found = panorama.picture().px_from_cam(3.0 * point);
         assert!(found.abs_diff_eq(DVec2::from_array(px), 1e-12), "{point}: {found}");
-        assert!(panorama.cam_from_px(found).abs_diff_eq(point.normalize(), 1e-14), "{point}");
+        assert!(panorama.picture().cam_from_px(found).abs_diff_eq(point.normalize(), 1e-14), "{point}");
     }
-    assert_eq!(panorama.px_from_cam(-DVec3::Y).y, 0.0);
-    assert_eq!(panorama.px_from_cam(DVec3::Y).y, 40.0);
+    assert_eq!(panorama.picture().px_from_cam(-DVec3::Y).y, 0.0);
+    assert_eq!(panorama.picture().px_from_cam(DVec3::Y).y, 40.0);
 }
 
 #[test]

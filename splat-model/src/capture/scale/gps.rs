@@ -39,12 +39,14 @@ const SQUARINGS: usize = 40;
 /// their noise leaves the scale uncertain by more than a tenth.
 pub fn from_gps(capture: &Capture) -> Result<Result<Scale, ScaleError>, CaptureError> {
     let mut pairs = Vec::new();
-    for view in &capture.views {
+    // The views of a panorama have one place.
+    let places = capture.views.iter().filter(|view| view.face().is_none_or(|face| face == 0));
+    for view in places.clone() {
         if let Some(gps) = Exif::read(&view.image_path)?.gps {
             pairs.push((view.cam_from_world.inverse().translation, gps));
         }
     }
-    Ok(fitted(&pairs, capture.views.len()))
+    Ok(fitted(&pairs, places.count()))
 }
 
 fn fitted(pairs: &[(DVec3, Gps)], placed: usize) -> Result<Scale, ScaleError> {
