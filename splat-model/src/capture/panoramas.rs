@@ -3,6 +3,7 @@
 //! A reader marks their views as [`Cut::Panorama`]. The capture then has six views of 90° in the place of each. Their pictures are cut from the
 //! photograph as it is decoded. Masks are cut likewise, and observations of points move to the face that shows them.
 
+use std::collections::HashSet;
 use std::ops::Range;
 
 use glam::{DAffine3, DVec2, DVec3};
@@ -77,12 +78,13 @@ impl View {
 /// The capture with six views in the place of each panorama, which stand together.
 ///
 /// # Errors
-/// If a panorama is not twice as wide as high.
+/// If a panorama is not twice as wide as high, or a face has the name of a photograph.
 pub(super) fn cut(mut capture: Capture) -> Result<Capture, CaptureError> {
     let panoramas = capture.views.iter().filter(|view| view.cut == Cut::Panorama).count();
     if panoramas == 0 {
         return Ok(capture);
     }
+    let refuse = |detail| Err(CaptureError::content(capture.files.first().unwrap_or(&capture.folder), detail));
     let (mut views, mut places) = (Vec::new(), Vec::new());
     for view in &capture.views {
         let ([width, height], first) = (view.file_size(), views.len());
@@ -91,15 +93,20 @@ pub(super) fn cut(mut capture: Capture) -> Result<Capture, CaptureError> {
             None => views.push(view.clone()),
             Some(panorama) if width == 2 * height => views.extend((0..6).map(|face| view.of_face(face, panorama))),
             Some(_) => {
-                let detail = format!(
+                return refuse(format!(
                     "the camera of {} is equirectangular, and the photograph {width} × {height} px, expected twice as wide as high: 360° × 180°. \
                      Export the whole sphere from the program that stitched it",
                     view.name
-                );
-                return Err(CaptureError::content(capture.files.first().unwrap_or(&capture.folder), detail));
+                ));
             }
         }
         places.push(Place { views: first..views.len(), panorama });
+    }
+    let mut names = HashSet::new();
+    if let Some(View { name, .. }) = views.iter().find(|view| !names.insert(&view.name)) {
+        return refuse(format!(
+            "{name} is a photograph and a face of a panorama, expected different names. Rename one of them"
+        ));
     }
     let all_of = |list: Vec<usize>| list.iter().flat_map(|&photograph| places[photograph].views.clone()).collect();
     capture.split = capture.split.map(|Split { train, test }| Split { train: all_of(train), test: all_of(test) });

@@ -1,6 +1,8 @@
 //! Tests of what the formats say of panoramas.
 
 use super::*;
+use crate::capture::exif::tests::{place, write_jpeg};
+use crate::capture::scale::from_gps;
 
 /// The files of [`model`] in COLMAP's binary encoding (`src/colmap/sensor/models.h`: number 17, parameters w and h).
 fn binary_model(names: &[&str], width: u32) -> [(&'static str, Vec<u8>); 2] {
@@ -85,6 +87,12 @@ fn panoramas_of_other_sizes_are_refused() {
         &refused("1 EQUIRECTANGULAR 64 32 64\n"),
         &["`PARAMS` is 1 numbers", "2 numbers for the camera model EQUIRECTANGULAR"],
     );
+    let images = folder.path().join("sparse/0/images.txt");
+    let both = fs::read_to_string(&images).unwrap() + "2 1 0 0 0 0 0 0 2 a.left.png\n\n";
+    fs::write(&images, both).unwrap();
+    let clash = refused("1 EQUIRECTANGULAR 64 32 64 32\n2 SIMPLE_PINHOLE 8 8 8 4 4\n");
+    assert_says(&clash, &["images.txt", "a.left.png is a photograph and a face", "Rename"]);
+    fs::write(&images, &model(&["a.png"], WIDTH)[1].1).unwrap();
     // The photograph has another size than its camera.
     fs::write(&file, "1 EQUIRECTANGULAR 128 64 128 64\n").unwrap();
     let view = &Capture::load(folder.path()).unwrap().views[3];
@@ -92,4 +100,19 @@ fn panoramas_of_other_sizes_are_refused() {
     fs::remove_file(folder.path().join("images/a.png")).unwrap();
     let missing = Capture::load(folder.path()).unwrap().check_photographs(&[2]).unwrap_err().to_string();
     assert_says(&missing, &["1 of 1 photographs", "a.png"]);
+}
+
+/// Three places do not become eighteen.
+#[test]
+fn a_panorama_has_one_place_by_gps() {
+    let picture = |i: usize, path: &Path| {
+        write_jpeg(
+            path,
+            &RgbImage::new(WIDTH, WIDTH / 2),
+            &place([50.0, 1.0 + i as f64, 0.0], false, [7.0, 2.0, 0.0], false),
+        );
+    };
+    let folder = written(&["a.jpg", "b.jpg", "c.jpg"], WIDTH, picture);
+    let message = from_gps(&Capture::load(folder.path()).unwrap()).unwrap().unwrap_err().to_string();
+    assert_says(&message, &["3 of 3 placed photographs have a GPS position"]);
 }

@@ -54,7 +54,8 @@ fn trained(photos: Vec<Photo>, points: &PointCloud, held_out: &[Photo]) -> f64 {
     held_out.iter().map(psnr).sum::<f64>() / held_out.len() as f64
 }
 
-/// Panoramas are resampled, and train as well as pinhole photographs of the same fineness but for half a decibel.
+/// Panoramas are resampled, and train as well as pinhole photographs of the same fineness but for 0.3 dB. Measured are 0.12 dB;
+/// with rays half a pixel beside their pixels it is 0.49 dB.
 #[test]
 fn panoramas_train_about_as_well_as_pinhole_photographs() {
     let device = Device::flex();
@@ -104,5 +105,5 @@ fn panoramas_train_about_as_well_as_pinhole_photographs() {
         "held-out PSNR after {STEPS} steps: panoramas {of_panoramas:.2} dB, pinhole photographs {of_pinholes:.2} dB"
     );
     assert!(of_pinholes > 22.0, "{of_pinholes}");
-    assert!(of_panoramas > of_pinholes - 0.5, "{of_panoramas} and {of_pinholes}");
+    assert!(of_panoramas > of_pinholes - 0.3, "{of_panoramas} and {of_pinholes}");
 }
