@@ -26,18 +26,12 @@ pub(crate) fn folders(capture: &Capture) -> Vec<PathBuf> {
 }
 
 /// The depth map of each view: a file named like a mask (see [`masks`](super::masks)), in the first folder that has one for any view. `None`
-/// for a view without a map, and for those of panoramas.
+/// for a view without a map.
 pub(crate) fn find(capture: &Capture) -> Vec<Option<PathBuf>> {
-    let of_view = |(file, view): (Option<PathBuf>, &View)| file.filter(|_| view.face().is_none());
-    with_panoramas(capture).into_iter().zip(&capture.views).map(of_view).collect()
-}
-
-/// As [`find`], and the maps of panoramas, which cannot be used.
-pub(super) fn with_panoramas(capture: &Capture) -> Vec<Option<PathBuf>> {
     let mut files = Names::default();
     for folder in folders(capture) {
         let folder = [folder];
-        let of_view = |view: &View| by_name(&folder, view.photograph(), &["png", "npy", "exr"], &mut files);
+        let of_view = |view: &View| by_name(&folder, &view.name, &["png", "npy", "exr"], &mut files);
         let found: Vec<Option<PathBuf>> = capture.views.iter().map(of_view).collect();
         if found.iter().any(Option::is_some) {
             return found;

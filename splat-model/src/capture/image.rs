@@ -129,7 +129,7 @@ fn picture<P: Pixel<Subpixel = u8>>([width, height]: [usize; 2], bytes: Vec<u8>)
     ImageBuffer::from_raw(width as u32, height as u32, bytes).expect("a photograph has as many bytes as its size says")
 }
 
-fn split_alpha(picture: RgbaImage) -> (Vec<u8>, Option<Vec<u8>>) {
+fn split_alpha(picture: RgbaImage) -> Pixels {
     let pixels = picture.into_raw();
     let (pixels, _) = pixels.as_chunks::<4>();
     let alpha = pixels.iter().map(|&[.., alpha]| alpha).collect();
@@ -145,31 +145,24 @@ fn split_alpha(picture: RgbaImage) -> (Vec<u8>, Option<Vec<u8>>) {
 /// A [`CaptureError`] if the file is missing, is not a JPEG or PNG picture, is damaged or cut short, or differs in size from the view's
 /// camera.
 pub fn load(view: &View, max_side: Option<u32>) -> Result<Photo, CaptureError> {
-    Ok(photo(view, &mut Pixels::of(view)?, max_side))
+    Ok(photo(view, &mut pixels(view)?, max_side))
 }
 
-/// The pixels of a picture: the fields of a [`Photo`].
-#[derive(Default)]
-pub(super) struct Pixels {
-    pub rgb: Vec<u8>,
-    pub alpha: Option<Vec<u8>>,
-}
+/// Colours and opacities, as a [`Photo`] has them.
+pub(super) type Pixels = (Vec<u8>, Option<Vec<u8>>);
 
-impl Pixels {
-    /// Decodes the file of a view.
-    fn of(view: &View) -> Result<Self, CaptureError> {
-        let picture = decode(&view.image_path, view.file_size())?;
-        let (rgb, alpha) = match with_alpha(&picture) {
-            Some(rgba) => split_alpha(rgba),
-            None => (picture.into_rgb8().into_raw(), None),
-        };
-        Ok(Self { rgb, alpha })
-    }
+/// Decodes the file of a view.
+fn pixels(view: &View) -> Result<Pixels, CaptureError> {
+    let picture = decode(&view.image_path, view.file_size())?;
+    Ok(match with_alpha(&picture) {
+        Some(rgba) => split_alpha(rgba),
+        None => (picture.into_rgb8().into_raw(), None),
+    })
 }
 
 /// The photograph of a view whose file was decoded. A view that is the whole file takes its pixels.
 fn photo(view: &View, of_file: &mut Pixels, max_side: Option<u32>) -> Photo {
-    let Pixels { rgb, alpha } = match &view.cut {
+    let (rgb, alpha) = match &view.cut {
         Cut::Face(face) => face.pixels(of_file),
         Cut::Whole | Cut::Panorama => std::mem::take(of_file),
     };
@@ -192,15 +185,11 @@ pub fn load_all<'a>(
     let views: Vec<&View> = views.into_iter().collect();
     let done = AtomicUsize::new(0);
     // The file of a panorama is decoded once for its views, which stand together.
-    let files = views.par_chunk_by(|a, b| a.face().is_some() && a.image_path == b.image_path);
+    let files = views.par_chunk_by(|a, b| a.cut != Cut::Whole && a.image_path == b.image_path);
     let load_file = |views: &[&View]| {
-        let mut of_file = Pixels::of(views[0])?;
-        let load_one = |view: &&View| {
-            let photo = photo(view, &mut of_file, max_side);
-            progress(1 + done.fetch_add(1, Ordering::Relaxed));
-            photo
-        };
-        Ok(views.iter().map(load_one).collect())
+        let mut of_file = pixels(views[0])?;
+        let photos = views.iter().map(|view| photo(view, &mut of_file, max_side));
+        Ok(photos.inspect(|_| progress(1 + done.fetch_add(1, Ordering::Relaxed))).collect())
     };
     let photos: Vec<Vec<Photo>> = files.map(load_file).collect::<Result<_, _>>()?;
     Ok(photos.into_iter().flatten().collect())

@@ -63,17 +63,13 @@ pub(super) fn by_name(
 /// # Errors
 /// A [`CaptureError`] if the file cannot be decoded or has another size than the view's photograph.
 pub fn load(file: &Path, view: &View) -> Result<Vec<bool>, CaptureError> {
-    let mask = of_file(file, view.file_size())?;
-    Ok(if let Cut::Face(face) = &view.cut { face.mask(&mask) } else { mask })
-}
-
-fn of_file(file: &Path, size: [usize; 2]) -> Result<Vec<bool>, CaptureError> {
-    let picture = image::decode(file, size)?;
+    let picture = image::decode(file, view.file_size())?;
     let levels = |values: Vec<u16>| {
         let largest = values.iter().copied().max().unwrap_or_default();
         // One of 255 is 257 of 65535.
         let kept_from = if largest <= 257 { 1 } else { 1 << 15 };
-        values.into_iter().map(|value| value >= kept_from).collect::<Vec<bool>>()
+        let mask: Vec<bool> = values.into_iter().map(|value| value >= kept_from).collect();
+        if let Cut::Face(face) = &view.cut { face.mask(&mask) } else { mask }
     };
     if picture.color().has_alpha() {
         let alpha: Vec<u16> = picture.to_rgba16().pixels().map(|pixel| pixel.0[3]).collect();

@@ -136,7 +136,6 @@ impl Capture {
             return Ok(());
         }
         let mut paths: Vec<&PathBuf> = self.views.iter().map(|view| &view.image_path).collect();
-        // The views of a panorama stand together.
         paths.dedup();
         let missing: Vec<PathBuf> = paths.iter().filter(|path| !path.exists()).copied().cloned().collect();
         Err(names::missing_photographs(&missing, paths.len(), self.files.first().unwrap_or(&self.folder)))

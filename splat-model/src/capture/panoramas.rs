@@ -4,7 +4,7 @@
 //! photograph as it is decoded. Masks are cut likewise, and observations of points move to the face that shows them.
 
 use std::collections::HashSet;
-use std::ops::Range;
+use std::path::Path;
 
 use glam::{DAffine3, DVec2, DVec3};
 use splat_op::{Equirectangular, Intrinsics};
@@ -47,26 +47,19 @@ impl View {
     /// Width and height of the picture's file, px.
     pub fn file_size(&self) -> [usize; 2] {
         match &self.cut {
-            Cut::Face(face) => [face.panorama.width, face.panorama.height],
+            Cut::Face(Face { panorama, .. }) => [panorama.width, panorama.height],
             Cut::Whole | Cut::Panorama => [self.intrinsics.width, self.intrinsics.height],
         }
     }
 
-    /// The number of the face of a panorama that the view is.
-    pub(super) fn face(&self) -> Option<usize> {
-        if let Cut::Face(face) = &self.cut { Some(face.number) } else { None }
-    }
-
-    /// The view of one face of this panorama: `pano.jpg` becomes `pano.ahead.jpg`, so that pictures of faces have names of their own with any
-    /// extension.
+    /// A face of this panorama. `pano.jpg` becomes `pano.ahead.jpg`, so that pictures of faces have different names with any extension.
     fn of_face(&self, number: usize, panorama: Equirectangular) -> Self {
-        let (stem, extension) = match self.name.rsplit_once('.').filter(|(_, extension)| !extension.contains('/')) {
-            Some((stem, extension)) => (stem, format!(".{extension}")),
-            None => (&*self.name, String::new()),
-        };
+        let extension = Path::new(&self.name).extension().map_or(0, |extension| 1 + extension.len());
+        let mut name = self.name.clone();
+        name.insert_str(name.len() - extension, &format!(".{}", NAMES[number]));
         let (side, turn) = (panorama.face_side(), Equirectangular::face_from_cam()[number]);
         Self {
-            name: format!("{stem}.{}{extension}", NAMES[number]),
+            name,
             image_path: self.image_path.clone(),
             intrinsics: Intrinsics::centred(side, side, side as f64 / 2.0),
             cam_from_world: DAffine3::from_mat3(turn) * self.cam_from_world,
@@ -75,16 +68,15 @@ impl View {
     }
 }
 
-/// The capture with six views in the place of each panorama, which stand together.
-///
-/// # Errors
-/// If a panorama is not twice as wide as high, or a face has the name of a photograph.
+/// The capture with six views in the place of each panorama, which stand together. Refuses a panorama that is not twice as wide as high, and a
+/// face that has the name of a photograph.
 pub(super) fn cut(mut capture: Capture) -> Result<Capture, CaptureError> {
     let panoramas = capture.views.iter().filter(|view| view.cut == Cut::Panorama).count();
     if panoramas == 0 {
         return Ok(capture);
     }
     let refuse = |detail| Err(CaptureError::content(capture.files.first().unwrap_or(&capture.folder), detail));
+    // For each photograph its views, and its size if it is a panorama.
     let (mut views, mut places) = (Vec::new(), Vec::new());
     for view in &capture.views {
         let ([width, height], first) = (view.file_size(), views.len());
@@ -100,39 +92,26 @@ pub(super) fn cut(mut capture: Capture) -> Result<Capture, CaptureError> {
                 ));
             }
         }
-        places.push(Place { views: first..views.len(), panorama });
+        places.push((first..views.len(), panorama));
     }
     let mut names = HashSet::new();
     if let Some(View { name, .. }) = views.iter().find(|view| !names.insert(&view.name)) {
-        return refuse(format!(
-            "{name} is a photograph and a face of a panorama, expected different names. Rename one of them"
-        ));
+        return refuse(format!("{name} is a photograph and a face of a panorama. Rename one of them"));
     }
-    let all_of = |list: Vec<usize>| list.iter().flat_map(|&photograph| places[photograph].views.clone()).collect();
+    let all_of = |list: Vec<usize>| list.iter().flat_map(|&photograph| places[photograph].0.clone()).collect();
     capture.split = capture.split.map(|Split { train, test }| Split { train: all_of(train), test: all_of(test) });
     let masks = capture.masks.into_iter().zip(&places);
-    capture.masks = masks.flat_map(|(mask, place)| vec![mask; place.views.len()]).collect();
-    capture.tracks = capture.tracks.moved(|seen| places[seen.view].moved(seen));
-    capture.remarks.push(format!("{panoramas} panoramas are cut into {} views of 90°", 6 * panoramas));
-    Ok(Capture { views, ..capture })
-}
-
-/// The views of a photograph, and its size if it is a panorama.
-struct Place {
-    views: Range<usize>,
-    panorama: Option<Equirectangular>,
-}
-
-impl Place {
-    /// An observation in the photograph as one in the view that shows it.
-    fn moved(&self, seen: &Observation) -> Observation {
-        let first = self.views.start;
-        let Some(panorama) = self.panorama else { return Observation { view: first, ..*seen } };
-        let cam = panorama.cam_from_px(DVec2::from_array(seen.at_px.map(f64::from)));
-        let (face, cam) = Equirectangular::face_of(cam);
+    capture.masks = masks.flat_map(|(mask, (views, _))| vec![mask; views.len()]).collect();
+    capture.tracks = capture.tracks.moved(|seen| {
+        let first = places[seen.view].0.start;
+        let Some(panorama) = places[seen.view].1 else { return Observation { view: first, ..*seen } };
+        let px = DVec2::from_array(seen.at_px.map(f64::from));
+        let (face, cam) = Equirectangular::face_of(panorama.cam_from_px(px));
         let at_px = (cam.truncate() / cam.z + 1.0) * (panorama.face_side() as f64 / 2.0);
         Observation { view: first + face, at_px: at_px.as_vec2().to_array() }
-    }
+    });
+    capture.remarks.push(format!("{panoramas} panoramas are cut into {} views of 90°", 6 * panoramas));
+    Ok(Capture { views, ..capture })
 }
 
 impl Face {
@@ -149,17 +128,14 @@ impl Face {
     /// The index of a pixel of the panorama. Columns go on across the seam, and rows across a pole, half a turn away.
     fn index(&self, x: i64, y: i64) -> usize {
         let [width, height] = [self.panorama.width, self.panorama.height].map(|side| side as i64);
-        let (turn, y) = match y {
-            ..0 => (width / 2, -1 - y),
-            _ if y < height => (0, y),
-            _ => (width / 2, 2 * height - 1 - y),
-        };
+        let beyond = (width / 2, (2 * height - 1 - y) % (2 * height));
+        let (turn, y) = if (0..height).contains(&y) { (0, y) } else { beyond };
         (y * width + (x + turn).rem_euclid(width)) as usize
     }
 
     /// The face of a decoded panorama, interpolated bilinearly, colours weighted by their opacities.
-    pub(super) fn pixels(&self, of: &Pixels) -> Pixels {
-        let (colours, _) = of.rgb.as_chunks::<3>();
+    pub(super) fn pixels(&self, (colours, opacities): &Pixels) -> Pixels {
+        let (colours, _) = colours.as_chunks::<3>();
         let (mut rgb, mut alpha) = (Vec::with_capacity(3 * self.panorama.face_side().pow(2)), Vec::new());
         for px in self.positions() {
             let corner = (px - 0.5).floor();
@@ -167,9 +143,8 @@ impl Face {
             let (mut sum, mut opacity) = ([0.0f32; 3], 0.0f32);
             for (right, below) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
                 let at = self.index(corner.x as i64 + right, corner.y as i64 + below);
-                let weight = if right == 1 { share.x } else { 1.0 - share.x };
-                let weight = weight * if below == 1 { share.y } else { 1.0 - share.y };
-                let weight = weight * of.alpha.as_ref().map_or(1.0, |alpha| f32::from(alpha[at]) / 255.0);
+                let weight = [1.0 - share.x, share.x][right as usize] * [1.0 - share.y, share.y][below as usize];
+                let weight = weight * opacities.as_ref().map_or(1.0, |alpha| f32::from(alpha[at]) / 255.0);
                 opacity += weight;
                 for (sum, level) in sum.iter_mut().zip(colours[at]) {
                     *sum += weight * f32::from(level);
@@ -177,9 +152,9 @@ impl Face {
             }
             // Nothing is seen of a pixel without opacity.
             rgb.extend(sum.map(|sum| (sum / opacity.max(f32::MIN_POSITIVE)).round() as u8));
-            alpha.extend(of.alpha.as_ref().map(|_| (255.0 * opacity).round() as u8));
+            alpha.extend(opacities.as_ref().map(|_| (255.0 * opacity).round() as u8));
         }
-        Pixels { rgb, alpha: Some(alpha).filter(|alpha| alpha.iter().any(|&opacity| opacity != u8::MAX)) }
+        (rgb, Some(alpha).filter(|alpha| alpha.iter().any(|&opacity| opacity != u8::MAX)))
     }
 
     /// The face of a mask of the panorama: the nearest of its pixels.

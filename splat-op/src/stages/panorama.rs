@@ -147,11 +147,6 @@ impl Panorama {
         })
     }
 
-    /// Returns the geometry of the pictures.
-    pub fn picture(&self) -> Equirectangular {
-        self.picture
-    }
-
     /// Returns the cameras of the six faces: ahead, right, behind, left, up, down. `cam_from_world` is the pose, `[3, 4]`, as in
     /// [`Camera`]. Differentiable in it.
     pub fn faces(&self, cam_from_world: &Tensor<2>) -> [Camera; 6] {

@@ -35,12 +35,11 @@ impl Place<'_> {
         let [width, height] = [self.side("WIDTH", size_px[0])?, self.side("HEIGHT", size_px[1])?];
         let (focals, rest) = parameters.split_at(model.focals.min(parameters.len()));
         let (fx, fy, cx, cy, coefficients) = match (focals, rest) {
-            (&[], &[w, h]) if [w, h] == [width as f64, height as f64] => {
-                return Ok((Intrinsics::centred(width, height, 1.0), Cut::Panorama));
-            }
             (&[], &[w, h]) => {
-                let expected = format!("{width} {height}, the size of an equirectangular photograph");
-                return Err(self.refuse("PARAMS", format!("{w} {h}"), expected));
+                let refuse =
+                    || self.refuse("PARAMS", format!("{w} {h}"), format!("{width} {height}, WIDTH and HEIGHT"));
+                let panorama = (Intrinsics::centred(width, height, 1.0), Cut::Panorama);
+                return ([w, h] == [width as f64, height as f64]).then_some(panorama).ok_or_else(refuse);
             }
             (&[f], &[cx, cy, ref rest @ ..]) if rest.len() == model.coefficients => (f, f, cx, cy, rest),
             (&[fx, fy], &[cx, cy, ref rest @ ..]) if rest.len() == model.coefficients => (fx, fy, cx, cy, rest),

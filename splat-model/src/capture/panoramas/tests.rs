@@ -183,15 +183,22 @@ fn a_mask_of_a_panorama_is_cut_likewise() {
 }
 
 #[test]
-fn depth_maps_of_panoramas_are_left_out_and_said() {
+fn depth_maps_are_those_of_faces() {
     let folder = smooth(&["a.jpg", "b.jpg"]);
     fs::create_dir(folder.path().join("depth")).unwrap();
     GrayImage::new(WIDTH, WIDTH / 2).save(folder.path().join("depth/a.png")).unwrap();
     fs::write(folder.path().join("depth/depth.json"), r#"{"scale": 0.001}"#).unwrap();
     let capture = Capture::load(folder.path()).unwrap();
     assert_eq!(depth_maps::find(&capture), vec![None; 12]);
-    let [cut, depth] = &capture.remarks[..] else { panic!("{:?}", capture.remarks) };
-    assert!(cut.contains("are cut") && depth == "depth maps of panoramas are not used: 1", "{depth}");
+    let [_, depth] = &capture.remarks[..] else { panic!("{:?}", capture.remarks) };
+    assert_says(
+        depth,
+        &["depth/ holds 1 pictures, and none belongs", "depth/a.ahead.jpg.png or depth/a.ahead.png, found a.png"],
+    );
+    let of_face = folder.path().join("depth/a.up.png");
+    fs::rename(folder.path().join("depth/a.png"), &of_face).unwrap();
+    let capture = Capture::load(folder.path()).unwrap();
+    assert_eq!((depth_maps::find(&capture)[4].as_ref(), capture.remarks.len()), (Some(&of_face), 1));
 }
 
 /// Each point is observed where it is in the photograph, and then where it is in the face.

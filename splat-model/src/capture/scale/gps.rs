@@ -7,7 +7,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::{Scale, ScaleError};
 use crate::capture::exif::{Exif, Gps};
-use crate::capture::{Capture, CaptureError};
+use crate::capture::{Capture, CaptureError, Cut};
 use crate::quantile::quantile;
 
 /// Fewest photographs with GPS. Three fit any triangle of the same shape, so that a fourth is the first that can disagree.
@@ -40,7 +40,7 @@ const SQUARINGS: usize = 40;
 pub fn from_gps(capture: &Capture) -> Result<Result<Scale, ScaleError>, CaptureError> {
     let mut pairs = Vec::new();
     // The views of a panorama have one place.
-    let places = capture.views.iter().filter(|view| view.face().is_none_or(|face| face == 0));
+    let places = capture.views.iter().filter(|view| !matches!(&view.cut, Cut::Face(face) if face.number > 0));
     for view in places.clone() {
         if let Some(gps) = Exif::read(&view.image_path)?.gps {
             pairs.push((view.cam_from_world.inverse().translation, gps));

@@ -17,8 +17,7 @@ const RIGID: f64 = 1e-2;
 /// nerfstudio's names for cameras that map slopes. The coefficients decide the model, whatever the name.
 const PERSPECTIVE: [&str; 5] = ["PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "SIMPLE_RADIAL", "RADIAL"];
 
-/// nerfstudio's name for cameras that see all around, whose middle is the way ahead (`nerfstudio/cameras/cameras.py`). Its focal length,
-/// principal point and coefficients mean nothing.
+/// nerfstudio's name for cameras that see all around (`nerfstudio/cameras/cameras.py`), of which the size alone counts.
 const EQUIRECTANGULAR: &str = "EQUIRECTANGULAR";
 
 const FIELD_MATRIX: &str = "transform_matrix";
@@ -193,8 +192,8 @@ impl<'a> Lenses<'a> {
     fn model(&self) -> Result<&'a str, CaptureError> {
         for fields in [self.frame, self.file] {
             if let Some(name) = fields.camera_model.as_deref() {
-                let others = ["OPENCV_FISHEYE", "FULL_OPENCV", EQUIRECTANGULAR];
-                let known = PERSPECTIVE.contains(&name) || others.contains(&name);
+                let known =
+                    PERSPECTIVE.contains(&name) || ["OPENCV_FISHEYE", "FULL_OPENCV", EQUIRECTANGULAR].contains(&name);
                 let refuse = || {
                     self.place.refuse_with(
                         "camera_model",
