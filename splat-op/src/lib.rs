@@ -85,7 +85,7 @@ pub use stages::contributors::{Contributors, MAX_CONTRIBUTORS, contributors};
 pub use stages::intersections::{Intersections, intersect, truncated_views};
 pub use stages::normals::normals;
 pub use stages::options::{Accumulation, ListLength, MAX_UNCULLED_INTERSECTIONS, Projection, RenderOptions};
-pub use stages::panorama::Panorama;
+pub use stages::panorama::{Equirectangular, Panorama};
 pub use stages::projected::{Ellipses, Projected, project};
 pub use stages::render::{render, render_each, render_view};
 pub use stages::rendered::{Rendered, rasterize};

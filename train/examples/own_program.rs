@@ -6,7 +6,7 @@ use std::process::ExitCode;
 use burn::tensor::{DType, Device, Gradients, Tensor};
 use glam::{DAffine3, DQuat, DVec3};
 use rand::Rng;
-use splat_model::capture::{Capture, CaptureError, CaptureFormat, Pictures, View};
+use splat_model::capture::{Capture, CaptureError, CaptureFormat, Cut, Pictures, View};
 use splat_model::density::rows::{RowEdit, Trained};
 use splat_model::density::{Observed, RefineReport, Signals, Strategy, StrategyContext, counts, largest, picked};
 use splat_model::effects::{Effect, EffectContext, Leaf, Learned, RenderInput};
@@ -150,6 +150,7 @@ impl CaptureFormat for Table {
                 image_path: folder.join("images").join(name),
                 intrinsics: Intrinsics::centred(width as usize, height as usize, focal_px),
                 cam_from_world: DAffine3::from_rotation_translation(rotation, DVec3::new(x, y, z)),
+                cut: Cut::Whole,
             })
         };
         let views = text.lines().map(|line| view(line).ok_or_else(|| damaged(format!("{line}: not 11 columns"))));

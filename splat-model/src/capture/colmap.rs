@@ -24,7 +24,7 @@ pub(super) use self::files::{SPARSE, is_complete, models_in};
 pub use self::pictures::Pictures;
 use super::names::{Names, PICTURES, parent};
 use super::read::{Place, PlaceInFile, quoted, read};
-use super::{Capture, CaptureError, CaptureFormat, Observation, Tracks, View};
+use super::{Capture, CaptureError, CaptureFormat, Cut, Observation, Tracks, View};
 use crate::encoding::utf8;
 use crate::ply;
 
@@ -34,6 +34,7 @@ struct CameraRecord {
     at: PlaceInFile,
     id: u32,
     intrinsics: Intrinsics,
+    cut: Cut,
 }
 
 /// One entry of `images`.
@@ -110,7 +111,7 @@ pub(super) fn load(models: &[PathBuf], pictures: &Pictures) -> Result<Capture, C
     let (files, remark) = find(models)?;
     let cameras = by_id(&files.cameras, parse(&files.cameras, binary::cameras, text::cameras)?)?;
     let mut images = parse(&files.images, binary::images, text::images)?;
-    let size = |image: &ImageRecord| cameras.get(&image.camera_id).map(|camera| [camera.width, camera.height]);
+    let size = |image: &ImageRecord| cameras.get(&image.camera_id).map(|(camera, _)| [camera.width, camera.height]);
     let root = pictures.root(&files.cameras, &images, size);
     let mut names = Names::default();
     for image in &mut images {
@@ -137,8 +138,9 @@ pub(super) fn load(models: &[PathBuf], pictures: &Pictures) -> Result<Capture, C
     let view = |image: ImageRecord| View {
         image_path: root.pictures.join(&image.name),
         name: image.name,
-        intrinsics: cameras[&image.camera_id],
+        intrinsics: cameras[&image.camera_id].0,
         cam_from_world: image.cam_from_world,
+        cut: cameras[&image.camera_id].1.clone(),
     };
     let views = images.into_iter().map(view).collect();
     let (positions, colours): (Vec<_>, _) = points.iter().map(|point| (point.position, point.colour)).unzip();
@@ -186,10 +188,13 @@ fn tracks(images: &[ImageRecord], points: &[PointRecord]) -> Tracks {
     tracks
 }
 
-fn by_id(file: &Path, cameras: Vec<CameraRecord>) -> Result<HashMap<u32, Intrinsics>, CaptureError> {
+/// Cameras by their `CAMERA_ID`.
+type CamerasById = HashMap<u32, (Intrinsics, Cut)>;
+
+fn by_id(file: &Path, cameras: Vec<CameraRecord>) -> Result<CamerasById, CaptureError> {
     let mut map = HashMap::with_capacity(cameras.len());
-    for CameraRecord { at, id, intrinsics } in cameras {
-        if map.insert(id, intrinsics).is_some() {
+    for CameraRecord { at, id, intrinsics, cut } in cameras {
+        if map.insert(id, (intrinsics, cut)).is_some() {
             let place = Place::new(file, at);
             return Err(place.refuse("CAMERA_ID", format!("{id} again"), "a number of its own for each camera"));
         }
@@ -198,11 +203,7 @@ fn by_id(file: &Path, cameras: Vec<CameraRecord>) -> Result<HashMap<u32, Intrins
 }
 
 /// Checks that each image has a camera, and an id and a name of its own.
-fn check_entries(
-    files: &ModelFiles,
-    cameras: &HashMap<u32, Intrinsics>,
-    images: &[ImageRecord],
-) -> Result<(), CaptureError> {
+fn check_entries(files: &ModelFiles, cameras: &CamerasById, images: &[ImageRecord]) -> Result<(), CaptureError> {
     let (mut ids, mut names) = (HashSet::new(), HashSet::new());
     for image in images {
         let place = Place::new(&files.images, image.at);

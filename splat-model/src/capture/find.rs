@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use super::format::{CaptureFormat, formats};
 use super::names::{SAMPLE, children, parent};
-use super::{Capture, CaptureError, colmap};
+use super::{Capture, CaptureError, colmap, panoramas};
 
 /// Folders below the given one that are searched: `CAPTURE/nerfstudio/colmap/sparse/0`.
 const DEEPEST: usize = 4;
@@ -24,7 +24,7 @@ pub(super) struct Cameras {
 
 impl Cameras {
     fn load(&self, pictures: &colmap::Pictures) -> Result<Capture, CaptureError> {
-        Ok(Capture { format: self.format.name(), ..self.format.load(&self.paths, pictures)? })
+        panoramas::cut(Capture { format: self.format.name(), ..self.format.load(&self.paths, pictures)? })
     }
 }
 

@@ -18,7 +18,7 @@ use splat_op::Intrinsics;
 use splat_op::camera::MAX_SIDE_PX;
 
 use super::read::{read, regular_size, unreadable};
-use super::{CaptureError, View};
+use super::{CaptureError, Cut, View};
 use crate::ply::brief;
 use crate::sniff::{FileClass, FileKind};
 
@@ -129,7 +129,7 @@ fn picture<P: Pixel<Subpixel = u8>>([width, height]: [usize; 2], bytes: Vec<u8>)
     ImageBuffer::from_raw(width as u32, height as u32, bytes).expect("a photograph has as many bytes as its size says")
 }
 
-fn split_alpha(picture: RgbaImage) -> (Vec<u8>, Option<Vec<u8>>) {
+fn split_alpha(picture: RgbaImage) -> Pixels {
     let pixels = picture.into_raw();
     let (pixels, _) = pixels.as_chunks::<4>();
     let alpha = pixels.iter().map(|&[.., alpha]| alpha).collect();
@@ -145,18 +145,31 @@ fn split_alpha(picture: RgbaImage) -> (Vec<u8>, Option<Vec<u8>>) {
 /// A [`CaptureError`] if the file is missing, is not a JPEG or PNG picture, is damaged or cut short, or differs in size from the view's
 /// camera.
 pub fn load(view: &View, max_side: Option<u32>) -> Result<Photo, CaptureError> {
-    let picture = decode(&view.image_path, &view.intrinsics)?;
-    let size = [picture.width(), picture.height()];
-    let (rgb, alpha) = match with_alpha(&picture) {
+    Ok(photo(view, &mut pixels(view)?, max_side))
+}
+
+/// Colours and opacities, as a [`Photo`] has them.
+pub(super) type Pixels = (Vec<u8>, Option<Vec<u8>>);
+
+/// Decodes the file of a view.
+fn pixels(view: &View) -> Result<Pixels, CaptureError> {
+    let picture = decode(&view.image_path, view.file_size())?;
+    Ok(match with_alpha(&picture) {
         Some(rgba) => split_alpha(rgba),
         None => (picture.into_rgb8().into_raw(), None),
+    })
+}
+
+/// The photograph of a view whose file was decoded. A view that is the whole file takes its pixels.
+fn photo(view: &View, of_file: &mut Pixels, max_side: Option<u32>) -> Photo {
+    let (rgb, alpha) = match &view.cut {
+        Cut::Face(face) => face.pixels(of_file),
+        Cut::Whole | Cut::Panorama => std::mem::take(of_file),
     };
     let View { ref name, intrinsics, cam_from_world, .. } = *view;
     let photo = Photo { name: name.clone(), intrinsics, cam_from_world, rgb, alpha, mask: None };
-    match size_within(size, max_side) {
-        unchanged if unchanged == size => Ok(photo),
-        [width, height] => Ok(photo.into_resized(width as usize, height as usize)),
-    }
+    let Intrinsics { width, height, .. } = view.intrinsics_within(max_side);
+    if [width, height] == [intrinsics.width, intrinsics.height] { photo } else { photo.into_resized(width, height) }
 }
 
 /// Calls [`load`] for each of `views` on all threads; results are in the views' order. `progress` receives the number done, from any thread.
@@ -171,44 +184,47 @@ pub fn load_all<'a>(
 ) -> Result<Vec<Photo>, CaptureError> {
     let views: Vec<&View> = views.into_iter().collect();
     let done = AtomicUsize::new(0);
-    let load_one = |view: &&View| {
-        let photo = load(view, max_side)?;
-        progress(1 + done.fetch_add(1, Ordering::Relaxed));
-        Ok(photo)
+    // The file of a panorama is decoded once for its views, which stand together.
+    let files = views.par_chunk_by(|a, b| a.cut != Cut::Whole && a.image_path == b.image_path);
+    let load_file = |views: &[&View]| {
+        let mut of_file = pixels(views[0])?;
+        let photos = views.iter().map(|view| photo(view, &mut of_file, max_side));
+        Ok(photos.inspect(|_| progress(1 + done.fetch_add(1, Ordering::Relaxed))).collect())
     };
-    views.par_iter().map(load_one).collect()
+    let photos: Vec<Vec<Photo>> = files.map(load_file).collect::<Result<_, _>>()?;
+    Ok(photos.into_iter().flatten().collect())
 }
 
 /// Decodes a whole picture. Decoders refuse a PNG that is cut short, but not a JPEG.
 ///
 /// The size of the file is compared with the camera's before any pixel is decoded, so that a picture allocates no more
 /// than its camera implies.
-pub(crate) fn decode(file: &Path, camera: &Intrinsics) -> Result<DynamicImage, CaptureError> {
+pub(crate) fn decode(file: &Path, size: [usize; 2]) -> Result<DynamicImage, CaptureError> {
     let reader = reader(file)?;
     if reader.format() != Some(ImageFormat::Jpeg) {
-        return decoded(file, reader, camera);
+        return decoded(file, reader, size);
     }
     let bytes = read(file)?;
     if !jpeg::has_end(&bytes) {
         return Err(undecodable(file, "it is cut short or damaged: the marker of its end is missing".into()));
     }
-    decoded(file, ImageReader::with_format(Cursor::new(&bytes), ImageFormat::Jpeg), camera)
+    decoded(file, ImageReader::with_format(Cursor::new(&bytes), ImageFormat::Jpeg), size)
 }
 
 fn decoded<R: BufRead + Seek>(
     file: &Path,
     mut reader: ImageReader<R>,
-    camera: &Intrinsics,
+    size: [usize; 2],
 ) -> Result<DynamicImage, CaptureError> {
     let fail = |error: ImageError| undecodable(file, error.to_string());
-    reader.limits(limits(camera));
+    reader.limits(limits(size));
     let decoder = reader.into_decoder().map_err(fail)?;
     let (width, height) = decoder.dimensions();
-    if [width as usize, height as usize] != [camera.width, camera.height] {
+    if [width as usize, height as usize] != size {
         let detail = format!(
             "the picture is {width} × {height} px, expected {} × {} px as its camera states. Use the pictures that the reconstruction was \
              made from, or run it again on these",
-            camera.width, camera.height
+            size[0], size[1]
         );
         return Err(CaptureError::content(file, detail));
     }
@@ -258,8 +274,8 @@ pub(crate) fn has_alpha(file: &Path) -> bool {
     decoder().is_some_and(|decoder| decoder.color_type().has_alpha())
 }
 
-fn limits(camera: &Intrinsics) -> Limits {
-    let pixels = (camera.width as u64).saturating_mul(camera.height as u64);
+fn limits([width, height]: [usize; 2]) -> Limits {
+    let pixels = (width as u64).saturating_mul(height as u64);
     let mut limits = Limits::default();
     limits.max_alloc = Some(pixels.saturating_mul(PIXEL_BYTES).saturating_add(DECODER_BYTES));
     limits

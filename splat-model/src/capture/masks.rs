@@ -3,7 +3,7 @@
 //! A mask is a picture of the photograph's size that is dark (below half) where pixels are excluded: passers-by, the sky, a
 //! turntable. A picture whose largest value is 1 is white where it is 1, and one with transparent parts is dark there. Two conventions are supported in a folder `masks` or `mask` of the capture: `<name>.png` after the
 //! photograph's full name, as in COLMAP (`masks/a.jpg.png`), and the name with its extension replaced (`masks/a.png`).
-//! Masks that the capture itself names (`mask_path` in `transforms.json`) come first.
+//! Masks that the capture itself names (`mask_path` in `transforms.json`) come first. That of a panorama has the panorama's size.
 //!
 //! Excluded pixels have exactly no influence. The loss compares neighbourhoods, so weights on pixels would not suffice.
 //! Instead, excluded pixels are black in render and photograph before the comparison, like the padding of SSIM beyond the
@@ -15,10 +15,9 @@ use std::path::{Path, PathBuf};
 
 use burn::tensor::{Bool, Tensor};
 use rayon::prelude::*;
-use splat_op::Intrinsics;
 
 use super::names::Names;
-use super::{Capture, CaptureError, Photo, image};
+use super::{Capture, CaptureError, Cut, Photo, View, image};
 
 /// Folders of the capture that are searched for masks.
 const FOLDERS: [&str; 2] = ["masks", "mask"];
@@ -36,7 +35,7 @@ fn of_views(capture: &Capture, views: impl IntoIterator<Item = usize>) -> Vec<Op
     let (folders, mut files) = (folders(capture), Names::default());
     let mut of_view = |view: usize| {
         let stated = capture.masks.get(view).cloned().flatten();
-        stated.or_else(|| by_name(&folders, &capture.views[view].name, &["png"], &mut files))
+        stated.or_else(|| by_name(&folders, capture.views[view].photograph(), &["png"], &mut files))
     };
     views.into_iter().map(&mut of_view).collect()
 }
@@ -59,17 +58,18 @@ pub(super) fn by_name(
     candidates.into_iter().find_map(|(folder, name)| Some(folder.join(files.find(folder, name, &[])?)))
 }
 
-/// `[H, W]` row-major: whether each pixel counts.
+/// `[H, W]` row-major: whether each pixel of a view counts.
 ///
 /// # Errors
-/// A [`CaptureError`] if the file cannot be decoded or has another size than `camera`.
-pub fn load(file: &Path, camera: &Intrinsics) -> Result<Vec<bool>, CaptureError> {
-    let picture = image::decode(file, camera)?;
+/// A [`CaptureError`] if the file cannot be decoded or has another size than the view's photograph.
+pub fn load(file: &Path, view: &View) -> Result<Vec<bool>, CaptureError> {
+    let picture = image::decode(file, view.file_size())?;
     let levels = |values: Vec<u16>| {
         let largest = values.iter().copied().max().unwrap_or_default();
         // One of 255 is 257 of 65535.
         let kept_from = if largest <= 257 { 1 } else { 1 << 15 };
-        values.into_iter().map(|value| value >= kept_from).collect::<Vec<bool>>()
+        let mask: Vec<bool> = values.into_iter().map(|value| value >= kept_from).collect();
+        if let Cut::Face(face) = &view.cut { face.mask(&mask) } else { mask }
     };
     if picture.color().has_alpha() {
         let alpha: Vec<u16> = picture.to_rgba16().pixels().map(|pixel| pixel.0[3]).collect();
@@ -90,9 +90,9 @@ pub fn attach(capture: &Capture, views: &[usize], photos: &mut Vec<Photo>) -> Re
     let masked = photos.par_iter_mut().zip(views).zip(&found);
     let masked = masked.filter_map(|((photo, &view), file)| Some((photo, view, file.as_ref()?)));
     masked.try_for_each(|(photo, view, file)| {
-        let camera = &capture.views[view].intrinsics;
-        let to = [photo.intrinsics.width, photo.intrinsics.height];
-        let mask = image::resized_mask(&load(file, camera)?, [camera.width, camera.height], to);
+        let view = &capture.views[view];
+        let [from, to] = [&view.intrinsics, &photo.intrinsics].map(|camera| [camera.width, camera.height]);
+        let mask = image::resized_mask(&load(file, view)?, from, to);
         photo.mask = mask.contains(&false).then_some(mask);
         Ok(())
     })?;

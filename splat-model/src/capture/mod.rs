@@ -13,6 +13,7 @@ pub mod masks;
 pub(crate) mod names;
 pub(crate) mod origin;
 pub(crate) mod packed;
+pub mod panoramas;
 mod photograph;
 mod read;
 pub mod scale;
@@ -38,6 +39,7 @@ pub use colmap::{Pictures, photographs_in};
 pub use error::CaptureError;
 pub use format::{CaptureFormat, register};
 pub use image::{Photo, load_all};
+pub use panoramas::Cut;
 pub use photograph::{Photograph, PhotographFacts};
 pub use scale::Scale;
 pub use seen::PointsSeen;
@@ -56,7 +58,7 @@ pub struct Capture {
     /// The files that were read, besides pictures: first that which lists the photographs, then cameras, points, the size of a unit and the
     /// list of a block.
     pub files: Vec<PathBuf>,
-    /// Photographs, sorted by name.
+    /// Photographs, sorted by name. The six views of a [panorama](panoramas) stand together.
     pub views: Vec<View>,
     /// Sparse points, empty if the capture has none.
     pub points: PointCloud,
@@ -133,9 +135,10 @@ impl Capture {
         if views.iter().all(|&view| self.views[view].image_path.exists()) {
             return Ok(());
         }
-        let paths = self.views.iter().map(|view| &view.image_path);
-        let missing: Vec<PathBuf> = paths.filter(|path| !path.exists()).cloned().collect();
-        Err(names::missing_photographs(&missing, self.views.len(), self.files.first().unwrap_or(&self.folder)))
+        let mut paths: Vec<&PathBuf> = self.views.iter().map(|view| &view.image_path).collect();
+        paths.dedup();
+        let missing: Vec<PathBuf> = paths.iter().filter(|path| !path.exists()).copied().cloned().collect();
+        Err(names::missing_photographs(&missing, paths.len(), self.files.first().unwrap_or(&self.folder)))
     }
 
     /// A capture of views and points, `positions` with a colour each, of the files' world, moved next to zero where it lies far away.
@@ -214,10 +217,12 @@ pub struct View {
     pub name: String,
     /// Path of the picture.
     pub image_path: PathBuf,
-    /// Size and projection, at the size of the file.
+    /// Size and projection, at the size of the file, or of a face of it.
     pub intrinsics: Intrinsics,
     /// Pose: rigid, OpenCV axes, world relative to [`Capture::origin`].
     pub cam_from_world: DAffine3,
+    /// What part of the file the picture is.
+    pub cut: Cut,
 }
 
 impl View {

@@ -25,16 +25,17 @@ impl Split {
         }
     }
 
-    /// Holds out the views at index 0, `k`, 2`k`, … in order of name; `k` = 0 holds out none.
+    /// Holds out the photographs at index 0, `k`, 2`k`, … in order of name, a panorama with all its views; `k` = 0 holds out none.
     ///
     /// `k` = 8 is the split of papers since Mip-NeRF 360 (Barron et al. 2022).
     pub fn every(views: &[View], k: usize) -> Self {
         let mut by_name: Vec<usize> = (0..views.len()).collect();
-        by_name.sort_by(|&a, &b| views[a].name.cmp(&views[b].name));
+        by_name.sort_by(|&a, &b| views[a].photograph().cmp(views[b].photograph()));
         let mut split = Self::default();
-        for (rank, view) in by_name.into_iter().enumerate() {
+        let photographs = by_name.chunk_by(|&a, &b| views[a].photograph() == views[b].photograph());
+        for (rank, photograph) in photographs.enumerate() {
             let held_out = k > 0 && rank % k == 0;
-            if held_out { &mut split.test } else { &mut split.train }.push(view);
+            if held_out { &mut split.test } else { &mut split.train }.extend(photograph);
         }
         split
     }

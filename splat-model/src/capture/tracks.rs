@@ -43,6 +43,11 @@ impl Tracks {
         picked
     }
 
+    /// The tracks with each observation replaced.
+    pub(super) fn moved(self, to: impl Fn(&Observation) -> Observation) -> Self {
+        Self { observations: self.observations.iter().map(to).collect(), ..self }
+    }
+
     /// The observations of a point of the cloud; empty for an index out of range.
     pub fn of(&self, point: usize) -> &[Observation] {
         let Some(&end) = self.ends.get(point) else { return &[] };

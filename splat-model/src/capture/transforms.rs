@@ -215,7 +215,7 @@ impl Reading {
             fix: "",
         })?;
         let image_path = self.folder.join(&name);
-        let intrinsics = Lenses { place, frame, file: of_file }.intrinsics(&image_path)?;
+        let (intrinsics, cut) = Lenses { place, frame, file: of_file }.intrinsics(&image_path)?;
         let mask = frame.mask_path.as_deref().map(|path| place.path("mask_path", path)).transpose()?;
         let mask = mask.map(|path| self.names.find(&self.folder, &path, &[]).unwrap_or(path));
         let view = self.views.len();
@@ -225,7 +225,7 @@ impl Reading {
         }
         self.named.entry(stated).or_insert(view);
         let mask = mask.map(|path| self.folder.join(path));
-        self.views.push((View { name, image_path, intrinsics, cam_from_world }, mask));
+        self.views.push((View { name, image_path, intrinsics, cam_from_world, cut }, mask));
         Ok(())
     }
 

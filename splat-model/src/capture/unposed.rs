@@ -5,7 +5,6 @@ use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 use sha2::{Digest, Sha256};
-use splat_op::Intrinsics;
 
 use super::CaptureError;
 use super::exif::Exif;
@@ -89,7 +88,7 @@ pub struct Unposed {
 impl Unposed {
     fn look(name: &str, file: &Path) -> Result<Self, CaptureError> {
         let [width, height] = size(file)?;
-        decode(file, &Intrinsics::centred(width, height, 1.0))?;
+        decode(file, [width, height])?;
         let digest = Sha256::digest(read(file)?).into();
         Ok(Self { name: name.to_owned(), size: [width, height], exif: Exif::read(file)?, digest })
     }

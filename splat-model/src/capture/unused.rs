@@ -5,20 +5,21 @@ use std::path::{Path, PathBuf};
 
 use super::find::OURS;
 use super::names::{PICTURES, entries, files_below, parent};
-use super::{Capture, depth_maps, masks};
+use super::{Capture, View, depth_maps, masks};
 
 pub(super) fn remarks(capture: &Capture) -> Vec<String> {
     // What this program writes holds nothing of the user's.
     if OURS.iter().any(|file| capture.folder.join(file).is_file()) {
         return Vec::new();
     }
-    let masks = (masks::folders(capture), masks::find(capture));
-    let depth = (depth_maps::folders(capture), depth_maps::find(capture));
+    let of_face: fn(&View) -> &str = |view| &view.name;
+    let masks = (masks::folders(capture), masks::find(capture), View::photograph as _);
+    let depth = (depth_maps::folders(capture), depth_maps::find(capture), of_face);
     let mut remarks = Vec::new();
     let mut used: HashSet<PathBuf> = capture.views.iter().map(|view| view.image_path.clone()).collect();
-    for (folders, found) in [masks, depth] {
+    for (folders, found, name) in [masks, depth] {
         let found: HashSet<PathBuf> = found.into_iter().flatten().collect();
-        remarks.extend(folders.iter().filter_map(|folder| unmatched(capture, folder, &found)));
+        remarks.extend(folders.iter().filter_map(|folder| unmatched(capture, folder, &found, name)));
         used.extend(found);
     }
     let folders: BTreeSet<PathBuf> = capture.views.iter().map(|view| parent(&view.image_path)).collect();
@@ -37,15 +38,15 @@ pub(super) fn remarks(capture: &Capture) -> Vec<String> {
     remarks
 }
 
-/// A note on a folder of masks or depth maps that does not fit the photographs.
-fn unmatched(capture: &Capture, folder: &Path, found: &HashSet<PathBuf>) -> Option<String> {
+/// A note on a folder of masks or depth maps that does not fit the photographs, after whose `name` its files are named.
+fn unmatched(capture: &Capture, folder: &Path, found: &HashSet<PathBuf>, name: fn(&View) -> &str) -> Option<String> {
     let files: Vec<String> = match files_below(folder, &[]) {
         Ok(files) => files.into_iter().filter(|name| name != depth_maps::UNIT).collect(),
         Err(error) => return Some(error.to_string()),
     };
     let left: Vec<&String> = files.iter().filter(|name| !found.contains(&folder.join(name))).collect();
     let (first, view) = (left.first()?, capture.views.first()?);
-    let [whole, short] = masks::names(&view.name, "png").map(|name| named(&capture.folder, &folder.join(name)));
+    let [whole, short] = masks::names(name(view), "png").map(|name| named(&capture.folder, &folder.join(name)));
     let belong = match left.len() == files.len() {
         true => "none belongs to a photograph".to_string(),
         false => format!("{} of them belong to no photograph", left.len()),

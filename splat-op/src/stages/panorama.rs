@@ -10,7 +10,7 @@
 use std::f64::consts::{PI, TAU};
 
 use burn::tensor::{DType, Device, Int, Tensor, TensorData};
-use glam::{DVec2, DVec3};
+use glam::{DMat3, DVec2, DVec3};
 
 use super::render::render_each;
 use crate::abilities::{check_fits, is_gpu};
@@ -35,7 +35,7 @@ const FACES: [[(usize, f64); 3]; 6] = [
     [(0, 1.0), (2, -1.0), (1, 1.0)],
 ];
 
-/// An equirectangular camera: the size of its pictures, and on a device the tables by which they are resampled from six faces of a cube.
+/// The geometry of equirectangular pictures, on the host: their size, px, and the faces of a cube around their camera.
 ///
 /// The middle of the picture is the camera's +z, +x lies to the right of it, and −y, which is up, is the whole upper border. A position
 /// `(x, y)`, px, with pixel centres at +0.5, has the direction
@@ -44,11 +44,52 @@ const FACES: [[(usize, f64); 3]; 6] = [
 /// (cos φ sin λ, −sin φ, cos φ cos λ)        λ = 2π (x / W − ½)        φ = π (½ − y / H)
 /// ```
 ///
-/// as in COLMAP's `EQUIRECTANGULAR` (`src/colmap/sensor/models.h`) and OpenSfM's `spherical`. The tables take four numbers per pixel.
+/// as in COLMAP's `EQUIRECTANGULAR` (`src/colmap/sensor/models.h`) and OpenSfM's `spherical`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Equirectangular {
+    /// Number of columns, 360°.
+    pub width: usize,
+    /// Number of rows, 180°.
+    pub height: usize,
+}
+
+impl Equirectangular {
+    /// Returns the direction, of length one, in the camera's frame of a position of the picture, px.
+    pub fn cam_from_px(&self, px: DVec2) -> DVec3 {
+        let Self { width, height } = *self;
+        let (longitude, latitude) = (TAU * (px.x / width as f64 - 0.5), PI * (0.5 - px.y / height as f64));
+        DVec3::new(latitude.cos() * longitude.sin(), -latitude.sin(), latitude.cos() * longitude.cos())
+    }
+
+    /// Returns the position, px, of a point of the camera's frame; of the camera's centre, an arbitrary one.
+    pub fn px_from_cam(&self, point: DVec3) -> DVec2 {
+        let (longitude, latitude) = (point.x.atan2(point.z), (-point.y).atan2(point.x.hypot(point.z)));
+        DVec2::new((longitude / TAU + 0.5) * self.width as f64, (0.5 - latitude / PI) * self.height as f64)
+    }
+
+    /// Returns the least side, px, of faces of 90° that are nowhere coarser than the picture at its equator.
+    pub fn face_side(&self) -> usize {
+        (self.width.max(2 * self.height) as f64 / PI).ceil() as usize
+    }
+
+    /// Returns the rotation of each face's camera: ahead, right, behind, left, up, down.
+    pub fn face_from_cam() -> [DMat3; 6] {
+        let axis = |(axis, sign): (usize, f64)| DVec3::from_array(std::array::from_fn(|i| f64::from(i == axis) * sign));
+        FACES.map(|[x, y, z]| DMat3::from_cols(axis(x), axis(y), axis(z)).transpose())
+    }
+
+    /// Returns the face that shows a direction of the camera's frame, and the direction in the frame of the face.
+    pub fn face_of(cam: DVec3) -> (usize, DVec3) {
+        let in_face = FACES.map(|axes| DVec3::from_array(axes.map(|(axis, sign)| sign * cam[axis])));
+        in_face.into_iter().enumerate().max_by(|a, b| a.1.z.total_cmp(&b.1.z)).expect("six")
+    }
+}
+
+/// An [equirectangular](Equirectangular) camera: the size of its pictures, and on a device the tables by which they are resampled from six
+/// faces of a cube. The tables take four numbers per pixel.
 #[derive(Clone, Debug)]
 pub struct Panorama {
-    width: usize,
-    height: usize,
+    picture: Equirectangular,
     /// Camera of a face.
     face: Intrinsics,
     /// `[P]`: the first of the four pixels of the faces among which a pixel lies. Pixels are numbered face by face and row by row.
@@ -65,8 +106,7 @@ impl Panorama {
     /// # Errors
     /// If a side is zero or above 32,768 px, or if a table is larger than the device allows.
     pub fn new(width: usize, height: usize, device: &Device) -> Result<Self, SplatError> {
-        let side = (width.max(2 * height) as f64 / PI).ceil() as usize;
-        Self::with_faces(width, height, side, device)
+        Self::with_faces(width, height, Equirectangular { width, height }.face_side(), device)
     }
 
     /// As [`Self::new`], with faces of `side` px for 90°. The error of the interpolation falls with the square of the side.
@@ -78,12 +118,11 @@ impl Panorama {
         check_value("side", (1..=MAX_SIDE).contains(&side), side, "1 to 18916 px")?;
         let face = Intrinsics::centred(side + 2 * MARGIN, side + 2 * MARGIN, side as f64 / 2.0);
         check_fits(device, &[Need::floats("the tables of a panorama", [4, width, height], "make a smaller panorama")])?;
-        let (row, pixels) = (face.width, width * height);
+        let (row, pixels, picture) = (face.width, width * height, Equirectangular { width, height });
         let (mut corners, mut fractions, mut lengths) = (Vec::new(), Vec::new(), Vec::new());
         for (y, x) in (0..height).flat_map(|y| (0..width).map(move |x| (y, x))) {
-            let ray = direction(DVec2::new(x as f64 + 0.5, y as f64 + 0.5), width, height);
-            let in_face = FACES.map(|axes| DVec3::from_array(axes.map(|(axis, sign)| sign * ray[axis])));
-            let (number, ray) = in_face.into_iter().enumerate().max_by(|a, b| a.1.z.total_cmp(&b.1.z)).expect("six");
+            let ray = picture.cam_from_px(DVec2::new(x as f64 + 0.5, y as f64 + 0.5));
+            let (number, ray) = Equirectangular::face_of(ray);
             let at = (ray.truncate() / ray.z) * face.fx + DVec2::new(face.cx, face.cy) - 0.5;
             let corner = at.floor().clamp(DVec2::ZERO, DVec2::splat((row - 2) as f64));
             corners.push(((number * row + corner.y as usize) * row + corner.x as usize) as i32);
@@ -94,24 +133,12 @@ impl Panorama {
         let dtype = if is_gpu(&device) { DType::F32 } else { DType::F64 };
         let rows = |values: Vec<f64>, columns| TensorData::new(values, [pixels, columns]);
         Ok(Self {
-            width,
-            height,
+            picture,
             face,
             corners: Tensor::from_data(TensorData::new(corners, [pixels]), (&device, DType::I32)),
             fractions: Tensor::from_data(rows(fractions, 2), (&device, dtype)),
             lengths: Tensor::from_data(rows(lengths, 1), (&device, dtype)),
         })
-    }
-
-    /// Returns the direction, of length one, in the camera's frame of a position of the picture, px.
-    pub fn cam_from_px(&self, px: DVec2) -> DVec3 {
-        direction(px, self.width, self.height)
-    }
-
-    /// Returns the position, px, of a point of the camera's frame; of the camera's centre, an arbitrary one.
-    pub fn px_from_cam(&self, point: DVec3) -> DVec2 {
-        let (longitude, latitude) = (point.x.atan2(point.z), (-point.y).atan2(point.x.hypot(point.z)));
-        DVec2::new((longitude / TAU + 0.5) * self.width as f64, (0.5 - latitude / PI) * self.height as f64)
     }
 
     /// Returns the cameras of the six faces: ahead, right, behind, left, up, down. `cam_from_world` is the pose, `[3, 4]`, as in
@@ -155,25 +182,24 @@ impl Panorama {
         check_value("visible", !options.visible, true, expected)?;
         let of_faces = options.of_rasterize().with_expected_depth(false);
         let faces = render_each(splats, &self.faces(cam_from_world), extras, &of_faces)?;
-        let [side, _, channels] = faces[0].colour.dims();
+        let ([side, _, channels], Equirectangular { width, height }) = (faces[0].colour.dims(), self.picture);
         let planes = channels + 1 + usize::from(of_faces.depth) + if options.normals { 3 } else { 0 };
         let hint = "render a smaller panorama, or fewer channels";
         reference.check_fits(&[
             Need::floats("the faces of a panorama", [6, side, side, planes], hint),
-            Need::floats("the panorama", [self.height, self.width, planes], hint),
+            Need::floats("the panorama", [height, width, planes], hint),
         ])?;
         let face = |face: Rendered<3>| {
             let parts = [Some(face.colour), Some(face.alpha), face.depth, face.normals];
             Tensor::cat(parts.into_iter().flatten().collect(), 2).reshape([side * side, planes])
         };
         let texels: Tensor<2> = Tensor::cat(faces.into_iter().map(face).collect(), 0);
-        let picture: Tensor<3> =
-            self.resampled(texels, options.accumulation).reshape([self.height, self.width, planes]);
+        let picture: Tensor<3> = self.resampled(texels, options.accumulation).reshape([height, width, planes]);
         let part = |first: usize, count: usize| picture.clone().narrow(2, first, count);
         let alpha = part(channels, 1);
         let depth = of_faces.depth.then(|| {
             let z = part(channels + 1, 1);
-            let lengths = self.lengths.clone().cast(z.dtype()).reshape([self.height, self.width, 1]);
+            let lengths = self.lengths.clone().cast(z.dtype()).reshape([height, width, 1]);
             z.clone() * constant(&lengths, z.is_autodiff())
         });
         let mut rendered = Rendered::of(part(0, channels), alpha, depth, options);
@@ -201,9 +227,4 @@ impl Panorama {
         let between = |a: Tensor<2>, b: Tensor<2>, share: &Tensor<2>| a.clone() + (b - a) * share.clone();
         between(between(corner(0), corner(1), &x), between(corner(row), corner(row + 1), &x), &y)
     }
-}
-
-fn direction(px: DVec2, width: usize, height: usize) -> DVec3 {
-    let (longitude, latitude) = (TAU * (px.x / width as f64 - 0.5), PI * (0.5 - px.y / height as f64));
-    DVec3::new(latitude.cos() * longitude.sin(), -latitude.sin(), latitude.cos() * longitude.cos())
 }

@@ -30,7 +30,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
-use splat_model::capture::View;
+use splat_model::capture::{Cut, View};
 use thiserror::Error;
 
 use self::light::LitScene;
@@ -106,7 +106,8 @@ pub fn write(folder: &Path, options: &DemoOptions) -> Result<(), DemoError> {
     create(&images)?;
     let view = |(i, (shot, cam_from_world)): (usize, (&shot::Shot, _))| {
         let name = name(i);
-        View { image_path: images.join(&name), name, intrinsics: shot.camera.intrinsics, cam_from_world }
+        let (image_path, intrinsics) = (images.join(&name), shot.camera.intrinsics);
+        View { name, image_path, intrinsics, cam_from_world, cut: Cut::Whole }
     };
     let views: Vec<View> = shots.iter().zip(poses).enumerate().map(view).collect();
     if options.masks {

@@ -25,7 +25,10 @@ impl Pictures {
         let folder = folder(name);
         let (name, image_path) = ("photo.jpg".to_owned(), folder.join("photo.jpg"));
         let intrinsics = Intrinsics::centred(40, 27, 30.0);
-        Self { view: View { name, image_path, intrinsics, cam_from_world: Default::default() }, folder }
+        Self {
+            view: View { name, image_path, intrinsics, cam_from_world: Default::default(), cut: Default::default() },
+            folder,
+        }
     }
 }
 

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use glam::{DAffine3, DQuat, DVec3};
 use splat_demo::write_model;
-use splat_model::capture::{PointCloud, View};
+use splat_model::capture::{Cut, PointCloud, View};
 use splat_model::gaussians::{GaussianRows, GroupOptions, GroupRows};
 use splat_model::ply;
 use splat_op::{CameraModel, Intrinsics};
@@ -103,6 +103,7 @@ pub fn model(folder: &Path) -> SeedModel {
             DQuat::from_rotation_y(0.3 * i as f64),
             DVec3::new(0.1, -0.2, 4.0 + i as f64),
         ),
+        cut: Cut::Whole,
     };
     let points = PointCloud {
         positions: (0..4).map(|i| [i as f32, 0.5, -1.0]).collect(),

@@ -13,7 +13,7 @@ use clap::{ValueEnum, value_parser};
 use glam::DAffine3;
 use image::{ImageFormat, RgbImage, Rgba32FImage};
 use npyz::WriterBuilder;
-use splat_model::capture::{Capture, View};
+use splat_model::capture::{Capture, Cut, View};
 use splat_model::effects::background::Background;
 use splat_model::gaussians::{Gaussians, values_of};
 use splat_op::{RenderOptions, Splats};
@@ -134,6 +134,7 @@ fn views(args: &RenderArgs, capture: &Capture) -> Result<Vec<View>> {
             image_path: image_path.clone(),
             intrinsics,
             cam_from_world,
+            cut: Cut::Whole,
         };
         return Ok(path::orbit(&poses, args.frames)?.into_iter().enumerate().map(view).collect());
     }

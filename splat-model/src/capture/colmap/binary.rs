@@ -10,8 +10,8 @@ use super::{CameraRecord, ImageRecord, PointRecord, TrackElement};
 use crate::capture::CaptureError;
 use crate::capture::read::{Place, PlaceInFile, quoted};
 
-/// Bytes of the smallest camera: id, model, width, height, three parameters.
-const CAMERA_BYTES: usize = 4 + 4 + 8 + 8 + 3 * 8;
+/// Bytes of the smallest camera: id, model, width, height, two parameters.
+const CAMERA_BYTES: usize = 4 + 4 + 8 + 8 + 2 * 8;
 /// Bytes of the smallest image: id, quaternion, translation, camera, an empty name's end, the number of keypoints.
 const IMAGE_BYTES: usize = 4 + 4 * 8 + 3 * 8 + 4 + 1 + 8;
 /// Bytes of a keypoint: x, y, id of its point (−1, all bits set, where it has none).
@@ -43,9 +43,9 @@ pub(super) fn cameras(file: &Path, bytes: &[u8]) -> Result<Vec<CameraRecord>, Ca
         for parameter in parameters.iter_mut() {
             *parameter = f64::from_le_bytes(input.take("PARAMS")?);
         }
-        let intrinsics = input.place().intrinsics(model, size_px, parameters)?;
+        let (intrinsics, cut) = input.place().intrinsics(model, size_px, parameters)?;
         last = Some((input.entry, model));
-        Ok(CameraRecord { at: input.place().at, id, intrinsics })
+        Ok(CameraRecord { at: input.place().at, id, intrinsics, cut })
     });
     match (last, reader.rest.len()) {
         // All cameras were read, and what is left are numbers: the last has more than its model.

@@ -5,9 +5,9 @@ use splat_op::Intrinsics;
 use splat_op::camera::{MAX_COEFFICIENT, MAX_SIDE_PX};
 
 use super::model::ColmapCameraModel;
-use crate::capture::CaptureError;
 use crate::capture::names::below;
 use crate::capture::read::{MAX_MAGNITUDE, Place, quoted};
+use crate::capture::{CaptureError, Cut};
 
 impl Place<'_> {
     pub(super) fn model_by_name(&self, name: &str) -> Result<ColmapCameraModel, CaptureError> {
@@ -31,9 +31,16 @@ impl Place<'_> {
         model: ColmapCameraModel,
         size_px: [u64; 2],
         parameters: &[f64],
-    ) -> Result<Intrinsics, CaptureError> {
+    ) -> Result<(Intrinsics, Cut), CaptureError> {
+        let [width, height] = [self.side("WIDTH", size_px[0])?, self.side("HEIGHT", size_px[1])?];
         let (focals, rest) = parameters.split_at(model.focals.min(parameters.len()));
         let (fx, fy, cx, cy, coefficients) = match (focals, rest) {
+            (&[], &[w, h]) => {
+                let refuse =
+                    || self.refuse("PARAMS", format!("{w} {h}"), format!("{width} {height}, WIDTH and HEIGHT"));
+                let panorama = (Intrinsics::centred(width, height, 1.0), Cut::Panorama);
+                return ([w, h] == [width as f64, height as f64]).then_some(panorama).ok_or_else(refuse);
+            }
             (&[f], &[cx, cy, ref rest @ ..]) if rest.len() == model.coefficients => (f, f, cx, cy, rest),
             (&[fx, fy], &[cx, cy, ref rest @ ..]) if rest.len() == model.coefficients => (fx, fy, cx, cy, rest),
             _ => return Err(self.parameters(model, parameters.len())),
@@ -53,8 +60,8 @@ impl Place<'_> {
             }
             *kept = coefficient;
         }
-        let [width, height] = [self.side("WIDTH", size_px[0])?, self.side("HEIGHT", size_px[1])?];
-        Ok(Intrinsics::pinhole(width, height, [fx, fy], [cx, cy]).with_lens(model.ours, distortion))
+        let intrinsics = Intrinsics::pinhole(width, height, [fx, fy], [cx, cy]).with_lens(model.ours, distortion);
+        Ok((intrinsics, Cut::Whole))
     }
 
     /// The error for a camera with so many parameters.

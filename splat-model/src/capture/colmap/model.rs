@@ -3,11 +3,11 @@
 use splat_op::CameraModel;
 
 /// A supported COLMAP model and its parameter layout: one or two focal lengths, the principal point, and
-/// the first coefficients of our model; the others are zero.
+/// the first coefficients of our model; the others are zero. A panorama has width and height alone.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct ColmapCameraModel {
     pub ours: CameraModel,
-    /// 1 or 2.
+    /// 1 or 2, and 0 of a panorama.
     pub focals: usize,
     pub coefficients: usize,
 }
@@ -31,7 +31,7 @@ const MODELS: [(&str, Option<ColmapCameraModel>); 18] = [
     ("SIMPLE_FISHEYE", model(CameraModel::Fisheye, 1, 0)),
     ("FISHEYE", model(CameraModel::Fisheye, 2, 0)),
     ("EUCM", None),
-    ("EQUIRECTANGULAR", None),
+    ("EQUIRECTANGULAR", model(CameraModel::Pinhole, 0, 0)),
 ];
 
 const fn model(ours: CameraModel, focals: usize, coefficients: usize) -> Option<ColmapCameraModel> {

@@ -19,8 +19,8 @@ pub(super) fn cameras(file: &Path, bytes: &[u8]) -> Result<Vec<CameraRecord>, Ca
             while !line.rest.is_empty() {
                 parameters.push(line.parse("PARAMS", "a number")?);
             }
-            let intrinsics = line.place.intrinsics(model, size_px, &parameters)?;
-            Ok(CameraRecord { at: line.place.at, id, intrinsics })
+            let (intrinsics, cut) = line.place.intrinsics(model, size_px, &parameters)?;
+            Ok(CameraRecord { at: line.place.at, id, intrinsics, cut })
         })
         .collect()
 }

@@ -40,7 +40,7 @@ pub(crate) fn turned() -> Field {
     field(Tag::Orientation, Value::Short(vec![6]))
 }
 
-fn place(latitude: [f64; 3], south: bool, longitude: [f64; 3], west: bool) -> Vec<Field> {
+pub(crate) fn place(latitude: [f64; 3], south: bool, longitude: [f64; 3], west: bool) -> Vec<Field> {
     vec![
         field(Tag::GPSLatitude, rationals(&latitude)),
         field(Tag::GPSLatitudeRef, ascii(if south { "S" } else { "N" })),

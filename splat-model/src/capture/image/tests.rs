@@ -14,7 +14,8 @@ use crate::capture::testing::{assert_says, real_capture};
 /// A view of `width` × `height` px whose picture is at `image_path`.
 fn view(image_path: PathBuf, width: usize, height: usize) -> View {
     let intrinsics = Intrinsics::pinhole(width, height, [50.0, 50.0], [width as f64 / 2.0, 3.0]);
-    View { name: "photo".into(), image_path, intrinsics, cam_from_world: DAffine3::from_translation(glam::DVec3::X) }
+    let cam_from_world = DAffine3::from_translation(glam::DVec3::X);
+    View { name: "photo".into(), image_path, intrinsics, cam_from_world, cut: Cut::Whole }
 }
 
 fn saved(picture: &DynamicImage, format: ImageFormat) -> (tempfile::TempDir, View) {
@@ -195,7 +196,7 @@ fn crc32(bytes: &[u8]) -> u32 {
 
 #[test]
 fn limits_grow_with_the_camera() {
-    let limits = limits(&Intrinsics::centred(100, 10, 5.0));
+    let limits = limits([100, 10]);
     assert_eq!(limits.max_alloc, Some(8 * 1000 + (64 << 20)));
 }
 

@@ -1,5 +1,6 @@
 use burn::tensor::{Device, Distribution, TensorData};
 use glam::DAffine3;
+use splat_op::Intrinsics;
 
 use super::*;
 use crate::capture::image::resized_mask;
@@ -85,20 +86,20 @@ fn a_smaller_mask_keeps_only_what_is_whole() {
     assert_eq!(resized_mask(&mask, [6, 4], [4, 1]), [true, true, false, true]);
 }
 
+fn view([width, height]: [usize; 2]) -> View {
+    let (intrinsics, cam_from_world) = (Intrinsics::centred(width, height, 5.0), DAffine3::IDENTITY);
+    View { name: String::new(), image_path: "picture".into(), intrinsics, cam_from_world, cut: Cut::Whole }
+}
+
 #[test]
 fn both_conventions_are_found_and_read() {
     let folder = tempfile::tempdir().unwrap();
-    let view = |name: &str| View {
-        name: name.into(),
-        image_path: folder.path().join("images").join(name),
-        intrinsics: Intrinsics::centred(3, 2, 5.0),
-        cam_from_world: DAffine3::IDENTITY,
-    };
+    let named = |name: &str| View { name: name.into(), ..view([3, 2]) };
     let mut capture = Capture {
         format: "COLMAP",
         scale: None,
         folder: folder.path().to_owned(),
-        views: ["a.jpg", "b.jpg", "c/d.e.png", "f.jpg"].map(view).to_vec(),
+        views: ["a.jpg", "b.jpg", "c/d.e.png", "f.jpg"].map(named).to_vec(),
         points: PointCloud::default(),
         tracks: Default::default(),
         origin: glam::DVec3::ZERO,
@@ -122,10 +123,10 @@ fn both_conventions_are_found_and_read() {
     let stated = folder.path().join("elsewhere.png");
     capture.masks = vec![None, Some(stated.clone()), None, None];
     assert_eq!(find(&capture)[..2], [Some(whole.clone()), Some(stated)], "masks that the capture names come first");
-    let mask = load(&whole, &capture.views[0].intrinsics).unwrap();
+    let mask = load(&whole, &capture.views[0]).unwrap();
     assert_eq!(mask, [false, false, true, true, false, true]);
     assert_eq!(excluded_share(&mask), 0.5);
-    let message = load(&whole, &Intrinsics::centred(3, 3, 5.0)).unwrap_err().to_string();
+    let message = load(&whole, &view([3, 3])).unwrap_err().to_string();
     assert!(message.contains("a.jpg.png") && message.contains("3 × 2") && message.contains("3 × 3"), "{message}");
 }
 
@@ -157,10 +158,10 @@ fn masks_of_every_range_say_the_same() {
     ];
     for (i, picture) in pictures.iter().enumerate() {
         picture.save(&file).unwrap();
-        assert_eq!(load(&file, &Intrinsics::centred(3, 2, 5.0)).unwrap(), kept, "picture {i}");
+        assert_eq!(load(&file, &view([3, 2])).unwrap(), kept, "picture {i}");
     }
     for (value, all) in [(0, false), (1, true), (255, true), (100, false)] {
         grey(vec![value; 6]).save(&file).unwrap();
-        assert_eq!(load(&file, &Intrinsics::centred(3, 2, 5.0)).unwrap(), [all; 6], "all {value}");
+        assert_eq!(load(&file, &view([3, 2])).unwrap(), [all; 6], "all {value}");
     }
 }

@@ -7,7 +7,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::{Scale, ScaleError};
 use crate::capture::exif::{Exif, Gps};
-use crate::capture::{Capture, CaptureError};
+use crate::capture::{Capture, CaptureError, Cut};
 use crate::quantile::quantile;
 
 /// Fewest photographs with GPS. Three fit any triangle of the same shape, so that a fourth is the first that can disagree.
@@ -39,12 +39,14 @@ const SQUARINGS: usize = 40;
 /// their noise leaves the scale uncertain by more than a tenth.
 pub fn from_gps(capture: &Capture) -> Result<Result<Scale, ScaleError>, CaptureError> {
     let mut pairs = Vec::new();
-    for view in &capture.views {
+    // The views of a panorama have one place.
+    let places = capture.views.iter().filter(|view| !matches!(&view.cut, Cut::Face(face) if face.number > 0));
+    for view in places.clone() {
         if let Some(gps) = Exif::read(&view.image_path)?.gps {
             pairs.push((view.cam_from_world.inverse().translation, gps));
         }
     }
-    Ok(fitted(&pairs, capture.views.len()))
+    Ok(fitted(&pairs, places.count()))
 }
 
 fn fitted(pairs: &[(DVec3, Gps)], placed: usize) -> Result<Scale, ScaleError> {

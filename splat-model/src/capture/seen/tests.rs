@@ -39,7 +39,10 @@ fn of_many_points_some_are_looked_at() {
 #[test]
 fn a_view_shows_a_point_once_by_its_tracks_or_else_by_projection() {
     let (intrinsics, towards) = camera(0.0);
-    let view = |cam_from_world| View { name: "a".into(), image_path: "a".into(), intrinsics, cam_from_world };
+    let view = |cam_from_world| {
+        let (name, image_path, cut) = ("a".into(), "a".into(), Default::default());
+        View { name, image_path, intrinsics, cam_from_world, cut }
+    };
     let views = vec![view(towards), view(DAffine3::from_translation(-5.0 * DVec3::Z))];
     let mut capture = Capture::near_zero(Path::new(""), views, &[DVec3::ZERO; 3], vec![[0; 3]; 3]);
     assert_eq!(capture.shown(&[0, 1], 2), [vec![0, 2], vec![]]);

@@ -11,6 +11,7 @@ fn views(names: &[&str]) -> Vec<View> {
         image_path: PathBuf::from(name),
         intrinsics: Intrinsics::centred(4, 3, 5.0),
         cam_from_world: DAffine3::IDENTITY,
+        cut: Default::default(),
     };
     names.iter().map(view).collect()
 }

@@ -27,6 +27,7 @@ fn capture(offset: DVec3, points: usize, tracked: bool, change: impl Fn(&mut [Vi
             name,
             intrinsics: Intrinsics::centred(64, 48, 50.0),
             cam_from_world: pose(centre, offset),
+            cut: Default::default(),
         }
     };
     let mut views: Vec<View> = (0..VIEWS).map(view).collect();

@@ -9,13 +9,16 @@ use splat_op::{CameraModel, Intrinsics};
 
 use super::json::{self, Fields};
 use crate::capture::read::{MAX_MAGNITUDE, Place, quoted};
-use crate::capture::{CaptureError, image};
+use crate::capture::{CaptureError, Cut, image};
 
 /// How far `RᵀR` may be from the identity. Exporters that round to three digits stay below; a scale or a shear is far above.
 const RIGID: f64 = 1e-2;
 
 /// nerfstudio's names for cameras that map slopes. The coefficients decide the model, whatever the name.
 const PERSPECTIVE: [&str; 5] = ["PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "SIMPLE_RADIAL", "RADIAL"];
+
+/// nerfstudio's name for cameras that see all around (`nerfstudio/cameras/cameras.py`), of which the size alone counts.
+const EQUIRECTANGULAR: &str = "EQUIRECTANGULAR";
 
 const FIELD_MATRIX: &str = "transform_matrix";
 
@@ -82,8 +85,8 @@ pub(super) struct Lenses<'a> {
 }
 
 impl<'a> Lenses<'a> {
-    /// Size and projection. A missing size comes from the picture's header.
-    pub fn intrinsics(&self, picture: &Path) -> Result<Intrinsics, CaptureError> {
+    /// Size and projection, and whether it is a panorama. A missing size comes from the picture's header.
+    pub fn intrinsics(&self, picture: &Path) -> Result<(Intrinsics, Cut), CaptureError> {
         let (width, height) = match (self.side("w", |of| of.w)?, self.side("h", |of| of.h)?) {
             (Some(width), Some(height)) => (width, height),
             (width, height) => {
@@ -91,6 +94,9 @@ impl<'a> Lenses<'a> {
                 (width.unwrap_or(of_width), height.unwrap_or(of_height))
             }
         };
+        if self.model()? == EQUIRECTANGULAR {
+            return Ok((Intrinsics::centred(width, height, 1.0), Cut::Panorama));
+        }
         let [fx, fy] = match (self.focal(&FOCAL_X, width)?, self.focal(&FOCAL_Y, height)?) {
             (Some(fx), Some(fy)) => [fx, fy],
             (Some(f), None) | (None, Some(f)) => [f, f],
@@ -107,7 +113,7 @@ impl<'a> Lenses<'a> {
         let cx = centre("cx", self.number(|of| of.cx), width)?;
         let cy = centre("cy", self.number(|of| of.cy), height)?;
         let (model, distortion) = self.lens()?;
-        Ok(Intrinsics::pinhole(width, height, [fx, fy], [cx, cy]).with_lens(model, distortion))
+        Ok((Intrinsics::pinhole(width, height, [fx, fy], [cx, cy]).with_lens(model, distortion), Cut::Whole))
     }
 
     /// The field's value from the frame, or else from the file.
@@ -186,12 +192,13 @@ impl<'a> Lenses<'a> {
     fn model(&self) -> Result<&'a str, CaptureError> {
         for fields in [self.frame, self.file] {
             if let Some(name) = fields.camera_model.as_deref() {
-                let known = PERSPECTIVE.contains(&name) || ["OPENCV_FISHEYE", "FULL_OPENCV"].contains(&name);
+                let known =
+                    PERSPECTIVE.contains(&name) || ["OPENCV_FISHEYE", "FULL_OPENCV", EQUIRECTANGULAR].contains(&name);
                 let refuse = || {
                     self.place.refuse_with(
                         "camera_model",
                         quoted(name),
-                        "PINHOLE, SIMPLE_PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV, FULL_OPENCV or OPENCV_FISHEYE",
+                        "PINHOLE, SIMPLE_PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV, FULL_OPENCV, OPENCV_FISHEYE or EQUIRECTANGULAR",
                         "Export the capture again with one of these, or with photographs that are undistorted",
                     )
                 };

@@ -1,6 +1,7 @@
 use std::fs;
 
 use image::RgbImage;
+use splat_op::Intrinsics;
 
 use super::super::View;
 use super::super::exif::tests::{turned, write_jpeg};
@@ -39,7 +40,8 @@ fn a_rotation_tag_turns_nothing() {
     let all = PhotographFolder::list(folder.path()).unwrap().look(|_| ()).unwrap();
     assert_eq!(all[0].size, [24, 16]);
     let intrinsics = Intrinsics::centred(24, 16, 20.0);
-    let view = View { name: String::new(), image_path: file, intrinsics, cam_from_world: Default::default() };
+    let (cam_from_world, cut) = Default::default();
+    let view = View { name: String::new(), image_path: file, intrinsics, cam_from_world, cut };
     let photo = load(&view, None).unwrap();
     // Red grows to the right as stored.
     assert!(photo.rgb[3 * 20] > photo.rgb[3 * 2] + 80, "{:?}", &photo.rgb[..72]);

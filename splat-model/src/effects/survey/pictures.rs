@@ -35,7 +35,7 @@ pub(super) fn look(
     let one = |&view: &usize| {
         let mut photo = load(&capture.views[view], None)?;
         // An unusable mask is no evidence here. It is an error in training.
-        photo.mask = found[view].as_ref().and_then(|file| masks::load(file, &photo.intrinsics).ok());
+        photo.mask = found[view].as_ref().and_then(|file| masks::load(file, &capture.views[view]).ok());
         let sample = |&(point, i): &(usize, usize)| (point, i, sample(&photo, observations.points[point][i].at_px));
         let samples: Vec<(usize, usize, Option<ColourSample>)> = places[view].iter().map(sample).collect();
         let glance = Glance {

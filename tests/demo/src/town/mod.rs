@@ -20,7 +20,7 @@ use std::path::Path;
 use rayon::prelude::*;
 
 use self::light::LitTown;
-use super::{DemoError, DemoOptions, IMAGES, View, create, name, write_model};
+use super::{Cut, DemoError, DemoOptions, IMAGES, View, create, name, write_model};
 
 /// Half of the town's side, m.
 const HALF: f64 = 200.0;
@@ -43,6 +43,7 @@ pub(super) fn write(folder: &Path, options: &DemoOptions) -> Result<(), DemoErro
             image_path: images.join(name(i)),
             intrinsics: camera.intrinsics,
             cam_from_world: camera.cam_from_world,
+            cut: Cut::Whole,
         })
         .collect();
     cameras.par_iter().zip(&views).try_for_each(|(camera, view)| {

@@ -21,7 +21,7 @@ const GOOD: [f64; 4] = [50.0, 50.0, 20.0, 15.0];
 
 #[test]
 fn other_cameras_are_refused_by_name() {
-    for (number, name) in [(7, "FOV"), (11, "RAD_TAN_THIN_PRISM_FISHEYE"), (17, "EQUIRECTANGULAR")] {
+    for (number, name) in [(7, "FOV"), (11, "RAD_TAN_THIN_PRISM_FISHEYE"), (16, "EUCM")] {
         let other = camera(1, number, [40, 30], &[50.0, 50.0, 20.0, 15.0, 0.1]);
         assert_says(&cameras(&[other]), &["camera entry 1", name, "not supported", "image_undistorter"]);
     }

@@ -4,7 +4,7 @@ use glam::{DAffine3, DVec3};
 use splat_op::Intrinsics;
 
 use super::*;
-use crate::capture::{Observation, PointCloud, Tracks, View};
+use crate::capture::{Cut, Observation, PointCloud, Tracks, View};
 
 /// Number of photographs along the street.
 const VIEWS: usize = 200;
@@ -20,6 +20,7 @@ fn street(tracked: bool) -> Capture {
         image_path: PathBuf::new(),
         intrinsics,
         cam_from_world: DAffine3::from_translation(DVec3::new(-(i as f64), 0.0, 10.0)),
+        cut: Cut::Whole,
     };
     let points: Vec<[f32; 3]> = (0..10 * VIEWS).map(|i| [i as f32 / 10.0, 0.0, 0.0]).collect();
     let mut tracks = Tracks::default();
