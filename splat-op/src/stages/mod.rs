@@ -28,5 +28,3 @@ pub(crate) mod render;
 pub(crate) mod rendered;
 pub(crate) mod splats;
 pub(crate) mod tile_mask;
-
-pub(crate) use self::projected::Projected;
