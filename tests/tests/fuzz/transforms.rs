@@ -1,5 +1,6 @@
 //! The reader of captures in JSON, and checks of its results.
 
+use std::collections::HashSet;
 use std::fs;
 use std::path::{Component, Path, PathBuf};
 
@@ -80,15 +81,18 @@ pub fn judge(capture: &Capture) -> Result<(), String> {
         let numbers = [camera.fx, camera.fy, camera.cx, camera.cy];
         numbers.iter().chain(&camera.distortion).all(|value| value.is_finite()) && camera.fx > 0.0 && camera.fy > 0.0
     });
+    let names: HashSet<&str> = capture.views.iter().map(|view| view.name.as_str()).collect();
     let points = capture.points.positions.as_flattened().iter().all(|value| value.is_finite());
     let Split { train, test } = Split::of(capture, None);
     let mut split = [train, test].concat();
     split.sort_unstable();
     match () {
         () if capture.views.is_empty() => Err("no views".into()),
-        () if !capture.views.windows(2).all(|pair| pair[0].name < pair[1].name) => {
-            Err("names are not sorted, or not unique".into())
+        // Six views of a panorama have its name in common.
+        () if !capture.views.windows(2).all(|pair| pair[0].photograph() <= pair[1].photograph()) => {
+            Err("names are not sorted".into())
         }
+        () if names.len() != capture.views.len() => Err("names are not unique".into()),
         () if !(poses && lenses && points && capture.origin.is_finite()) => Err("a number is invalid".into()),
         () if !capture.views.iter().all(|view| below(&view.image_path)) => Err("a picture outside".into()),
         () if !masks::find(capture).iter().flatten().all(|path| below(path)) => Err("a mask outside".into()),
