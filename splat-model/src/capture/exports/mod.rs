@@ -1,5 +1,5 @@
-//! Captures that other programs export with poses. Readers make frames of their files, as [`transforms`] has them, which checks names, poses and
-//! lenses. The world is that of the files.
+//! Captures that other programs export with poses. Readers make frames of their files, as [`super::transforms`] has them, which checks names, poses
+//! and lenses. The world is that of the files.
 
 mod metashape;
 mod polycam;

@@ -9,7 +9,8 @@
 //!
 //! `f` is for a film of 36 mm along the longer side; `px` and `py` are the principal point from the middle, in parts of that side. Angles are in
 //! degrees. Without any, a camera looks down with north, +y, at the top of its picture: `world_from_cam = Rz(−heading) Rx(pitch) Ry(roll)` with
-//! OpenGL's axes. `t1` is OpenCV's p2 and `t2` its p1, as the export "OpenCV-compliant" has them. `k4` has no equal here.
+//! OpenGL's axes. `t1` is OpenCV's p2 and `t2` its p1, as the export "OpenCV-compliant" has them. `k4` has no equal here. Positions have to be
+//! lengths: those in degrees, of a geographic system, cannot be told apart.
 
 use std::path::Path;
 

@@ -77,6 +77,7 @@ fn cameras_of_metashape_show_what_its_manual_says() {
             let root = folder(&[&[("any.xml", text.as_str()), ("points.ply", ply)][..], &PICTURES].concat());
             let capture = Capture::load(root.path()).unwrap();
             assert_eq!(capture.format, "Metashape");
+            assert_eq!(names(&Capture::load(&root.path().join("any.xml")).unwrap()), names(&capture));
             assert_eq!(names(&capture), ["images/DSC 0.JPG", "images/DSC 2.png", "images/dsc 1.jpg"]);
             assert_eq!(capture.points.positions, [[1.0, 2.0, 3.0]]);
             let notes = capture.remarks.join("\n");
