@@ -148,7 +148,7 @@ pub(super) fn load(models: &[PathBuf], pictures: &Pictures) -> Result<Capture, C
 }
 
 /// The first of the files of points that programs write beside a model: COLMAP's, nerfstudio's and the original code's.
-fn point_file(folders: [&PathBuf; 2]) -> Option<PathBuf> {
+pub(super) fn point_file(folders: [&PathBuf; 2]) -> Option<PathBuf> {
     const FILES: [&str; 6] =
         ["points3D.ply", "sparse_pc.ply", "fused.ply", "input.ply", "points.ply", "point_cloud.ply"];
     let mut names = Names::default();

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, PoisonError, RwLock};
 
 use super::names::parent;
-use super::{Capture, CaptureError, Pictures, colmap, transforms};
+use super::{Capture, CaptureError, Pictures, colmap, exports, transforms};
 
 /// A format of captures: where its cameras are, and how they are read.
 pub trait CaptureFormat: Send + Sync {
@@ -49,5 +49,6 @@ pub fn register(format: Arc<dyn CaptureFormat>) {
 pub(super) fn formats() -> Vec<Arc<dyn CaptureFormat>> {
     let mut all = REGISTERED.read().unwrap_or_else(PoisonError::into_inner).clone();
     all.extend([Arc::new(colmap::Colmap) as Arc<dyn CaptureFormat>, Arc::new(transforms::Json)]);
+    all.extend(exports::formats());
     all
 }

@@ -7,6 +7,7 @@ mod colmap;
 pub(crate) mod depth_maps;
 mod error;
 pub mod exif;
+mod exports;
 mod find;
 mod format;
 pub mod masks;
@@ -89,8 +90,8 @@ impl Capture {
     ///    capture's own split.
     /// 3. nerfstudio and instant-ngp: `transforms.json`. Its `train_filenames`, `val_filenames` and `test_filenames` make the
     ///    capture's own split, its `ply_file_path` is the point cloud, and its frames may name masks.
-    /// 4. A COLMAP model or a JSON file with frames anywhere in the folder, or directly above it, if it is the only one whose photographs
-    ///    are there.
+    /// 4. A COLMAP model, a JSON file with frames, or an export of Polycam, Record3D, Metashape or RealityScan anywhere in the folder, or directly
+    ///    above it, if it is the only one whose photographs are there.
     ///
     /// Before them comes a block: `block.json`, which names a capture in one of these formats and a part of it (see [`blocks`]). The
     /// folder of the result is that of the whole capture, and so are its origin, masks and depth maps. A file of cameras may be named

@@ -12,7 +12,7 @@
 //! means the `.png`, `.jpg` or `.jpeg` that exists, and one that exists only with a second extension or in another letter case means that
 //! (see [`Names`]). Where `w` and `h` are missing, they come from the picture's header.
 
-mod camera;
+pub(super) mod camera;
 mod json;
 
 #[cfg(test)]
@@ -23,10 +23,10 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use self::camera::Lenses;
-use self::json::Fields;
+pub(super) use self::json::{Fields, parse};
 use super::names::{Names, PICTURES, below, entries, missing_photographs, parent};
 use super::read::{Place, PlaceInFile, quoted, read, regular_size, unreadable};
-use super::{Capture, CaptureError, CaptureFormat, Pictures, Split, View};
+use super::{Capture, CaptureError, CaptureFormat, Pictures, Split, View, colmap};
 use crate::encoding::utf8;
 use crate::ply;
 
@@ -80,9 +80,7 @@ impl CaptureFormat for Json {
 
     /// All files with frames.
     fn here(&self, folder: &Path) -> Vec<Vec<PathBuf>> {
-        let mut files: Vec<PathBuf> = entries(folder).filter(|file| has_frames(file)).collect();
-        files.sort();
-        files.into_iter().map(|file| vec![file]).collect()
+        each(folder, has_frames)
     }
 
     fn of_file(&self, file: &Path) -> Vec<PathBuf> {
@@ -96,17 +94,53 @@ impl CaptureFormat for Json {
 
 /// Whether a file is JSON with frames that have poses.
 fn has_frames(file: &Path) -> bool {
-    let is_json = file.extension().is_some_and(|kind| kind.eq_ignore_ascii_case("json"));
-    let is_small = is_json && regular_size(file).is_ok_and(|bytes| bytes <= MAX_BYTES);
+    holds(file, "json", &["\"frames\"", "\"transform_matrix\""])
+}
+
+/// The files of a folder that are cameras, in order, each on its own.
+pub(super) fn each(folder: &Path, is_cameras: impl Fn(&Path) -> bool) -> Vec<Vec<PathBuf>> {
+    let mut files: Vec<PathBuf> = entries(folder).filter(|file| is_cameras(file)).collect();
+    files.sort();
+    files.into_iter().map(|file| vec![file]).collect()
+}
+
+/// Whether a file has an extension, if one is given, and holds some words.
+pub(super) fn holds(file: &Path, extension: &str, words: &[&str]) -> bool {
+    let is_kind = file.extension().unwrap_or_default().eq_ignore_ascii_case(extension);
+    let is_small = is_kind && regular_size(file).is_ok_and(|bytes| bytes <= MAX_BYTES);
     let text = if is_small { read(file).map(utf8).unwrap_or_default() } else { Vec::new() };
-    let holds = |word: &[u8]| text.windows(word.len()).any(|part| part == word);
-    holds(b"\"frames\"") && holds(b"\"transform_matrix\"")
+    words.iter().all(|word| text.windows(word.len()).any(|part| part == word.as_bytes()))
+}
+
+/// Reads the text of a file of at most [`MAX_BYTES`].
+pub(super) fn text(file: &Path) -> Result<Vec<u8>, CaptureError> {
+    let bytes = regular_size(file).map_err(|reason| unreadable(file, reason))?;
+    if bytes > MAX_BYTES {
+        let reason = format!("it has {bytes} bytes, expected at most {MAX_BYTES}");
+        return Err(unreadable(file, io::Error::new(io::ErrorKind::FileTooLarge, reason)));
+    }
+    read(file).map(utf8)
+}
+
+/// The capture of frames that `file` holds in a format of its own, with names below `folder`, and points of a PLY file beside.
+pub(super) fn of_frames(
+    folder: PathBuf,
+    file: &Path,
+    frames: Vec<Fields>,
+    remarks: Vec<String>,
+) -> Result<Capture, CaptureError> {
+    let points = colmap::point_file([&parent(file), &folder]);
+    let mut reading = Reading { folder, remarks, ..Reading::default() };
+    reading.remarks.extend(points.iter().map(|points| format!("the points are read from {}", points.display())));
+    reading.points = points;
+    reading.add(file, &Fields { frames: Some(frames), ..Fields::default() })?;
+    reading.finish(None)
 }
 
 /// Loads a JSON file: with its test frames if it is NeRF-synthetic's, and else with the split that it states.
 pub(super) fn load(file: &Path) -> Result<Capture, CaptureError> {
     let mut reading = Reading { folder: parent(file), ..Reading::default() };
-    let fields = reading.read(file)?;
+    let fields = parse(file, &text(file)?)?;
     reading.add(file, &fields)?;
     if !file.ends_with(TRAIN) {
         let split = reading.split(file, &fields)?;
@@ -114,7 +148,7 @@ pub(super) fn load(file: &Path) -> Result<Capture, CaptureError> {
     }
     let count = reading.views.len();
     for file in HELD_OUT.map(|name| reading.folder.join(name)).iter().filter(|file| file.is_file()) {
-        let fields = reading.read(file)?;
+        let fields: Fields = parse(file, &text(file)?)?;
         if reading.has_pictures(file, &fields)? {
             reading.add(file, &fields)?;
             let test = (count..reading.views.len()).collect();
@@ -140,15 +174,6 @@ struct Reading {
 }
 
 impl Reading {
-    fn read(&self, file: &Path) -> Result<Fields, CaptureError> {
-        let bytes = regular_size(file).map_err(|reason| unreadable(file, reason))?;
-        if bytes > MAX_BYTES {
-            let reason = format!("it has {bytes} bytes, expected at most {MAX_BYTES}");
-            return Err(unreadable(file, io::Error::new(io::ErrorKind::FileTooLarge, reason)));
-        }
-        json::parse(file, &utf8(read(file)?))
-    }
-
     fn add(&mut self, file: &Path, fields: &Fields) -> Result<(), CaptureError> {
         let whole = Place::new(file, PlaceInFile::Whole);
         let frames = whole.required("frames", fields.frames.as_deref(), "a list of frames")?;

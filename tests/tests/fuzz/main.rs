@@ -14,6 +14,7 @@
 
 mod allocations;
 mod engine;
+mod exports;
 mod json;
 mod mutate;
 mod pictures;
@@ -56,6 +57,11 @@ fn colmap_text() {
 #[test]
 fn transforms() {
     engine::fuzz(&mut transforms::Transforms::new("transforms"));
+}
+
+#[test]
+fn exports() {
+    engine::fuzz(&mut exports::Exports::new("exports"));
 }
 
 #[test]

@@ -1,5 +1,6 @@
 //! The reader of captures in JSON, and checks of its results.
 
+use std::collections::HashSet;
 use std::fs;
 use std::path::{Component, Path, PathBuf};
 
@@ -62,44 +63,44 @@ impl Transforms {
     fn part(input: &[u8]) -> usize {
         usize::from(input.first().copied().unwrap_or_default()) % 2
     }
+}
 
-    fn judge(capture: &Capture) -> Result<(), String> {
-        let below = |path: &Path| {
-            let below = path.strip_prefix(&capture.folder);
-            below.is_ok_and(|path| path.components().all(|part| matches!(part, Component::Normal(_))))
-        };
-        let poses = capture.views.iter().all(|view| {
-            let rotation = view.cam_from_world.matrix3;
-            let strays = (rotation * rotation.transpose() - DMat3::IDENTITY).to_cols_array();
-            view.cam_from_world.is_finite() && strays.iter().all(|value| value.abs() < 1e-12)
-        });
-        let lenses = capture.views.iter().all(|view| {
-            let camera = view.intrinsics;
-            let numbers = [camera.fx, camera.fy, camera.cx, camera.cy];
-            numbers.iter().chain(&camera.distortion).all(|value| value.is_finite())
-                && camera.fx > 0.0
-                && camera.fy > 0.0
-        });
-        let points = capture.points.positions.as_flattened().iter().all(|value| value.is_finite());
-        let Split { train, test } = Split::of(capture, None);
-        let mut split = [train, test].concat();
-        split.sort_unstable();
-        match () {
-            () if capture.views.is_empty() => Err("no views".into()),
-            () if !capture.views.windows(2).all(|pair| pair[0].name < pair[1].name) => {
-                Err("names are not sorted, or not unique".into())
-            }
-            () if !(poses && lenses && points && capture.origin.is_finite()) => Err("a number is invalid".into()),
-            () if !capture.views.iter().all(|view| below(&view.image_path)) => Err("a picture outside".into()),
-            () if !masks::find(capture).iter().flatten().all(|path| below(path)) => Err("a mask outside".into()),
-            () if capture.masks.len() != capture.views.len() => Err("masks of other views".into()),
-            () if !split.windows(2).all(|pair| pair[0] < pair[1]) => Err("a view occurs twice in the split".into()),
-            () if split.last().is_some_and(|&last| last >= capture.views.len()) => Err("no such view".into()),
-            () if capture.points.positions.len() != capture.points.colours.len() => {
-                Err("points without colours".into())
-            }
-            () => Ok(()),
+/// Checks that a capture is consistent.
+pub fn judge(capture: &Capture) -> Result<(), String> {
+    let below = |path: &Path| {
+        let below = path.strip_prefix(&capture.folder);
+        below.is_ok_and(|path| path.components().all(|part| matches!(part, Component::Normal(_))))
+    };
+    let poses = capture.views.iter().all(|view| {
+        let rotation = view.cam_from_world.matrix3;
+        let strays = (rotation * rotation.transpose() - DMat3::IDENTITY).to_cols_array();
+        view.cam_from_world.is_finite() && strays.iter().all(|value| value.abs() < 1e-12)
+    });
+    let lenses = capture.views.iter().all(|view| {
+        let camera = view.intrinsics;
+        let numbers = [camera.fx, camera.fy, camera.cx, camera.cy];
+        numbers.iter().chain(&camera.distortion).all(|value| value.is_finite()) && camera.fx > 0.0 && camera.fy > 0.0
+    });
+    let names: HashSet<&str> = capture.views.iter().map(|view| view.name.as_str()).collect();
+    let points = capture.points.positions.as_flattened().iter().all(|value| value.is_finite());
+    let Split { train, test } = Split::of(capture, None);
+    let mut split = [train, test].concat();
+    split.sort_unstable();
+    match () {
+        () if capture.views.is_empty() => Err("no views".into()),
+        // Six views of a panorama have its name in common.
+        () if !capture.views.windows(2).all(|pair| pair[0].photograph() <= pair[1].photograph()) => {
+            Err("names are not sorted".into())
         }
+        () if names.len() != capture.views.len() => Err("names are not unique".into()),
+        () if !(poses && lenses && points && capture.origin.is_finite()) => Err("a number is invalid".into()),
+        () if !capture.views.iter().all(|view| below(&view.image_path)) => Err("a picture outside".into()),
+        () if !masks::find(capture).iter().flatten().all(|path| below(path)) => Err("a mask outside".into()),
+        () if capture.masks.len() != capture.views.len() => Err("masks of other views".into()),
+        () if !split.windows(2).all(|pair| pair[0] < pair[1]) => Err("a view occurs twice in the split".into()),
+        () if split.last().is_some_and(|&last| last >= capture.views.len()) => Err("no such view".into()),
+        () if capture.points.positions.len() != capture.points.colours.len() => Err("points without colours".into()),
+        () => Ok(()),
     }
 }
 
@@ -184,7 +185,7 @@ impl FuzzTarget for Transforms {
     fn read(&mut self) -> Result<String, String> {
         match Capture::load(&self.folder) {
             Ok(capture) => {
-                Self::judge(&capture)?;
+                judge(&capture)?;
                 let (views, points) = (bucket(capture.views.len()), bucket(capture.points.positions.len()));
                 let (own, far) = (capture.split.is_some(), capture.origin != DVec3::ZERO);
                 let model = capture.views[0].intrinsics.model;

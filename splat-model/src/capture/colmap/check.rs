@@ -78,7 +78,11 @@ impl Place<'_> {
     }
 
     /// The pose of an image. The quaternion, wxyz, may have any non-zero length.
-    pub(super) fn pose(&self, quaternion: [f64; 4], translation: [f64; 3]) -> Result<DAffine3, CaptureError> {
+    pub(in crate::capture) fn pose(
+        &self,
+        quaternion: [f64; 4],
+        translation: [f64; 3],
+    ) -> Result<DAffine3, CaptureError> {
         for (field, value) in ["QW", "QX", "QY", "QZ"].into_iter().zip(quaternion) {
             if !value.is_finite() {
                 return Err(self.refuse(field, value, "a finite number"));

@@ -18,7 +18,10 @@ const RIGID: f64 = 1e-2;
 const PERSPECTIVE: [&str; 5] = ["PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "SIMPLE_RADIAL", "RADIAL"];
 
 /// nerfstudio's name for cameras that see all around (`nerfstudio/cameras/cameras.py`), of which the size alone counts.
-const EQUIRECTANGULAR: &str = "EQUIRECTANGULAR";
+pub(in crate::capture) const EQUIRECTANGULAR: &str = "EQUIRECTANGULAR";
+
+/// COLMAP's name for a fisheye with tangential coefficients.
+pub(in crate::capture) const THIN_PRISM_FISHEYE: &str = "THIN_PRISM_FISHEYE";
 
 const FIELD_MATRIX: &str = "transform_matrix";
 
@@ -169,11 +172,16 @@ impl<'a> Lenses<'a> {
             false => Err(place.refuse_with(field, value, expected, fix)),
         };
         let name = self.model()?;
-        if name == "OPENCV_FISHEYE" {
-            for (field, value) in [("p1", p1), ("p2", p2), ("k5", k5), ("k6", k6)] {
-                none(field, value, "0: a fisheye camera has k1 to k4")?;
+        if ["OPENCV_FISHEYE", THIN_PRISM_FISHEYE].contains(&name) {
+            let [sx1, sy1] = [number("sx1", |of| of.sx1)?, number("sy1", |of| of.sy1)?];
+            let is_thin = name == THIN_PRISM_FISHEYE && [p1, p2, sx1, sy1] != [0.0; 4];
+            for (field, value) in &[("k5", k5), ("k6", k6), ("p1", p1), ("p2", p2)][..if is_thin { 2 } else { 4 }] {
+                none(field, *value, "0: a fisheye camera has k1 to k4")?;
             }
-            return Ok((CameraModel::Fisheye, [k1, k2, k3, k4, 0.0, 0.0, 0.0, 0.0]));
+            return Ok(match is_thin {
+                true => (CameraModel::ThinPrismFisheye, [k1, k2, p1, p2, k3, k4, sx1, sy1]),
+                false => (CameraModel::Fisheye, [k1, k2, k3, k4, 0.0, 0.0, 0.0, 0.0]),
+            });
         }
         if name != "FULL_OPENCV" {
             for (field, value) in [("k4", k4), ("k5", k5), ("k6", k6)] {
@@ -192,13 +200,13 @@ impl<'a> Lenses<'a> {
     fn model(&self) -> Result<&'a str, CaptureError> {
         for fields in [self.frame, self.file] {
             if let Some(name) = fields.camera_model.as_deref() {
-                let known =
-                    PERSPECTIVE.contains(&name) || ["OPENCV_FISHEYE", "FULL_OPENCV", EQUIRECTANGULAR].contains(&name);
+                let others = ["OPENCV_FISHEYE", "FULL_OPENCV", THIN_PRISM_FISHEYE, EQUIRECTANGULAR];
+                let known = PERSPECTIVE.contains(&name) || others.contains(&name);
                 let refuse = || {
                     self.place.refuse_with(
                         "camera_model",
                         quoted(name),
-                        "PINHOLE, SIMPLE_PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV, FULL_OPENCV, OPENCV_FISHEYE or EQUIRECTANGULAR",
+                        "PINHOLE, SIMPLE_PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV, FULL_OPENCV, OPENCV_FISHEYE, THIN_PRISM_FISHEYE or EQUIRECTANGULAR",
                         "Export the capture again with one of these, or with photographs that are undistorted",
                     )
                 };

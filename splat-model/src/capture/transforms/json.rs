@@ -4,6 +4,7 @@
 use std::path::Path;
 
 use serde::Deserialize;
+use serde::de::DeserializeOwned;
 use serde_json::error::Category;
 
 use crate::capture::CaptureError;
@@ -14,9 +15,9 @@ use crate::ply::brief;
 pub(super) const MATRIX: &str = "3 or 4 rows of 4 finite numbers, the fourth 0 0 0 1";
 
 /// The known fields of a file or of one of its frames. `null` counts as absent.
-#[derive(Debug, Default, Deserialize)]
+#[derive(Clone, Debug, Default, Deserialize)]
 #[serde(default, expecting = "an object")]
-pub(super) struct Fields {
+pub(in crate::capture) struct Fields {
     pub frames: Option<Vec<Fields>>,
     pub ply_file_path: Option<String>,
     pub train_filenames: Option<Vec<String>>,
@@ -24,7 +25,7 @@ pub(super) struct Fields {
     pub test_filenames: Option<Vec<String>>,
     pub file_path: Option<String>,
     pub mask_path: Option<String>,
-    transform_matrix: Option<Vec<Vec<f64>>>,
+    pub transform_matrix: Option<Vec<Vec<f64>>>,
     pub camera_model: Option<String>,
     pub is_fisheye: Option<bool>,
     pub camera_angle_x: Option<f64>,
@@ -43,6 +44,8 @@ pub(super) struct Fields {
     pub k4: Option<f64>,
     pub k5: Option<f64>,
     pub k6: Option<f64>,
+    pub sx1: Option<f64>,
+    pub sy1: Option<f64>,
 }
 
 impl Fields {
@@ -61,7 +64,8 @@ impl Fields {
     }
 }
 
-pub(super) fn parse(file: &Path, bytes: &[u8]) -> Result<Fields, CaptureError> {
+/// Reads JSON. Errors say where the file is wrong.
+pub(in crate::capture) fn parse<T: DeserializeOwned>(file: &Path, bytes: &[u8]) -> Result<T, CaptureError> {
     let mut input = serde_json::Deserializer::from_slice(bytes);
     let read = serde_path_to_error::deserialize(&mut input);
     let ended = |fields| input.end().map(|()| fields).map_err(|error| (String::new(), error));
@@ -71,6 +75,7 @@ pub(super) fn parse(file: &Path, bytes: &[u8]) -> Result<Fields, CaptureError> {
         let (field, found, expected) = match (error.classify(), reason.split_once(", expected ")) {
             (Category::Data, Some((found, "f64"))) => ("value", found, "a number"),
             (Category::Data, Some((found, expected))) => ("value", found, expected),
+            (Category::Data, None) => ("value", reason, "all fields of the format"),
             _ => ("text", reason, "JSON with numbers that are finite"),
         };
         let (path, found) = (brief(&path.escape_debug().to_string()), quoted(found.trim_start_matches("invalid type: ")));

@@ -72,6 +72,11 @@ fn fisheyes_have_their_own_order() {
     assert_eq!(model(&format!(r#""camera_model": "OPENCV_FISHEYE", {numbers}"#)), expected);
     assert_eq!(model(&format!(r#""is_fisheye": true, {numbers}"#)), expected);
     assert_eq!(model(r#""camera_model": "OPENCV_FISHEYE","#), Ok((CameraModel::Fisheye, [0.0; 8])));
+    assert_eq!(model(&format!(r#""camera_model": "THIN_PRISM_FISHEYE", {numbers}"#)), expected);
+    let thin = model(&format!(
+        r#""camera_model": "THIN_PRISM_FISHEYE", "p1": 0.5, "p2": 0.6, "sx1": 0.7, "sy1": 0.8, {numbers}"#
+    ));
+    assert_eq!(thin, Ok((CameraModel::ThinPrismFisheye, [0.1, 0.2, 0.5, 0.6, 0.3, 0.4, 0.7, 0.8])));
     assert_eq!(model(r#""is_fisheye": false,"#), Ok((CameraModel::Pinhole, [0.0; 8])));
     let message = model(r#""camera_model": "OPENCV_FISHEYE", "p1": 0.01,"#).unwrap_err();
     assert!(message.contains("`p1` is 0.01"), "{message}");
