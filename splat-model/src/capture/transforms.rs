@@ -14,6 +14,7 @@
 
 mod camera;
 mod json;
+mod keyframes;
 
 #[cfg(test)]
 mod tests;
@@ -22,8 +23,11 @@ use std::collections::{BTreeSet, HashMap};
 use std::io;
 use std::path::{Path, PathBuf};
 
+use serde::de::DeserializeOwned;
+
 use self::camera::Lenses;
 use self::json::Fields;
+pub use self::keyframes::read_keyframes;
 use super::names::{Names, PICTURES, below, entries, missing_photographs, parent};
 use super::read::{Place, PlaceInFile, quoted, read, regular_size, unreadable};
 use super::{Capture, CaptureError, CaptureFormat, Pictures, Split, View};
@@ -106,7 +110,7 @@ fn has_frames(file: &Path) -> bool {
 /// Loads a JSON file: with its test frames if it is NeRF-synthetic's, and else with the split that it states.
 pub(super) fn load(file: &Path) -> Result<Capture, CaptureError> {
     let mut reading = Reading { folder: parent(file), ..Reading::default() };
-    let fields = reading.read(file)?;
+    let fields: Fields = read_json(file)?;
     reading.add(file, &fields)?;
     if !file.ends_with(TRAIN) {
         let split = reading.split(file, &fields)?;
@@ -114,7 +118,7 @@ pub(super) fn load(file: &Path) -> Result<Capture, CaptureError> {
     }
     let count = reading.views.len();
     for file in HELD_OUT.map(|name| reading.folder.join(name)).iter().filter(|file| file.is_file()) {
-        let fields = reading.read(file)?;
+        let fields: Fields = read_json(file)?;
         if reading.has_pictures(file, &fields)? {
             reading.add(file, &fields)?;
             let test = (count..reading.views.len()).collect();
@@ -139,16 +143,17 @@ struct Reading {
     remarks: Vec<String>,
 }
 
-impl Reading {
-    fn read(&self, file: &Path) -> Result<Fields, CaptureError> {
-        let bytes = regular_size(file).map_err(|reason| unreadable(file, reason))?;
-        if bytes > MAX_BYTES {
-            let reason = format!("it has {bytes} bytes, expected at most {MAX_BYTES}");
-            return Err(unreadable(file, io::Error::new(io::ErrorKind::FileTooLarge, reason)));
-        }
-        json::parse(file, &utf8(read(file)?))
+/// Reads a JSON file of limited size.
+fn read_json<T: DeserializeOwned>(file: &Path) -> Result<T, CaptureError> {
+    let bytes = regular_size(file).map_err(|reason| unreadable(file, reason))?;
+    if bytes > MAX_BYTES {
+        let reason = format!("it has {bytes} bytes, expected at most {MAX_BYTES}");
+        return Err(unreadable(file, io::Error::new(io::ErrorKind::FileTooLarge, reason)));
     }
+    json::parse(file, &utf8(read(file)?))
+}
 
+impl Reading {
     fn add(&mut self, file: &Path, fields: &Fields) -> Result<(), CaptureError> {
         let whole = Place::new(file, PlaceInFile::Whole);
         let frames = whole.required("frames", fields.frames.as_deref(), "a list of frames")?;
@@ -204,7 +209,7 @@ impl Reading {
         let place = Place::new(file, PlaceInFile::Frame(index));
         let stated = place.required("file_path", frame.file_path.as_deref(), "the path of a picture")?;
         let place = Place { path: stated, ..place };
-        let cam_from_world = camera::pose(&place, frame.matrix(&place)?)?;
+        let cam_from_world = camera::pose(&place, "transform_matrix", frame.matrix(&place)?)?;
         let stated = place.path("file_path", stated)?;
         let name = self.names.find(&self.folder, &stated, &PICTURES);
         let has_extension = Path::new(&stated).extension().and_then(|extension| extension.to_str());
