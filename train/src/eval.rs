@@ -74,7 +74,7 @@ pub fn run(args: &EvalArgs) -> Result<Metrics> {
     let capture = input::capture(&args.capture)?;
     let (split, photo_args) = args.photos.split(&capture);
     let test = split.require_test()?;
-    let (rows, trained) = input::rows("--scene", &args.scene, Some(&capture))?;
+    let (rows, trained, _) = input::rows("--scene", &args.scene, Some(&capture))?;
     let background = args.show.background(&args.scene, &trained)?;
     let config = args.show.model.or(&trained).config();
     let mut photos = input::photographs(&capture, test, args.photos.max_side, args.masks)?;

@@ -52,7 +52,7 @@ pub struct ExportArgs {
 pub fn run(args: &ExportArgs) -> Result<()> {
     let capture = args.views.as_deref().map(input::capture).transpose()?;
     let viewpoints = capture.as_ref().map(|capture| viewpoints(capture, &args.view)).transpose()?.unwrap_or_default();
-    let (rows, trained) = input::rows("SCENE", &args.scene, capture.as_ref())?;
+    let (rows, trained, _) = input::rows("SCENE", &args.scene, capture.as_ref())?;
     let Background::Colour(background) = ShownBackground::read(args.background.as_ref(), &args.scene, &trained)? else {
         return Err(anyhow!(
             "the page shows a background of one colour: give `--background` a colour such as black or 0.5,0.5,0.5"

@@ -7,6 +7,7 @@ use std::sync::atomic::AtomicUsize;
 
 use anyhow::{Context, Result, bail, ensure};
 use clap::value_parser;
+use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use splat_model::capture::image::{load, load_all};
 use splat_model::capture::unposed::PhotographFolder;
@@ -197,18 +198,19 @@ fn made_opaque(photo: Photo, opaque: bool) -> Photo {
     Photo { alpha, ..photo }
 }
 
-/// Reads the rows of a scene that `option` names, and how it was trained. Positions are relative to the origin of `capture`, or else to that of
-/// the scene. Prints a note if some of its Gaussians cannot be rendered. An error if the file is missing, is not a
+/// Reads the rows of a scene that `option` names, how it was trained, and the origin that positions are relative to: that of `capture`, or
+/// else of the scene. Prints a note if some of its Gaussians cannot be rendered. An error if the file is missing, is not a
 /// scene, or holds no Gaussian.
-pub fn rows(option: &str, path: &Path, capture: Option<&Capture>) -> Result<(GaussianRows, TrainedAs)> {
+pub fn rows(option: &str, path: &Path, capture: Option<&Capture>) -> Result<(GaussianRows, TrainedAs, DVec3)> {
     let (scene, _) = formats::read(path).with_context(|| format!("cannot read the scene that `{option}` names"))?;
-    let formats::SceneFile { mut rows, origin, trained, .. } = scene;
+    let formats::SceneFile { mut rows, mut origin, trained, .. } = scene;
     ensure!(!rows.is_empty(), "{} holds no Gaussian: name another scene as `{option}`", path.display());
     if let Some(capture) = capture {
         move_means(&mut rows, (origin - capture.origin).to_array());
+        origin = capture.origin;
     }
     progress::note_unusable(path, rows.unusable(), rows.len());
-    Ok((rows, trained))
+    Ok((rows, trained, origin))
 }
 
 /// Returns some rows of a scene, with spherical harmonics up to `sh_degree`.

@@ -58,7 +58,7 @@ pub fn run(args: &MeshArgs) -> Result<()> {
     ensure!(is_glb, "{} does not end in .glb, the format of meshes: rename it", args.out.display());
     let (device, _) = args.device.resolve()?;
     let capture = input::capture(&args.capture)?;
-    let (rows, trained) = input::rows("SCENE", &args.scene, Some(&capture))?;
+    let (rows, trained, _) = input::rows("SCENE", &args.scene, Some(&capture))?;
     prepare_file(&args.out, &Inputs::of([&args.scene]).and_capture(&capture))?;
     let render = ModelArgs::default().or(&trained).config().render_options(input::extent(&capture));
     let count = capture.views.len().min(args.views);

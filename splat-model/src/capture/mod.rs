@@ -46,6 +46,7 @@ pub use scale::Scale;
 pub use seen::PointsSeen;
 pub use split::Split;
 pub use tracks::{Observation, Tracks};
+pub use transforms::read_keyframes;
 
 use crate::ply::WorldFrame;
 

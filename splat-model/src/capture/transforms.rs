@@ -14,6 +14,7 @@
 
 pub(super) mod camera;
 mod json;
+mod keyframes;
 
 #[cfg(test)]
 mod tests;
@@ -22,8 +23,11 @@ use std::collections::{BTreeSet, HashMap};
 use std::io;
 use std::path::{Path, PathBuf};
 
+use serde::de::DeserializeOwned;
+
 use self::camera::Lenses;
-pub(super) use self::json::{Fields, parse};
+pub(super) use self::json::Fields;
+pub use self::keyframes::read_keyframes;
 use super::names::{Names, PICTURES, below, entries, missing_photographs, parent};
 use super::read::{Place, PlaceInFile, quoted, read, regular_size, unreadable};
 use super::{Capture, CaptureError, CaptureFormat, Pictures, Split, View, colmap};
@@ -122,6 +126,11 @@ pub(super) fn text(file: &Path) -> Result<Vec<u8>, CaptureError> {
     read(file).map(utf8)
 }
 
+/// Reads a JSON file of at most [`MAX_BYTES`].
+pub(super) fn read_json<T: DeserializeOwned>(file: &Path) -> Result<T, CaptureError> {
+    json::parse(file, &text(file)?)
+}
+
 /// The capture of frames that `file` holds in a format of its own, with names below `folder`, and points of a PLY file beside.
 pub(super) fn of_frames(
     folder: PathBuf,
@@ -140,7 +149,7 @@ pub(super) fn of_frames(
 /// Loads a JSON file: with its test frames if it is NeRF-synthetic's, and else with the split that it states.
 pub(super) fn load(file: &Path) -> Result<Capture, CaptureError> {
     let mut reading = Reading { folder: parent(file), ..Reading::default() };
-    let fields = parse(file, &text(file)?)?;
+    let fields: Fields = read_json(file)?;
     reading.add(file, &fields)?;
     if !file.ends_with(TRAIN) {
         let split = reading.split(file, &fields)?;
@@ -148,7 +157,7 @@ pub(super) fn load(file: &Path) -> Result<Capture, CaptureError> {
     }
     let count = reading.views.len();
     for file in HELD_OUT.map(|name| reading.folder.join(name)).iter().filter(|file| file.is_file()) {
-        let fields: Fields = parse(file, &text(file)?)?;
+        let fields: Fields = read_json(file)?;
         if reading.has_pictures(file, &fields)? {
             reading.add(file, &fields)?;
             let test = (count..reading.views.len()).collect();
@@ -229,7 +238,7 @@ impl Reading {
         let place = Place::new(file, PlaceInFile::Frame(index));
         let stated = place.required("file_path", frame.file_path.as_deref(), "the path of a picture")?;
         let place = Place { path: stated, ..place };
-        let cam_from_world = camera::pose(&place, frame.matrix(&place)?)?;
+        let cam_from_world = camera::pose(&place, "transform_matrix", frame.matrix(&place)?)?;
         let stated = place.path("file_path", stated)?;
         let name = self.names.find(&self.folder, &stated, &PICTURES);
         let has_extension = Path::new(&stated).extension().and_then(|extension| extension.to_str());

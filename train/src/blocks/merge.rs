@@ -71,7 +71,7 @@ pub fn merge(args: &MergeArgs) -> Result<()> {
 fn merged(folder: &PlanFolder, files: &[BlockFile], capture: &Capture) -> Result<(GaussianRows, TrainedAs)> {
     let (mut merged, mut trained_as) = (None::<GaussianRows>, TrainedAs::default());
     for (name, file) in folder.plan.blocks.iter().zip(files) {
-        let (rows, trained) = input::rows("--scene", &folder.run(name).join(SCENE), Some(capture))?;
+        let (rows, trained, _) = input::rows("--scene", &folder.run(name).join(SCENE), Some(capture))?;
         trained_as = trained;
         let all = merged.get_or_insert_with(|| GaussianRows::like(&rows));
         ensure!(

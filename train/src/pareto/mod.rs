@@ -64,7 +64,7 @@ pub fn run(args: &ParetoArgs) -> Result<()> {
     let capture = input::capture(&args.capture)?;
     let (split, _) = args.photos.split(&capture);
     let views = spread(split.require_test()?, args.views);
-    let (rows, trained) = input::rows("--scene", &args.scene, Some(&capture))?;
+    let (rows, trained, _) = input::rows("--scene", &args.scene, Some(&capture))?;
     let background = args.show.background(&args.scene, &trained)?;
     let inputs = Inputs::of([&args.scene]).and_capture(&capture).and(args.show.file());
     let out = OutputFolder::prepare(&args.out, inputs, [TABLE], &[])?;

@@ -3,22 +3,17 @@
 use std::f64::consts::TAU;
 use std::fs;
 use std::io::{ErrorKind, Write};
+use std::ops::{Add, Mul, Sub};
 use std::path::Path;
 use std::process::{Command, Stdio};
 
 use anyhow::{Context, Result, anyhow, ensure};
-use glam::{DAffine3, DMat3, DVec3};
+use glam::{DAffine3, DMat3, DQuat, DVec3};
 use splat_model::init::focus;
 use splat_op::Intrinsics;
 use tempfile::TempDir;
 
 use crate::reconstruct::Running;
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-pub enum CameraPath {
-    /// Once around what the cameras of the capture look at, as far away and as high as they are on average
-    Orbit,
-}
 
 /// Returns a pinhole with a focal length and even sides, as videos need them.
 pub fn pinhole(like: &Intrinsics) -> Intrinsics {
@@ -48,6 +43,46 @@ pub fn orbit(poses: &[DAffine3], count: usize) -> Result<Vec<DAffine3>> {
         DAffine3::from_mat3_translation(DMat3::from_cols(right, forward.cross(right), forward), position).inverse()
     };
     Ok((0..count).map(camera).collect())
+}
+
+/// Returns `count` cameras and poses, `cam_from_world`, evenly in time from the first of at least two keyframes to the last, in the world relative to
+/// `origin`. Keyframes are `world_from_cam` and a vertical field of view in degrees, by default that of `lens`; they are equally far apart in time.
+///
+/// Positions, quaternions and logarithms of focal lengths are Catmull-Rom splines (Catmull and Rom 1974).
+pub fn along(
+    keyframes: &[(DAffine3, Option<f64>)],
+    origin: DVec3,
+    lens: &Intrinsics,
+    count: usize,
+) -> Vec<(Intrinsics, DAffine3)> {
+    let focal = |degrees: f64| 0.5 * lens.height as f64 / (0.5 * degrees).to_radians().tan();
+    let log_focals: Vec<f64> = keyframes.iter().map(|(_, fov)| fov.map_or(lens.fy, focal).ln()).collect();
+    let positions: Vec<DVec3> = keyframes.iter().map(|(pose, _)| pose.translation - origin).collect();
+    let mut rotations: Vec<DQuat> = keyframes.iter().map(|(pose, _)| DQuat::from_mat3(&pose.matrix3)).collect();
+    for i in 1..rotations.len() {
+        // Of a rotation's two quaternions, the nearer to the one before: the spline then stays away from zero.
+        rotations[i] = rotations[i] * rotations[i - 1].dot(rotations[i]).signum();
+    }
+    let camera = |i: usize| {
+        let at = (i * (keyframes.len() - 1)) as f64 / count.saturating_sub(1).max(1) as f64;
+        let rotation = catmull_rom(&rotations, at).normalize();
+        let world_from_cam = DAffine3::from_rotation_translation(rotation, catmull_rom(&positions, at));
+        let focal = catmull_rom(&log_focals, at).exp();
+        (lens.with_focal(focal, focal), world_from_cam.inverse())
+    };
+    (0..count).map(camera).collect()
+}
+
+/// The spline through at least two knots, at 0, 1, 2 and so on. The knot beyond an end mirrors the one before it.
+fn catmull_rom<T: Copy + Add<Output = T> + Sub<Output = T> + Mul<f64, Output = T>>(knots: &[T], at: f64) -> T {
+    let i = (at as usize).min(knots.len() - 2);
+    let t = at - i as f64;
+    let (from, to) = (knots[i], knots[i + 1]);
+    let before = if i == 0 { from * 2.0 - to } else { knots[i - 1] };
+    let after = knots.get(i + 2).copied().unwrap_or(to * 2.0 - from);
+    let (leave, arrive) = ((to - before) * 0.5, (after - from) * 0.5);
+    let chord = to - from;
+    from + leave * t + (chord * 3.0 - leave * 2.0 - arrive) * (t * t) + (leave + arrive - chord * 2.0) * (t * t * t)
 }
 
 /// A video that is being encoded by the installed ffmpeg. The file appears when it is complete.

@@ -110,7 +110,7 @@ impl Job {
     /// what lies there.
     fn started(&self, trainer: Trainer) -> Result<Trainer> {
         let Some(path) = &self.args.start else { return Ok(trainer) };
-        let (rows, _) = input::rows("--start", path, Some(&self.capture))?;
+        let (rows, ..) = input::rows("--start", path, Some(&self.capture))?;
         ensure!(
             rows.len() <= self.args.max_splats,
             "{} has {} splats, and `--max-splats` is {}: name a smaller scene with `--start`, or raise `--max-splats`",

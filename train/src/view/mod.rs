@@ -37,11 +37,12 @@ pub fn run(args: &ViewArgs) -> Result<()> {
 
 fn pages(args: &ViewArgs) -> Result<[ServedFile; 2]> {
     const SCENE: &str = "/scene.ply";
-    let (rows, TrainedAs { antialias, background, .. }) = input::rows("SCENE", &args.scene, None)?;
+    let (rows, TrainedAs { antialias, background, .. }, origin) = input::rows("SCENE", &args.scene, None)?;
     let scene = ShownScene::new(&rows, usize::MAX)
         .with_context(|| format!("{} cannot be shown: name another scene", args.scene.display()))?;
     drop(rows);
-    let viewer = Viewer { scene: &scene, source: SceneSource::Url(SCENE), viewpoints: &[], background, antialias };
+    let viewer =
+        Viewer { scene: &scene, source: SceneSource::Url(SCENE, origin), viewpoints: &[], background, antialias };
     let name = output::last_name(&args.scene);
     let html = viewer.page(&name)?;
     Ok([

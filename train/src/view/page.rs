@@ -25,14 +25,14 @@ pub const POLICY: &str = "default-src 'none'; script-src 'unsafe-inline' 'wasm-u
      connect-src 'self' blob: data:; img-src data: blob:; style-src 'unsafe-inline'";
 
 /// Location of the scene's data.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum SceneSource<'a> {
     /// In the page itself.
     Page,
     /// In the page itself as SOG, which is these bytes; the page shows nothing else.
     Whole(&'a [u8]),
-    /// At a URL of the same server.
-    Url(&'static str),
+    /// At a URL of the same server. The page saves camera paths in the world of the scene's file, whose rows are relative to this origin.
+    Url(&'static str, DVec3),
     /// There too, and changing: an event `splat-scene` of the page's window names the URL of each new one.
     Live(&'static str),
 }
@@ -54,6 +54,8 @@ pub struct Viewer<'a> {
 #[derive(Serialize)]
 struct ViewerSetup<'a> {
     url: Option<&'static str>,
+    /// The origin that camera paths are not relative to.
+    origin: Option<[f64; 3]>,
     /// The library's name of the data's format.
     kind: &'static str,
     centre: [f64; 3],
@@ -112,8 +114,9 @@ impl Viewer<'_> {
         let setup = ViewerSetup {
             url: match self.source {
                 SceneSource::Page | SceneSource::Whole(_) => None,
-                SceneSource::Url(url) | SceneSource::Live(url) => Some(url),
+                SceneSource::Url(url, _) | SceneSource::Live(url) => Some(url),
             },
+            origin: if let SceneSource::Url(_, origin) = self.source { Some(origin.to_array()) } else { None },
             kind: if matches!(self.source, SceneSource::Whole(_)) { "pcsogszip" } else { "ply" },
             centre: self.scene.extent.centre.to_array(),
             radius: self.scene.extent.radius,
@@ -130,7 +133,7 @@ impl Viewer<'_> {
         let inside = match self.source {
             SceneSource::Page => Some(&self.scene.ply[..]),
             SceneSource::Whole(sog) => Some(sog),
-            SceneSource::Url(_) | SceneSource::Live(_) => None,
+            SceneSource::Url(..) | SceneSource::Live(_) => None,
         };
         if let Some(bytes) = inside {
             text.push_str("<script type=\"text/plain\" id=\"viewer-scene\">");

@@ -86,6 +86,37 @@
     document.querySelectorAll("#viewer-views button").forEach((button, view) => { button.onclick = () => fly(view); });
     renderer.domElement.addEventListener("pointerdown", () => { flight = null; });
 
+    // A camera path, as `splat render --path` and nerfstudio read it: poses by rows with OpenGL's axes, in the world of the scene's file.
+    if (setup.origin) {
+      const bar = Object.assign(document.createElement("div"), { id: "viewer-bar" });
+      const button = (textContent, title) => Object.assign(document.createElement("button"), { textContent, title });
+      const add = button("add keyframe", "adds this view to a camera path");
+      const remove = button("remove last", "removes the keyframe that was added last");
+      const save = button("", "saves the path for splat render --path");
+      bar.append(add, " ", remove, " ", save);
+      holder.append(bar);
+      const path = [];
+      const show = () => {
+        [remove.disabled, save.disabled] = [path.length < 1, path.length < 2];
+        save.textContent = `save path of ${path.length}`;
+      };
+      show();
+      add.onclick = () => {
+        camera.updateMatrixWorld();
+        const camera_to_world = camera.matrixWorld.clone().transpose().elements;
+        setup.origin.forEach((value, axis) => { camera_to_world[4 * axis + 3] += value; });
+        path.push({ camera_to_world, fov: camera.fov, aspect: camera.aspect });
+        show();
+      };
+      remove.onclick = () => { path.pop(); show(); };
+      save.onclick = () => {
+        const text = JSON.stringify({ camera_type: "perspective", camera_path: path });
+        const link = Object.assign(document.createElement("a"), { download: "camera_path.json" });
+        link.href = `data:application/json,${encodeURIComponent(text)}`;
+        link.click();
+      };
+    }
+
     // A page that scrolls keeps its wheel until the picture is clicked.
     if (setup.wheel_after_click) {
       controls.enableZoom = false;

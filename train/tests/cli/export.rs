@@ -9,7 +9,7 @@ use crate::run::{DEMO, TRAINED, fresh, refuse, splat, succeed};
 use crate::{TEST_VIEW, text};
 
 /// The setup of a page's viewer.
-fn setup(page: &str) -> Value {
+pub fn setup(page: &str) -> Value {
     let (_, rest) = page.split_once("id=\"viewer-setup\">").unwrap();
     serde_json::from_str(rest.split_once("</script>").unwrap().0).unwrap()
 }

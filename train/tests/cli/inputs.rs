@@ -56,6 +56,11 @@ fn cases() -> Vec<Case> {
             None,
         ),
         case(
+            "render --scene given/scene.ply --capture cap --path given/path.json --video OUT --device cpu",
+            "given/path.json",
+            None,
+        ),
+        case(
             "render --scene given/scene.ply --capture colmap --view all --out OUT --device cpu",
             "colmap/views/0000.png",
             Some("colmap/views"),
@@ -116,6 +121,8 @@ fn inputs() -> TempDir {
         fs::copy(TRAINED.join("scene.ply"), path("given").join(name)).unwrap();
     }
     fs::write(path("given/run.toml"), "steps = 2").unwrap();
+    let camera = json!({ "camera_to_world": DMat4::IDENTITY.to_cols_array() });
+    fs::write(path("given/path.json"), json!({ "camera_path": [camera, camera] }).to_string()).unwrap();
     let plan = "blocks plan cap --out blocks --blocks 2 --coarse-steps 0 -- --steps 4 --effects none";
     succeed(splat(&plan.split(' ').collect::<Vec<_>>()).current_dir(root.path()));
     for block in ["blocks/block-0/run", "blocks/block-1/run"] {

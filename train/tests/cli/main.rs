@@ -22,6 +22,7 @@ mod mesh;
 mod non_finite;
 mod origin;
 mod pareto;
+mod paths;
 mod readers;
 #[cfg(unix)]
 mod reconstruct;

@@ -12,14 +12,14 @@ use crate::run::{DEMO, TRAIN, TRAINED, splat, succeed};
 use crate::text;
 
 /// Origin that the capture is moved to, as far out as geo-referenced ones lie.
-const FAR: [f64; 3] = [4_321_000.0, -650_000.0, 5_000.0];
+pub const FAR: [f64; 3] = [4_321_000.0, -650_000.0, 5_000.0];
 
 /// Largest allowed difference between two renders, of 1. Values near [`FAR`] have a spacing of 0.5 in f32: if positions
 /// or cameras were ever rounded there, the picture would be lost.
 const TOLERANCE: f32 = 2e-3;
 
 /// The demo capture, moved out to `offset`, without points.
-fn moved_capture(folder: &Path, offset: [f64; 3]) {
+pub fn moved_capture(folder: &Path, offset: [f64; 3]) {
     let mut capture = Capture::load(DEMO.as_path()).unwrap();
     let mut offset_world = capture.origin;
     (offset_world.x, offset_world.y, offset_world.z) = offset.into();

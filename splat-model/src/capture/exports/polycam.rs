@@ -13,7 +13,7 @@ use super::{Format, Photographs, frame};
 use crate::capture::CaptureError;
 use crate::capture::names::entries;
 use crate::capture::read::{Place, PlaceInFile};
-use crate::capture::transforms::{Fields, holds, parse, text};
+use crate::capture::transforms::{Fields, holds, read_json};
 
 pub(super) const FORMAT: Format = Format { name: "Polycam", is, frames };
 
@@ -48,7 +48,7 @@ fn files(folder: &Path) -> Vec<PathBuf> {
 fn frames(cameras: &Path, photographs: &mut Photographs) -> Result<Vec<Fields>, CaptureError> {
     let images = images(cameras).unwrap_or_default();
     let one = |file: PathBuf| {
-        let of: Map<String, Value> = parse(&file, &text(&file)?)?;
+        let of: Map<String, Value> = read_json(&file)?;
         let (place, mut numbers) = (Place::new(&file, PlaceInFile::Whole), [0.0; FIELDS.len()]);
         for (number, field) in numbers.iter_mut().zip(FIELDS) {
             let value = of.get(field).and_then(Value::as_f64);

@@ -12,7 +12,7 @@ use serde::Deserialize;
 use super::{Format, Photographs, frame};
 use crate::capture::CaptureError;
 use crate::capture::read::{Place, PlaceInFile};
-use crate::capture::transforms::{Fields, holds, parse, text};
+use crate::capture::transforms::{Fields, holds, read_json};
 
 pub(super) const FORMAT: Format = Format { name: "Record3D", is, frames };
 
@@ -38,7 +38,7 @@ fn is(file: &Path) -> bool {
 }
 
 fn frames(file: &Path, photographs: &mut Photographs) -> Result<Vec<Fields>, CaptureError> {
-    let Metadata { matrix: [fx, _, _, _, fy, _, cx, cy, _], w, h, poses, lenses } = parse(file, &text(file)?)?;
+    let Metadata { matrix: [fx, _, _, _, fy, _, cx, cy, _], w, h, poses, lenses } = read_json(file)?;
     let images = images(file).unwrap_or_default();
     let one = |(index, [qx, qy, qz, qw, x, y, z]): (usize, [f64; 7])| {
         let pose = Place::new(file, PlaceInFile::Frame(index)).pose([qw, qx, qy, qz], [x, y, z])?;

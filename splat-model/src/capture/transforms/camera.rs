@@ -23,9 +23,7 @@ pub(in crate::capture) const EQUIRECTANGULAR: &str = "EQUIRECTANGULAR";
 /// COLMAP's name for a fisheye with tangential coefficients.
 pub(in crate::capture) const THIN_PRISM_FISHEYE: &str = "THIN_PRISM_FISHEYE";
 
-const FIELD_MATRIX: &str = "transform_matrix";
-
-/// The pose of a camera from the matrix of a frame, `[R | c]`.
+/// The pose of a camera, `cam_from_world`, from the matrix in the `field` of a frame, `[R | c]`.
 ///
 /// The columns of `R` are the camera's axes in the world: right, up, back. Ours are right, down, forward, so that
 ///
@@ -34,13 +32,14 @@ const FIELD_MATRIX: &str = "transform_matrix";
 /// ```
 ///
 /// `R` is first replaced by the nearest rotation, because files are rounded.
-pub(super) fn pose(place: &Place, [x, y, z, last]: [[f64; 4]; 4]) -> Result<DAffine3, CaptureError> {
+pub(super) fn pose(place: &Place, field: &'static str, rows: [[f64; 4]; 4]) -> Result<DAffine3, CaptureError> {
+    let [x, y, z, last] = rows;
     let shown = |row: [f64; 4]| row.map(|value| value.to_string()).join(" ");
     if last != [0.0, 0.0, 0.0, 1.0] {
-        return Err(place.refuse(FIELD_MATRIX, format!("a matrix with {} as its last row", shown(last)), json::MATRIX));
+        return Err(place.refuse(field, format!("a matrix with {} as its last row", shown(last)), json::MATRIX));
     }
     if let Some(&value) = [x, y, z].as_flattened().iter().find(|value| !(value.abs() <= MAX_MAGNITUDE)) {
-        return Err(place.refuse(FIELD_MATRIX, format!("a matrix with {value:e}"), "finite numbers of at most 1e15"));
+        return Err(place.refuse(field, format!("a matrix with {value:e}"), "finite numbers of at most 1e15"));
     }
     let rotation = DMat3::from_cols_array_2d(&[[x[0], y[0], z[0]], [x[1], y[1], z[1]], [x[2], y[2], z[2]]]);
     let strays = (rotation.transpose() * rotation - DMat3::IDENTITY).to_cols_array();
@@ -53,7 +52,7 @@ pub(super) fn pose(place: &Place, [x, y, z, last]: [[f64; 4]; 4]) -> Result<DAff
             lengths.join(", ")
         );
         let expected = "a rotation and a position: columns of length 1, at right angles, with the determinant 1";
-        return Err(place.refuse(FIELD_MATRIX, found, expected));
+        return Err(place.refuse(field, found, expected));
     }
     let world_from_cam = nearest_rotation(rotation) * DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
     let cam_from_world = world_from_cam.transpose();

@@ -65,10 +65,10 @@ impl Fields {
 }
 
 /// Reads JSON. Errors say where the file is wrong.
-pub(in crate::capture) fn parse<T: DeserializeOwned>(file: &Path, bytes: &[u8]) -> Result<T, CaptureError> {
+pub(super) fn parse<T: DeserializeOwned>(file: &Path, bytes: &[u8]) -> Result<T, CaptureError> {
     let mut input = serde_json::Deserializer::from_slice(bytes);
     let read = serde_path_to_error::deserialize(&mut input);
-    let ended = |fields| input.end().map(|()| fields).map_err(|error| (String::new(), error));
+    let ended = |value| input.end().map(|()| value).map_err(|error| (String::new(), error));
     read.map_err(|error| (error.path().to_string(), error.into_inner())).and_then(ended).map_err(|(path, error)| {
         let (line, column, reason) = (error.line(), error.column(), error.to_string());
         let reason = reason.split(" at line ").next().unwrap_or_default();

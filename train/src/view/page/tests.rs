@@ -56,10 +56,11 @@ fn a_page_holds_its_scene_and_a_server_hands_it_out() {
     let (_, text) = page.split_once("id=\"viewer-scene\">").unwrap();
     let text = text.split_once("</script>").unwrap().0;
     assert_eq!(BASE64_STANDARD.decode(text).unwrap(), scene.ply);
-    assert_eq!(setup(&page)["url"], serde_json::Value::Null);
-    let served = viewer(&scene, &[], SceneSource::Url("/scene.ply")).scripts().unwrap();
+    assert_eq!((&setup(&page)["url"], &setup(&page)["origin"]), (&serde_json::Value::Null, &serde_json::Value::Null));
+    let served = viewer(&scene, &[], SceneSource::Url("/scene.ply", DVec3::new(1.0, 2.0, 3.0))).scripts().unwrap();
     assert!(!served.contains("viewer-scene\">"));
     assert_eq!(setup(&served)["url"], "/scene.ply");
+    assert_eq!(setup(&served)["origin"], serde_json::json!([1.0, 2.0, 3.0]));
 }
 
 #[test]
