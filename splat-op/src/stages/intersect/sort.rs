@@ -351,33 +351,17 @@ pub(crate) fn launch_sort(gpu: &Gpu, keys: Buffer<u32>, count: Option<Buffer<u32
     let (mut from, mut count) = (keys, count);
     // Two buffers in turn take the keys, and two the values.
     let (mut to, mut values, mut spare_values) = (room(), None, None);
-    let optional = |buffer: &Option<Buffer<u32>>| buffer.as_ref().map(Buffer::arg).into();
-    let (most, chunk_count) = (len as u32, chunks as u32);
     // SAFETY: reads are guarded by the length of a chunk, and there is a table for each pass.
-    launch_unchecked!(
-        gpu.cubes(chunks),
-        count_digits_kernel(from.arg(), optional(&count), tables.arg(), most, chunk_count, passes)
-    );
+    launch_unchecked!(gpu.cubes(chunks), count_digits_kernel(&from, &count, &tables, len, chunks, passes));
     for pass in 0..passes {
         let (moved, kept) = (spare_values.take().unwrap_or_else(room), Buffer::new(gpu, 1));
         let next = (pass + 1 < passes).then(|| table(pass + 1));
+        let (table, shift, given) = (table(pass), DIGIT_BITS * pass, given([&values, &count, &next]));
         // SAFETY: as above; places stay below `len` because the table counts every key that is moved once.
         launch_unchecked!(
             gpu.cubes(chunks),
             scatter_kernel(
-                from.arg(),
-                optional(&values),
-                optional(&count),
-                table(pass).arg(),
-                next.as_ref().map(Buffer::arg).into(),
-                to.arg(),
-                moved.arg(),
-                kept.arg(),
-                most,
-                chunk_count,
-                DIGIT_BITS * pass,
-                planes,
-                given([&values, &count, &next])
+                &from, &values, &count, &table, &next, &to, &moved, &kept, len, chunks, shift, planes, given
             )
         );
         std::mem::swap(&mut from, &mut to);
