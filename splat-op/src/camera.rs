@@ -12,7 +12,7 @@ use burn::tensor::{Device, Tensor, TensorData};
 use glam::DAffine3;
 
 use crate::check::check_value;
-use crate::error::SplatError;
+use crate::error::Result;
 
 pub use self::lens::Projector;
 pub(crate) use self::rays::{LEAST_NO_RAY, PictureRays};
@@ -134,7 +134,7 @@ impl Intrinsics {
 
     /// Refuses sizes of zero or above [`MAX_SIDE_PX`], focal lengths that are not positive and finite, coefficients above
     /// [`MAX_COEFFICIENT`], and non-zero coefficients that the model does not use.
-    pub(crate) fn check(&self) -> Result<(), SplatError> {
+    pub(crate) fn check(&self) -> Result<()> {
         let side = |field, px| check_value(field, (1..=MAX_SIDE_PX).contains(&px), px, "1 to 32768 px");
         side("width", self.width)?;
         side("height", self.height)?;

@@ -2,6 +2,9 @@
 
 use thiserror::Error;
 
+/// A result, or the input that is invalid.
+pub type Result<T, E = SplatError> = std::result::Result<T, E>;
+
 /// An invalid input of the operation. The message names the input and what to change.
 #[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]

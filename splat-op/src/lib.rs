@@ -77,6 +77,7 @@ pub use abilities::{is_gpu, largest_tensor};
 pub use backend::custom_grad::with_gradient;
 pub use camera::{Camera, CameraModel, Intrinsics, Projector};
 pub use effects::{bilateral, colour_map, depth_miss, environment, optics, pose, smooth};
+pub(crate) use error::Result;
 pub use error::SplatError;
 pub use product::{mixed, product};
 pub use read::read_back;

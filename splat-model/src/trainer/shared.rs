@@ -95,10 +95,8 @@ impl Trainer {
         self.effects.before(&mut input, &self.scene.gaussians, at);
     }
 
-    /// Tells the other ranks how the own views went. Returns the own views, and the accounts of all views.
-    ///
-    /// # Errors
-    /// If a view of any rank failed: on every rank the error of the first.
+    /// Tells the other ranks how the own views went. Returns the own views, and the accounts of all views. If a view of
+    /// any rank failed, the error of the first on every rank.
     fn settle(&mut self, own: Result<Vec<Passed>, TrainError>) -> Result<(Vec<Passed>, Vec<ViewAccount>), TrainError> {
         let account = match &own {
             Ok(own) => Account::Views(own.iter().map(|one| self.account_of(one)).collect()),

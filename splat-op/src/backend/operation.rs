@@ -47,15 +47,13 @@ pub trait Operation: Clone + Debug + Send + Sync + 'static {
     }
 
     /// Computes the outputs on the CPU.
-    fn run<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {
-        let _ = args;
+    fn run<F: Real>(&self, _args: &HostArgs) -> Vec<HostOutput> {
         unreachable!("{self:?} has no CPU twin: its caller asks for the device")
     }
 
     /// Computes the outputs on the GPU.
     #[cfg(feature = "cube")]
-    fn launch(&self, args: GpuArgs) -> Vec<GpuOutput> {
-        let _ = args;
+    fn launch(&self, _args: GpuArgs) -> Vec<GpuOutput> {
         unreachable!("{self:?} has no kernel: its caller asks for the device")
     }
 
@@ -65,8 +63,7 @@ pub trait Operation: Clone + Debug + Send + Sync + 'static {
     }
 
     /// Whether a gradient of `output` gives one of `input`, where outputs are functions of different inputs.
-    fn depends(&self, output: usize, input: usize) -> bool {
-        let _ = (output, input);
+    fn depends(&self, _output: usize, _input: usize) -> bool {
         true
     }
 
@@ -82,15 +79,13 @@ pub trait Operation: Clone + Debug + Send + Sync + 'static {
 
     /// Computes the gradients of the inputs on the CPU, one for each; those that are not needed are dropped. `args` has the gradients of
     /// the outputs.
-    fn run_backward<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {
-        let _ = args;
+    fn run_backward<F: Real>(&self, _args: &HostArgs) -> Vec<HostOutput> {
         unreachable!("{self:?} names no differentiable input")
     }
 
     /// Computes the gradients of the inputs on the GPU, as [`run_backward`](Self::run_backward).
     #[cfg(feature = "cube")]
-    fn launch_backward(&self, args: GpuArgs) -> Vec<GpuOutput> {
-        let _ = args;
+    fn launch_backward(&self, _args: GpuArgs) -> Vec<GpuOutput> {
         unreachable!("{self:?} names no differentiable input")
     }
 }

@@ -2,7 +2,7 @@
 
 use crate::check::check_value;
 use crate::sh::SH_DEGREE_MAX;
-use crate::{CameraModel, Intrinsics, SplatError};
+use crate::{CameraModel, Intrinsics, Result};
 
 /// Declares a struct of options. Each field has a builder, after its `=>`, that sets it.
 macro_rules! with_builders {
@@ -197,7 +197,7 @@ impl RenderOptions {
         Self { depth: self.depth || self.expected_depth, ..*self }
     }
 
-    pub(crate) fn check(&self) -> Result<(), SplatError> {
+    pub(crate) fn check(&self) -> Result<()> {
         let within = |field, value: f64, low: f64, high: f64, expected| {
             check_value(field, value >= low && value <= high, value, expected)
         };
@@ -215,7 +215,7 @@ impl RenderOptions {
     }
 
     /// Refuses to list every Gaussian in every tile if there are more than [`MAX_UNCULLED_INTERSECTIONS`] pairs.
-    pub(crate) fn check_uncut(&self, gaussians: usize, tiles: usize) -> Result<(), SplatError> {
+    pub(crate) fn check_uncut(&self, gaussians: usize, tiles: usize) -> Result<()> {
         let pairs = gaussians.saturating_mul(tiles);
         let ok = self.alpha_min > 0.0 || pairs <= MAX_UNCULLED_INTERSECTIONS;
         let expected = "a value above 0, so that Gaussians are listed only in the tiles they reach, or at most 67108864 \

@@ -39,10 +39,8 @@ impl Ahead {
         self.0.contains_key(&(view, divisor))
     }
 
-    /// Returns the photograph: waits for it if it is being decoded, and decodes it here otherwise.
-    ///
-    /// # Errors
-    /// If it cannot be decoded.
+    /// Returns the photograph: waits for it if it is being decoded, and decodes it here otherwise. An error if it
+    /// cannot be decoded.
     pub fn take(&mut self, view: usize, photograph: &Photograph, divisor: usize) -> Decoded {
         let begun = self.0.remove(&(view, divisor)).and_then(|receiver| receiver.recv().ok());
         begun.unwrap_or_else(|| decoded(photograph, divisor))

@@ -32,7 +32,7 @@ use crate::backend::apply;
 use crate::backend::custom_grad::constant;
 use crate::check::Reference;
 use crate::record::record;
-use crate::{SplatError, is_tensor_code};
+use crate::{Result, SplatError, is_tensor_code};
 
 /// Entries of a colour map: three rows of four.
 pub const MAP: usize = 12;
@@ -73,7 +73,7 @@ impl SliceSize {
 ///
 /// # Errors
 /// If a shape is not as documented, or if float types or devices differ.
-pub fn slice(image: &Tensor<3>, grid: &Tensor<4>) -> Result<Tensor<3>, SplatError> {
+pub fn slice(image: &Tensor<3>, grid: &Tensor<4>) -> Result<Tensor<3>> {
     let reference = Reference::new("image", image)?;
     reference.check("image", image, [None, None, Some(3)], "[H, W, 3]")?;
     reference.check("grid", grid, [Some(MAP), None, None, None], "[12, L, R, C]")?;

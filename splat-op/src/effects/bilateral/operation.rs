@@ -33,6 +33,6 @@ impl Operation for Slice {
     #[cfg(feature = "cube")]
     fn launch_backward(&self, args: GpuArgs) -> Vec<GpuOutput> {
         let (inputs, needs) = (Sliced::from_array(args.all()), Sliced::from_array(args.needs()));
-        optional_outputs(launch_slice_backward(&args.gpu(), &inputs, &args.only_grad(), self.0, needs).into_array())
+        gpu_outputs(launch_slice_backward(&args.gpu(), &inputs, &args.only_grad(), self.0, needs).into_array())
     }
 }

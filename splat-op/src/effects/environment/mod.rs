@@ -31,7 +31,7 @@ use crate::backend::custom_grad::constant;
 use crate::check::Reference;
 use crate::record::record;
 use crate::sh::sh_degree;
-use crate::{SplatError, is_tensor_code};
+use crate::{Result, SplatError, is_tensor_code};
 
 record! {
     /// Inputs of the composition, or their gradients.
@@ -59,7 +59,7 @@ pub fn over(
     alpha: &Tensor<3>,
     directions: &Tensor<3>,
     coefficients: &Tensor<2>,
-) -> Result<Tensor<3>, SplatError> {
+) -> Result<Tensor<3>> {
     const COEFFICIENTS: &str = "[(degree+1)², 3]";
     let reference = Reference::new("image", image)?;
     let [height, width, _] = image.dims();

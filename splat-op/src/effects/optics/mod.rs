@@ -71,7 +71,7 @@ use burn::tensor::Tensor;
 use crate::backend::apply;
 use crate::check::{Reference, check_value};
 use crate::record::record;
-use crate::{CameraModel, Intrinsics, Projected, SplatError, is_tensor_code};
+use crate::{CameraModel, Intrinsics, Projected, Result, is_tensor_code};
 
 /// Largest vertical motion over a rolling shutter, as a share of the picture's height. Faster points are clamped to it.
 pub(crate) const LARGEST_SHARE: f64 = 0.5;
@@ -128,7 +128,7 @@ impl OpticsSpec {
 ///
 /// # Errors
 /// If the camera is not a pinhole, if a shape is not as documented, or if float types or devices differ.
-pub fn blurred(projected: &Projected, twist: &Tensor<1>, margin: f64) -> Result<Projected, SplatError> {
+pub fn blurred(projected: &Projected, twist: &Tensor<1>, margin: f64) -> Result<Projected> {
     exposed(projected, twist, OpticsEffect::MotionBlur, margin)
 }
 
@@ -138,16 +138,11 @@ pub fn blurred(projected: &Projected, twist: &Tensor<1>, margin: f64) -> Result<
 ///
 /// # Errors
 /// As [`blurred`].
-pub fn rolled(projected: &Projected, twist: &Tensor<1>, margin: f64) -> Result<Projected, SplatError> {
+pub fn rolled(projected: &Projected, twist: &Tensor<1>, margin: f64) -> Result<Projected> {
     exposed(projected, twist, OpticsEffect::RollingShutter, margin)
 }
 
-fn exposed(
-    projected: &Projected,
-    twist: &Tensor<1>,
-    exposure: OpticsEffect,
-    margin: f64,
-) -> Result<Projected, SplatError> {
+fn exposed(projected: &Projected, twist: &Tensor<1>, exposure: OpticsEffect, margin: f64) -> Result<Projected> {
     let intrinsics = *projected.intrinsics();
     let model = intrinsics.model;
     let expected = "Pinhole, because ellipses are moved and widened for that alone: average renders from several poses \

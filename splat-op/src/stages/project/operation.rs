@@ -37,6 +37,6 @@ impl Operation for Project {
     #[cfg(feature = "cube")]
     fn launch_backward(&self, args: GpuArgs) -> Vec<GpuOutput> {
         let (inputs, needs) = (Geometry::from_array(args.all()), Geometry::from_array(args.needs()));
-        optional_outputs(launch_project_backward(&args.gpu(), &inputs, &args.only_grad(), &self.0, needs).into_array())
+        gpu_outputs(launch_project_backward(&args.gpu(), &inputs, &args.only_grad(), &self.0, needs).into_array())
     }
 }

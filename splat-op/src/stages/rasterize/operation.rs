@@ -6,19 +6,18 @@ use std::array;
 use super::contributors::launch_contributors;
 use super::contributors_cpu::contributors_cpu;
 use super::cpu::{Trace, rasterize_backward_cpu, rasterize_cpu};
+use super::footprint::EllipseFootprint;
 #[cfg(feature = "cube")]
 use super::launch::{launch_rasterize, launch_rasterize_backward};
 #[cfg(feature = "cube")]
 use super::trace::DeviceTrace;
 use super::{Layers, PlaneParts, RasterizeSpec};
-#[cfg(feature = "cube")]
-use crate::backend::cube::{buffer, gpu_outputs, optional_outputs};
-use crate::backend::host::{Host, float_outputs};
 use crate::backend::*;
 use crate::camera::Intrinsics;
 #[cfg(feature = "cube")]
 use crate::gpu::{Buffer, Gpu};
 use crate::intersect::Kept;
+use crate::rasterize_rays::footprint::RayFootprint;
 
 /// Planes `[C, H, W]` of colours, `[1, H, W]` of alpha and, if asked for, of depth. Takes the tensors of [`Layers`] and the output of the
 /// intersection, which makes this operation run after that one. Without rays there are no rows of `ray_space`.
@@ -141,7 +140,7 @@ impl Operation for Rasterize {
         });
         let needs = Layers::from_array(args.needs());
         let found = launch_rasterize_backward(&gpu, &inputs, &grad, lists, &kept, &self.spec, needs);
-        optional_outputs(found.into_array()).into_iter().chain([None]).collect()
+        gpu_outputs(found.into_array()).into_iter().chain([None]).collect()
     }
 }
 
@@ -165,7 +164,11 @@ impl Operation for Contribute {
 
     fn run<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {
         let read = host_layers::<F>(args);
-        let found = contributors_cpu(read.each_ref().map(slice), &self.spec, self.lists.read(), self.most);
+        let twin = match self.spec.options.along_rays() {
+            true => contributors_cpu::<F, RayFootprint<F>>,
+            false => contributors_cpu::<F, EllipseFootprint<F>>,
+        };
+        let found = twin(read.each_ref().map(slice), &self.spec, self.lists.read(), self.most);
         vec![HostOutput::ints(found.ids), HostOutput::floats(found.weights), HostOutput::ints(found.median)]
     }
 

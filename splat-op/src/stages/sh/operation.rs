@@ -54,6 +54,6 @@ impl Operation for EvaluateSh {
         let visible = visible.as_ref().map(|ellipses| (ellipses, &self.0));
         let (inputs, coefficients) = (Shading::from_array(args.all()), args.shape(0)[1]);
         let grads = launch_sh_backward(&args.gpu(), &inputs, visible, coefficients, &args.only_grad(), needs);
-        optional_outputs(grads.into_array()).into_iter().chain([None]).collect()
+        gpu_outputs(grads.into_array()).into_iter().chain([None]).collect()
     }
 }

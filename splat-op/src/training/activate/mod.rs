@@ -41,7 +41,7 @@ pub use rule::{LARGEST, LARGEST_LOG_SCALE};
 
 use crate::backend::apply;
 use crate::check::Reference;
-use crate::{SplatError, is_tensor_code};
+use crate::{Result, is_tensor_code};
 
 /// Gaussians with unconstrained parameters, one row each, all of one float type and on one device.
 #[derive(Clone, Debug)]
@@ -65,7 +65,7 @@ pub struct RawSplats {
 ///
 /// # Errors
 /// If a tensor's shape, type or device does not fit.
-pub fn activated(raw: &RawSplats, mark: Option<&Tensor<1, Int>>) -> Result<(Tensor<2>, Tensor<1>), SplatError> {
+pub fn activated(raw: &RawSplats, mark: Option<&Tensor<1, Int>>) -> Result<(Tensor<2>, Tensor<1>)> {
     let reference = Reference::new("means", &raw.means)?;
     let count = raw.means.dims()[0];
     reference.check("means", &raw.means, [None, Some(3)], "[N, 3]")?;

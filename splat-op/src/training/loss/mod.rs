@@ -43,7 +43,7 @@ pub use taps::{C1, C2, SIGMA_PX, TAPS};
 
 use crate::backend::{Slot, apply};
 use crate::check::Reference;
-use crate::error::SplatError;
+use crate::error::Result;
 
 /// Computes the loss of `image` against a photograph, `[.., H, W]` f32, or f64 on CPUs, without autodiff. Returns
 /// the loss and, if `with_gradient` is set, its gradient.
@@ -58,7 +58,7 @@ pub fn photometric<const D: usize>(
     photograph: [&Tensor<D>; 3],
     lambda: f64,
     with_gradient: bool,
-) -> Result<(Tensor<1>, Option<Tensor<D>>), SplatError> {
+) -> Result<(Tensor<1>, Option<Tensor<D>>)> {
     let reference = checked("image", image)?;
     for (name, planes) in ["truth", "mean", "variance"].into_iter().zip(photograph) {
         reference.check(name, planes, image.dims().map(Some), "that of the picture")?;
@@ -74,14 +74,14 @@ pub fn photometric<const D: usize>(
 ///
 /// # Errors
 /// If the float type has no kernel.
-pub fn moments<const D: usize>(photograph: &Tensor<D>) -> Result<[Tensor<D>; 2], SplatError> {
+pub fn moments<const D: usize>(photograph: &Tensor<D>) -> Result<[Tensor<D>; 2]> {
     checked("photograph", photograph)?;
     let mut found = apply(operation::PhotographMoments, [photograph.into()]);
     Ok([0, 1].map(|i| found.float(i)))
 }
 
 /// Takes the float type and device of planes, `[.., H, W]`.
-fn checked<const D: usize>(name: &'static str, planes: &Tensor<D>) -> Result<Reference, SplatError> {
+fn checked<const D: usize>(name: &'static str, planes: &Tensor<D>) -> Result<Reference> {
     const { assert!(D >= 2, "a picture has rows and columns") };
     Reference::new(name, planes)
 }
@@ -90,7 +90,7 @@ fn checked<const D: usize>(name: &'static str, planes: &Tensor<D>) -> Result<Ref
 ///
 /// # Errors
 /// If the float type has no kernel.
-pub fn contiguous<const D: usize>(planes: &Tensor<D>) -> Result<Tensor<D>, SplatError> {
+pub fn contiguous<const D: usize>(planes: &Tensor<D>) -> Result<Tensor<D>> {
     checked("planes", planes)?;
     Ok(apply(operation::Contiguous, [planes.into()]).float(0))
 }
