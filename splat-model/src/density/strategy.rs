@@ -61,6 +61,9 @@ pub struct RefineReport {
     pub threshold: f64,
 }
 
+/// What [`Strategy::act`] returns.
+pub type Refined = Result<Option<RefineReport>, RowsError>;
+
 /// A strategy of density control. The trainer calls the functions in the order below.
 ///
 /// All randomness must come from the generator that is passed in, and all state must be saved, so that a run can be
@@ -91,12 +94,7 @@ pub trait Strategy {
     ///
     /// # Errors
     /// If the rows of the scene are inconsistent.
-    fn act(
-        &mut self,
-        scene: &mut Trained,
-        at: &StrategyContext,
-        rng: &mut dyn Rng,
-    ) -> Result<Option<RefineReport>, RowsError>;
+    fn act(&mut self, scene: &mut Trained, at: &StrategyContext, rng: &mut dyn Rng) -> Refined;
 
     /// Informs the strategy that the run will have `steps` steps, for one that reads the number before [`Self::act`] tells it.
     fn set_steps(&mut self, _steps: usize) {}

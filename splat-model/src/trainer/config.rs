@@ -4,7 +4,7 @@ use serde::{Deserialize, Deserializer};
 use splat_op::sh::SH_DEGREE_MAX;
 use splat_op::{Projection, RenderOptions};
 
-use super::{Resolution, TrainError};
+use super::{Resolution, Result, TrainError};
 use crate::accuracy::Setting;
 use crate::density::{AdaptiveConfig, DensityConfig, GRADUAL_OPACITY_WEIGHT};
 use crate::effects::background::Backdrop;
@@ -121,7 +121,7 @@ impl TrainConfig {
     /// # Errors
     /// If an option is out of range, if effects on ellipses are combined with a render that has no ellipses, or moments of few bits with tensor
     /// code.
-    pub fn check(&self) -> Result<(), TrainError> {
+    pub fn check(&self) -> Result<()> {
         let along_rays = self.dials.apply(RenderOptions::standard()).projection != Projection::Affine;
         let refuse = |what: String| Err(TrainError::Option(what));
         match () {

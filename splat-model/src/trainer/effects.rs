@@ -5,7 +5,7 @@ use glam::DAffine3;
 use splat_op::Intrinsics;
 use splat_op::sh::SH_DEGREE_MAX;
 
-use super::{TrainConfig, TrainError, Trainer};
+use super::{Result, TrainConfig, TrainError, Trainer};
 use crate::capture::Photograph;
 use crate::effects::background::{Backdrop, Background, Environment, LearnedBackground, RandomBackground};
 use crate::effects::depth::{DepthSample, Depths};
@@ -19,12 +19,7 @@ use crate::effects::{Effect, EffectStack};
 use crate::gaussians::{GaussianRows, ROWS_AT_ONCE};
 
 /// The initial effects of a run over `photos` of a scene of `extent`, in the order in which light passes them.
-pub(super) fn of(
-    config: &TrainConfig,
-    photos: &[Photograph],
-    extent: f64,
-    device: &Device,
-) -> Result<EffectStack, TrainError> {
+pub(super) fn of(config: &TrainConfig, photos: &[Photograph], extent: f64, device: &Device) -> Result<EffectStack> {
     let (mut stack, views) = (EffectStack::default(), photos.len());
     if config.smoothing {
         stack.put(Smoothing::new(photos.iter().map(|photo| (&photo.intrinsics, &photo.cam_from_world))));
