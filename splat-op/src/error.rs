@@ -21,8 +21,7 @@ pub enum SplatError {
         /// What to change.
         hint: String,
     },
-    /// The element type of a tensor differs from that of the means, or its device does not support it. Supported are f32, and f64
-    /// on CPUs.
+    /// The element type of a tensor differs from that of the means, or its device does not support it. Supported are f32, and f64 on CPUs.
     #[error("`{name}` holds {found}, expected {expected}: cast it with `Tensor::cast`")]
     DType {
         /// The argument.

@@ -1,6 +1,5 @@
-//! 3D Gaussian splatting as Markov chain Monte Carlo (Kheradmand et al. 2024): Gaussians are samples with noise on their
-//! positions, faded ones are moved to the positions of others, and their number grows to a cap by a schedule instead of a
-//! threshold.
+//! 3D Gaussian splatting as Markov chain Monte Carlo (Kheradmand et al. 2024): Gaussians are samples with noise on their positions, faded
+//! ones are moved to the positions of others, and their number grows to a cap by a schedule instead of a threshold.
 
 mod relocate;
 

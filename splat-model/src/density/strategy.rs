@@ -85,12 +85,10 @@ pub trait Strategy {
     /// Receives the requested signals, before the optimiser step.
     fn observe(&mut self, _seen: Observed) {}
 
-    /// Whether [`Self::act`] reads the scene at `step`, or adds, removes or moves rows. The trainer then waits for the
-    /// device.
+    /// Whether [`Self::act`] reads the scene at `step`, or adds, removes or moves rows. The trainer then waits for the device.
     fn acts_at(&self, step: usize) -> bool;
 
-    /// Changes the scene after the optimiser step. Called at every step. Returns a report if rows were added, removed,
-    /// moved or replaced.
+    /// Changes the scene after the optimiser step. Called at every step. Returns a report if rows were added, removed, moved or replaced.
     ///
     /// # Errors
     /// If the rows of the scene are inconsistent.

@@ -59,8 +59,7 @@ pub(super) fn of(config: &TrainConfig, photos: &[Photograph], extent: f64, devic
 }
 
 impl Trainer {
-    /// Adds a custom effect after the existing ones, or replaces the effect of the same name. Must be called before the
-    /// first step.
+    /// Adds a custom effect after the existing ones, or replaces the effect of the same name. Must be called before the first step.
     pub fn with_effect(mut self, effect: impl Effect) -> Self {
         self.effects.put(effect);
         self
@@ -71,8 +70,7 @@ impl Trainer {
         self.effects.get()
     }
 
-    /// Adds known depths of each photograph, in the order of the photographs. They are used only if [`TrainConfig::depth`]
-    /// is set.
+    /// Adds known depths of each photograph, in the order of the photographs. They are used only if [`TrainConfig::depth`] is set.
     pub fn with_depths(mut self, samples: Vec<Vec<DepthSample>>) -> Self {
         if let Some(depth) = self.config.depth {
             self.effects.put(Depths::new(depth, samples, &self.device));

@@ -55,8 +55,7 @@ impl Argument<u32> for usize {
     }
 }
 
-/// Rounds a length up to a multiple of an eighth of the next power of two, so that a slightly larger length finds the same
-/// memory again.
+/// Rounds a length up to a multiple of an eighth of the next power of two, so that a slightly larger length finds the same memory again.
 pub(crate) fn roomy(len: usize) -> usize {
     len.next_multiple_of((len.next_power_of_two() / 8).max(1))
 }
@@ -127,8 +126,7 @@ impl<T: Pod> Buffer<T> {
     fn with_room(gpu: &Gpu, len: usize, words: usize) -> Self {
         // Devices cannot bind an empty buffer.
         let words = words.max(1);
-        // Sizes known beforehand are checked at the public functions, and large buffers are checked by name; this check covers
-        // all others.
+        // Sizes known beforehand are checked at the public functions, and large buffers are checked by name; this check covers all others.
         let need = Need {
             what: "a buffer of the kernels",
             bytes: 4 * words as u64,

@@ -39,8 +39,7 @@ pub fn colours(splats: &Splats, camera: &Camera) -> Result<Tensor<2>> {
     colours_up_to(splats, camera, None)
 }
 
-/// Returns the colour or features `[N, C]` of each Gaussian as [`colours`] does, without harmonics above `degree`. `None` uses
-/// all degrees.
+/// Returns the colour or features `[N, C]` of each Gaussian as [`colours`] does, without harmonics above `degree`. `None` uses all degrees.
 ///
 /// # Errors
 /// As [`colours`].

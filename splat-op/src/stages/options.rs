@@ -162,9 +162,8 @@ impl RenderOptions {
 
     /// Returns options for accurate renders: [`Self::standard`] with finer thresholds.
     ///
-    /// `alpha_min` is 2⁻²⁶ and no pixel is finished early (`transmittance_min = 0`), so that nothing is skipped that an 8-bit or
-    /// 16-bit picture could show. `alpha_max` is unchanged, because scenes were trained with it; so are the dials whose error is
-    /// within rounding.
+    /// `alpha_min` is 2⁻²⁶ and no pixel is finished early (`transmittance_min = 0`), so that nothing is skipped that an 8-bit or 16-bit
+    /// picture could show. `alpha_max` is unchanged, because scenes were trained with it; so are the dials whose error is within rounding.
     pub const fn exact() -> Self {
         // 2⁻²⁶: a thousand such contributions stay below half a level of a 16-bit picture.
         Self { alpha_min: 1.0 / 67_108_864.0, transmittance_min: 0.0, ..Self::standard() }

@@ -47,8 +47,7 @@ pub fn render(splats: &Splats, cameras: &[Camera], extras: &Extras, options: &Re
     }))
 }
 
-/// Renders Gaussians as seen by cameras whose pictures may differ in size. Returns a picture for each camera, `[H, W, C]`; see
-/// [`render`].
+/// Renders Gaussians as seen by cameras whose pictures may differ in size. Returns a picture for each camera, `[H, W, C]`; see [`render`].
 ///
 /// # Errors
 /// As [`render`]; pictures may differ in size, and there may be no camera.

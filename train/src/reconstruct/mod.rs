@@ -161,9 +161,8 @@ pub fn name_of(source: &Path) -> String {
     }
 }
 
-/// Finds the cameras of photographs or a video, and returns the capture in `folder`. An error if a program is missing
-/// or fails, photographs are too few, broken or do not connect, or the user asked to stop; each message says what was
-/// found and what helps.
+/// Finds the cameras of photographs or a video, and returns the capture in `folder`. An error if a program is missing or fails, photographs
+/// are too few, broken or do not connect, or the user asked to stop; each message says what was found and what helps.
 pub fn reconstruct(source: &Path, folder: &Path, options: &CameraArgs) -> Result<Capture> {
     let stop = Stop::listen()?;
     let is_video = source.is_file();

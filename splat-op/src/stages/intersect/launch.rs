@@ -58,9 +58,8 @@ impl DeviceIntersections {
 
 /// Lists the intersections of `projected`, `[count, 7]`, and counts them by tile.
 ///
-/// The host learns the number of intersections from the device. If recent views tell how many to expect, the lists are
-/// written with room for so many while the host waits, so that the device has work. They are written once more if there
-/// are more.
+/// The host learns the number of intersections from the device. If recent views tell how many to expect, the lists are written with room
+/// for so many while the host waits, so that the device has work. They are written once more if there are more.
 pub(crate) fn launch_intersect(
     gpu: &Gpu,
     projected: &Buffer<f32>,

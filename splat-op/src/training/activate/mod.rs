@@ -12,9 +12,8 @@
 //! - logarithms of standard deviations are at most [`LARGEST_LOG_SCALE`], so that their exponentials are finite,
 //! - its quaternion is not zero (any other length is normalised).
 //!
-//! An unusable Gaussian gets opacity 0: `intersect` then lists it nowhere, and it has no effect. Its gradients are exactly
-//! zero, including those through `exp` and the sigmoid. An unusable logarithm of a standard deviation gives 0 for that
-//! standard deviation.
+//! An unusable Gaussian gets opacity 0: `intersect` then lists it nowhere, and it has no effect. Its gradients are exactly zero, including
+//! those through `exp` and the sigmoid. An unusable logarithm of a standard deviation gives 0 for that standard deviation.
 //!
 //! Derivatives: `d scale = scale · d log_scale`; `d opacity = e / (1 + e)² · d logit` with `e = exp(−|logit|)`, which stays accurate
 //! where `opacity (1 − opacity)` loses digits.
