@@ -41,6 +41,11 @@ impl Spec {
 /// twin [`run`](Self::run) in f32 or in f64, which is the type of the inputs; a GPU calls [`launch`](Self::launch). With Burn's fusion both
 /// run later than [`apply`](super::apply), on the device's own thread.
 pub trait Operation: Clone + Debug + Send + Sync + 'static {
+    /// The inputs that gradients flow to, at most [`MAX_DIFFERENTIABLE`].
+    const DIFFERENTIABLE: &'static [usize] = &[];
+    /// Whether the backward pass is given the outputs. They are kept until then.
+    const KEEPS_OUTPUTS: bool = false;
+
     /// Returns the specification of each output from those of the inputs. By default there is one, as the first input.
     fn outputs(&self, inputs: &[Option<Spec>]) -> Vec<Option<Spec>> {
         inputs[..1].to_vec()
@@ -57,19 +62,14 @@ pub trait Operation: Clone + Debug + Send + Sync + 'static {
         unreachable!("{self:?} has no kernel: its caller asks for the device")
     }
 
-    /// Returns the inputs that gradients flow to, at most [`MAX_DIFFERENTIABLE`]. All of them must be present.
+    /// Returns the inputs that gradients flow to. All of them must be present.
     fn differentiable(&self) -> &'static [usize] {
-        &[]
+        Self::DIFFERENTIABLE
     }
 
     /// Whether a gradient of `output` gives one of `input`, where outputs are functions of different inputs.
     fn depends(&self, _output: usize, _input: usize) -> bool {
         true
-    }
-
-    /// Whether the backward pass is given the outputs. They are kept until then.
-    fn keeps_outputs(&self) -> bool {
-        false
     }
 
     /// Returns the operation to run if an input is tracked: one that keeps what its backward pass would compute again.
@@ -133,7 +133,7 @@ impl<O: Operation> Erased for O {
     }
 
     fn keeps_outputs(&self) -> bool {
-        Operation::keeps_outputs(self)
+        Self::KEEPS_OUTPUTS
     }
 
     fn tracked(&self) -> Arc<dyn Erased> {

@@ -11,6 +11,8 @@ use crate::backend::*;
 pub(crate) struct Project(pub ProjectSpec);
 
 impl Operation for Project {
+    const DIFFERENTIABLE: &'static [usize] = &[0, 1, 2, 3, 4, 5];
+
     fn outputs(&self, inputs: &[Option<Spec>]) -> Vec<Option<Spec>> {
         vec![inputs[0].as_ref().map(|means| means.with_shape([means.shape[0], COLUMNS]))]
     }
@@ -22,10 +24,6 @@ impl Operation for Project {
     #[cfg(feature = "cube")]
     fn launch(&self, args: GpuArgs) -> Vec<GpuOutput> {
         gpu_outputs([launch_project(&args.gpu(), &Geometry::from_array(args.all()), &self.0)])
-    }
-
-    fn differentiable(&self) -> &'static [usize] {
-        &[0, 1, 2, 3, 4, 5]
     }
 
     fn run_backward<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {

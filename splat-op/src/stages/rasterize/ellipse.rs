@@ -18,7 +18,6 @@ const SLIP: f32 = 1e-6;
 
 /// An ellipse in the form that the loop over a tile's pixels reads.
 #[derive(CubeType, Clone, Copy)]
-#[expand(derive(Clone, Copy))]
 pub(crate) struct LayerEllipse {
     pub x: f32,
     /// Distance, px, by which the centres of the tile's first row lie below the ellipse's centre.

@@ -64,7 +64,6 @@ impl SplatInputs {
 
 /// Size of the picture in pixels, its tiles along x, and thresholds of the render.
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
-#[expand(derive(Clone, Copy))]
 pub(crate) struct RasterFrame {
     pub width: u32,
     pub height: u32,
@@ -79,7 +78,6 @@ pub(crate) struct RasterFrame {
 
 /// A pixel of a tile.
 #[derive(CubeType, Clone, Copy)]
-#[expand(derive(Clone, Copy))]
 pub(crate) struct TilePixel {
     /// Centre of its column and of the tile's first row, px, and its row within the tile.
     pub x: f32,

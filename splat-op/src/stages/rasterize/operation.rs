@@ -84,6 +84,9 @@ fn device_layers(args: &GpuArgs, gpu: &Gpu) -> Layers<Buffer<f32>> {
 }
 
 impl Operation for Rasterize {
+    // They make the backward pass run after this one, and are not read.
+    const KEEPS_OUTPUTS: bool = true;
+
     fn outputs(&self, inputs: &[Option<Spec>]) -> Vec<Option<Spec>> {
         planes(&self.spec, inputs[2].as_ref())
     }
@@ -109,11 +112,6 @@ impl Operation for Rasterize {
 
     fn differentiable(&self) -> &'static [usize] {
         if self.spec.options.along_rays() { &[0, 1, 2, 3, 4] } else { &[0, 1, 2, 3] }
-    }
-
-    // They make the backward pass run after this one, and are not read.
-    fn keeps_outputs(&self) -> bool {
-        true
     }
 
     fn tracked(&self) -> Self {

@@ -13,6 +13,9 @@ use crate::rasterize::RasterizeSpec;
 pub(crate) struct RaySpace(pub ProjectSpec);
 
 impl Operation for RaySpace {
+    // All but the opacities.
+    const DIFFERENTIABLE: &'static [usize] = &[0, 1, 2, 4, 5];
+
     fn outputs(&self, inputs: &[Option<Spec>]) -> Vec<Option<Spec>> {
         let columns = columns(&self.0.intrinsics);
         vec![inputs[0].as_ref().map(|means| means.with_shape([means.shape[0], columns]))]
@@ -25,11 +28,6 @@ impl Operation for RaySpace {
     #[cfg(feature = "cube")]
     fn launch(&self, args: GpuArgs) -> Vec<GpuOutput> {
         gpu_outputs([launch_ray_space(&args.gpu(), &Geometry::from_array(args.all()), &self.0)])
-    }
-
-    // All but the opacities.
-    fn differentiable(&self) -> &'static [usize] {
-        &[0, 1, 2, 4, 5]
     }
 
     fn run_backward<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {

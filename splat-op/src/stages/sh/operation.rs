@@ -23,6 +23,8 @@ impl EvaluateSh {
 }
 
 impl Operation for EvaluateSh {
+    const DIFFERENTIABLE: &'static [usize] = &[0, 1, 2];
+
     fn outputs(&self, inputs: &[Option<Spec>]) -> Vec<Option<Spec>> {
         vec![inputs[1].clone()]
     }
@@ -36,10 +38,6 @@ impl Operation for EvaluateSh {
         let visible = args.optional(3);
         let visible = visible.as_ref().map(|ellipses| (ellipses, &self.0));
         gpu_outputs([launch_sh(&args.gpu(), &Shading::from_array(args.all()), visible, args.shape(0)[1])])
-    }
-
-    fn differentiable(&self) -> &'static [usize] {
-        &[0, 1, 2]
     }
 
     fn run_backward<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {
