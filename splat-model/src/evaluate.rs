@@ -80,8 +80,7 @@ pub fn evaluate(
     evaluate_each(splats, photos.iter().map(Ok::<_, SplatError>), background, options, None, look)
 }
 
-/// Evaluates like [`evaluate`], with photographs that are loaded one after the other, and with LPIPS if there are weights for
-/// it.
+/// Evaluates like [`evaluate`], with photographs that are loaded one after the other, and with LPIPS if there are weights for it.
 ///
 /// # Errors
 /// If a photograph cannot be loaded, or the renderer refuses the scene.

@@ -253,14 +253,12 @@ impl Gaussians {
         blocks.into_iter().map(block).collect()
     }
 
-    /// The Gaussians with activated parameters, tracked like the parameters. Unusable Gaussians are masked, see
-    /// [`Self::opacities`].
+    /// The Gaussians with activated parameters, tracked like the parameters. Unusable Gaussians are masked, see [`Self::opacities`].
     pub fn splats(&self) -> Splats {
         self.splats_with(None)
     }
 
-    /// [`Self::splats`], with the mark that the last step left, `[1]`, if the coefficients in `sh` are its result; see
-    /// [`splat_op::adam`].
+    /// [`Self::splats`], with the mark that the last step left, `[1]`, if the coefficients in `sh` are its result; see [`splat_op::adam`].
     pub(crate) fn splats_with(&self, mark: Option<&Tensor<1, Int>>) -> Splats {
         let (scales, opacities) = self.activated(mark);
         let mut blocks = self.sh_blocks();

@@ -31,9 +31,8 @@ fn psnr_of(mean_square: f64) -> f64 {
     if psnr_db > LARGEST_PSNR_DB { LARGEST_PSNR_DB } else { psnr_db }
 }
 
-/// Mean SSIM of `image` against `truth`: 11 × 11 window, σ = 1.5, zero padding, as in the evaluation of the original
-/// implementation of 3D Gaussian splatting (see [`mod@crate::loss::ssim`]). Tools with other padding or windows differ in the
-/// third decimal.
+/// Mean SSIM of `image` against `truth`: 11 × 11 window, σ = 1.5, zero padding, as in the evaluation of the original implementation of 3D
+/// Gaussian splatting (see [`mod@crate::loss::ssim`]). Tools with other padding or windows differ in the third decimal.
 pub fn ssim(image: Tensor<3>, truth: Tensor<3>) -> f64 {
     let truth = Truth::new(displayed(truth));
     1.0 - d_ssim(displayed(image), &truth).into_scalar::<f64>()

@@ -35,7 +35,7 @@ use crate::optim::{Adam, scene_extent, sh_degree_at};
 
 pub use self::config::TrainConfig;
 use self::differentiate::Batch;
-pub use self::error::TrainError;
+pub use self::error::{Result, TrainError};
 pub use self::guard::{Fault, Guard};
 pub use self::loss::{Loss, LossInputs};
 use self::ranks::{Alone, Ranks};
@@ -91,12 +91,7 @@ impl Trainer {
     ///
     /// # Errors
     /// If there are no photographs, and those of [`TrainConfig::check`].
-    pub fn new(
-        photos: Vec<Photo>,
-        points: &PointCloud,
-        config: TrainConfig,
-        device: &Device,
-    ) -> Result<Self, TrainError> {
+    pub fn new(photos: Vec<Photo>, points: &PointCloud, config: TrainConfig, device: &Device) -> Result<Self> {
         Self::of(photos.into_iter().map(Photograph::from).collect(), points, config, device)
     }
 
@@ -104,12 +99,7 @@ impl Trainer {
     ///
     /// # Errors
     /// Errors of [`Self::new`].
-    pub fn of(
-        photos: Vec<Photograph>,
-        points: &PointCloud,
-        config: TrainConfig,
-        device: &Device,
-    ) -> Result<Self, TrainError> {
+    pub fn of(photos: Vec<Photograph>, points: &PointCloud, config: TrainConfig, device: &Device) -> Result<Self> {
         if photos.is_empty() {
             return Err(TrainError::NoViews);
         }
@@ -161,7 +151,7 @@ impl Trainer {
     ///
     /// # Errors
     /// If the initial rows of the strategy are inconsistent.
-    pub fn with_strategy(mut self, mut strategy: impl Strategy + 'static) -> Result<Self, TrainError> {
+    pub fn with_strategy(mut self, mut strategy: impl Strategy + 'static) -> Result<Self> {
         let mut rows = self.scene.gaussians.to_rows();
         strategy.start(&mut rows);
         let gaussians = Gaussians::from_rows(&rows, &self.device.clone().autodiff())?;
@@ -176,7 +166,7 @@ impl Trainer {
     ///
     /// # Errors
     /// If there is another group of that name, if files cannot hold the name, or if `width` is 0.
-    pub fn with_group(mut self, name: &str, width: usize, options: GroupOptions) -> Result<Self, TrainError> {
+    pub fn with_group(mut self, name: &str, width: usize, options: GroupOptions) -> Result<Self> {
         let further = &mut self.scene.gaussians.groups[BASE_GROUPS.len()..];
         if let Some(group) = further.iter_mut().find(|group| group.name() == name && group.width() == width) {
             group.set_options(options);
@@ -190,7 +180,7 @@ impl Trainer {
     ///
     /// # Errors
     /// As [`Self::with_group`], and if the number of rows differs.
-    pub fn with_group_of(self, group: Group) -> Result<Self, TrainError> {
+    pub fn with_group_of(self, group: Group) -> Result<Self> {
         Ok(Self { scene: self.scene.with_group(group)?, ..self })
     }
 
@@ -218,7 +208,7 @@ impl Trainer {
     ///
     /// # Errors
     /// If there would be no step left, or the schedule of sizes is out of range. Nothing changes then.
-    pub fn reschedule(&mut self, to: &TrainConfig) -> Result<(), TrainError> {
+    pub fn reschedule(&mut self, to: &TrainConfig) -> Result<()> {
         if to.steps <= self.step {
             return Err(TrainError::NoSteps);
         }
@@ -270,7 +260,7 @@ impl Trainer {
     /// If the render operation rejects the scene, or if the loss or a gradient is not finite, or if no Gaussian is left. The scene then keeps its
     /// state before that step, and the run is over. On a GPU, which is not waited for, the error may come up to fifty steps
     /// later. The scene keeps its state before the failed step all the same.
-    pub fn step(&mut self) -> Result<StepReport, TrainError> {
+    pub fn step(&mut self) -> Result<StepReport> {
         self.step_and_look(|_| {})
     }
 
@@ -280,11 +270,11 @@ impl Trainer {
     ///
     /// # Errors
     /// Errors of [`Self::step`]. `look` may not have been called then.
-    pub fn step_and_look(&mut self, look: impl FnMut(&Self)) -> Result<StepReport, TrainError> {
+    pub fn step_and_look(&mut self, look: impl FnMut(&Self)) -> Result<StepReport> {
         if self.config.plain { in_tensor_code(|| self.take_step(look)) } else { self.take_step(look) }
     }
 
-    fn take_step(&mut self, mut look: impl FnMut(&Self)) -> Result<StepReport, TrainError> {
+    fn take_step(&mut self, mut look: impl FnMut(&Self)) -> Result<StepReport> {
         let shared = self.ranks.count() > 1;
         let begins = shared && !mem::replace(&mut self.agreed, true);
         if begins {

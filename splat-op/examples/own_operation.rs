@@ -24,6 +24,8 @@ fn slope(x: &[f32], grad: &[f32], out: &mut [f32]) {
 }
 
 impl Operation for ToneCurve {
+    const DIFFERENTIABLE: &'static [usize] = &[0];
+
     fn run<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {
         vec![HostOutput::floats(args.floats::<F>(0).iter().map(|&x| x / (F::ONE + x)).collect())]
     }
@@ -35,10 +37,6 @@ impl Operation for ToneCurve {
         let [x, out] = [x, y.clone()].map(|handle| unsafe { BufferArg::from_raw_parts(handle, len) });
         unsafe { curve::launch_unchecked(args.client(), count, dim, x, out) };
         vec![Some(y)]
-    }
-
-    fn differentiable(&self) -> &'static [usize] {
-        &[0]
     }
 
     fn run_backward<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {

@@ -4,7 +4,7 @@
 use burn::backend::DispatchDevice;
 use burn::tensor::Device;
 
-use crate::error::SplatError;
+use crate::error::Result;
 #[cfg(feature = "cube")]
 use crate::gpu::Gpu;
 use crate::limits::{Need, lowered_limit};
@@ -39,7 +39,7 @@ pub(crate) fn gpu(device: &Device) -> Option<Gpu> {
 }
 
 /// Refuses a call that needs more than a GPU's largest buffer. CPUs have no limit but their memory.
-pub(crate) fn check_fits(device: &Device, needs: &[Need]) -> Result<(), SplatError> {
+pub(crate) fn check_fits(device: &Device, needs: &[Need]) -> Result<()> {
     match buffer_limit(device) {
         Some(limit) => needs.iter().try_for_each(|need| need.check(limit)),
         None => Ok(()),

@@ -12,7 +12,7 @@ use burn::tensor::{Device, Tensor, TensorData};
 use glam::DAffine3;
 
 use crate::check::check_value;
-use crate::error::SplatError;
+use crate::error::Result;
 
 pub use self::lens::Projector;
 pub(crate) use self::rays::{LEAST_NO_RAY, PictureRays};
@@ -44,11 +44,9 @@ pub enum CameraModel {
     Pinhole,
     /// COLMAP's `OPENCV`; with zero coefficients also `SIMPLE_RADIAL` and `RADIAL`: `k1, k2, p1, p2`, `g = 1 + k1 w + k2 w²`.
     OpenCv,
-    /// COLMAP's `FULL_OPENCV`: `k1, k2, p1, p2, k3, k4, k5, k6`,
-    /// `g = (1 + k1 w + k2 w² + k3 w³) / (1 + k4 w + k5 w² + k6 w³)`.
+    /// COLMAP's `FULL_OPENCV`: `k1, k2, p1, p2, k3, k4, k5, k6`, `g = (1 + k1 w + k2 w² + k3 w³) / (1 + k4 w + k5 w² + k6 w³)`.
     FullOpenCv,
-    /// Equidistant fisheye, COLMAP's `OPENCV_FISHEYE`; with zero coefficients also `FISHEYE`, `SIMPLE_RADIAL_FISHEYE` and
-    /// `RADIAL_FISHEYE`:
+    /// Equidistant fisheye, COLMAP's `OPENCV_FISHEYE`; with zero coefficients also `FISHEYE`, `SIMPLE_RADIAL_FISHEYE` and `RADIAL_FISHEYE`:
     /// `k1, k2, k3, k4`, `g = 1 + k1 w + k2 w² + k3 w³ + k4 w⁴`.
     Fisheye,
     /// COLMAP's `THIN_PRISM_FISHEYE`: `k1, k2, p1, p2, k3, k4, sx1, sy1`, `g` as for `Fisheye`.
@@ -98,8 +96,7 @@ pub struct Intrinsics {
 }
 
 impl Intrinsics {
-    /// Returns a pinhole camera with a picture of `width` × `height` px, the focal lengths along x and y, px, and the principal
-    /// point, px.
+    /// Returns a pinhole camera with a picture of `width` × `height` px, the focal lengths along x and y, px, and the principal point, px.
     pub const fn pinhole(width: usize, height: usize, [fx, fy]: [f64; 2], [cx, cy]: [f64; 2]) -> Self {
         Self { model: CameraModel::Pinhole, width, height, fx, fy, cx, cy, distortion: [0.0; 8] }
     }
@@ -134,7 +131,7 @@ impl Intrinsics {
 
     /// Refuses sizes of zero or above [`MAX_SIDE_PX`], focal lengths that are not positive and finite, coefficients above
     /// [`MAX_COEFFICIENT`], and non-zero coefficients that the model does not use.
-    pub(crate) fn check(&self) -> Result<(), SplatError> {
+    pub(crate) fn check(&self) -> Result<()> {
         let side = |field, px| check_value(field, (1..=MAX_SIDE_PX).contains(&px), px, "1 to 32768 px");
         side("width", self.width)?;
         side("height", self.height)?;

@@ -5,7 +5,7 @@ use std::fmt::Display;
 use burn::tensor::{DType, Device, Tensor, TensorCreationOptions};
 
 use crate::abilities::{buffer_limit, check_fits};
-use crate::error::SplatError;
+use crate::error::{Result, SplatError};
 use crate::limits::Need;
 
 /// The float type and device that all tensors of a call must share.
@@ -16,7 +16,7 @@ pub(crate) struct Reference {
 
 impl Reference {
     /// Takes the float type and device of `tensor`. The type must be supported by the device.
-    pub fn new<const D: usize>(name: &'static str, tensor: &Tensor<D>) -> Result<Self, SplatError> {
+    pub fn new<const D: usize>(name: &'static str, tensor: &Tensor<D>) -> Result<Self> {
         let dtype = tensor.dtype();
         let device = tensor.device();
         match dtype {
@@ -41,7 +41,7 @@ impl Reference {
         tensor: &Tensor<D>,
         shape: [Option<usize>; D],
         expected: &'static str,
-    ) -> Result<(), SplatError> {
+    ) -> Result<()> {
         let dims = tensor.dims();
         if let Some(axis) = (0..D).find(|&axis| shape[axis].is_some_and(|size| size != dims[axis])) {
             let size = shape[axis].unwrap_or_default();
@@ -61,12 +61,12 @@ impl Reference {
     }
 
     /// Refuses needs that do not fit into the device's buffers.
-    pub fn check_fits(&self, needs: &[Need]) -> Result<(), SplatError> {
+    pub fn check_fits(&self, needs: &[Need]) -> Result<()> {
         check_fits(&self.device, needs)
     }
 
     /// Compares a device with the reference, regardless of gradient tracking: constants and tracked tensors may be mixed.
-    pub fn check_device(&self, name: &'static str, device: &Device) -> Result<(), SplatError> {
+    pub fn check_device(&self, name: &'static str, device: &Device) -> Result<()> {
         let (found, expected) = (device.clone().without_autodiff(), self.device.clone().without_autodiff());
         if found != expected {
             return Err(SplatError::Device { name, found: format!("{found:?}"), expected: format!("{expected:?}") });
@@ -76,12 +76,7 @@ impl Reference {
 }
 
 /// Refuses a value that is not `ok`.
-pub(crate) fn check_value(
-    field: &'static str,
-    ok: bool,
-    found: impl Display,
-    expected: &'static str,
-) -> Result<(), SplatError> {
+pub(crate) fn check_value(field: &'static str, ok: bool, found: impl Display, expected: &'static str) -> Result<()> {
     match ok {
         true => Ok(()),
         false => Err(SplatError::Value { field, found: found.to_string(), expected }),

@@ -2,6 +2,9 @@
 
 use thiserror::Error;
 
+/// A result, or the input that is invalid.
+pub type Result<T, E = SplatError> = std::result::Result<T, E>;
+
 /// An invalid input of the operation. The message names the input and what to change.
 #[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]
@@ -18,8 +21,7 @@ pub enum SplatError {
         /// What to change.
         hint: String,
     },
-    /// The element type of a tensor differs from that of the means, or its device does not support it. Supported are f32, and f64
-    /// on CPUs.
+    /// The element type of a tensor differs from that of the means, or its device does not support it. Supported are f32, and f64 on CPUs.
     #[error("`{name}` holds {found}, expected {expected}: cast it with `Tensor::cast`")]
     DType {
         /// The argument.

@@ -1,9 +1,8 @@
 //! Differentiable Gaussian splatting as custom operations of the Burn framework.
 //!
 //! [`render`] renders [`Splats`] as [`Camera`]s see them. Its stages are public functions: [`project`](fn@project),
-//! [`evaluate_sh`](fn@evaluate_sh), [`intersect`](fn@intersect) and [`rasterize`](fn@rasterize). Tensor code may run between
-//! them. The module of each stage states its equations, their sources, shapes and units. The reference renderer is in the crate
-//! `splat-hard-cases`.
+//! [`evaluate_sh`](fn@evaluate_sh), [`intersect`](fn@intersect) and [`rasterize`](fn@rasterize). Tensor code may run between them. The
+//! module of each stage states its equations, their sources, shapes and units. The reference renderer is in the crate `splat-hard-cases`.
 //!
 //! The example renders two Gaussians in one call, and then stage by stage, where each stage takes and returns tensors: a model of one
 //! number per Gaussian scales the opacities and receives gradients. It changes the ellipses before `intersect` lists them.
@@ -77,6 +76,7 @@ pub use abilities::{is_gpu, largest_tensor};
 pub use backend::custom_grad::with_gradient;
 pub use camera::{Camera, CameraModel, Intrinsics, Projector};
 pub use effects::{bilateral, colour_map, depth_miss, environment, optics, pose, smooth};
+pub(crate) use error::Result;
 pub use error::SplatError;
 pub use product::{mixed, product};
 pub use read::read_back;

@@ -2,7 +2,7 @@
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use crate::error::SplatError;
+use crate::error::{Result, SplatError};
 
 /// A buffer that a call needs.
 pub(crate) struct Need {
@@ -21,7 +21,7 @@ impl Need {
         Self { what, bytes, hint }
     }
 
-    pub fn check(&self, limit_bytes: u64) -> Result<(), SplatError> {
+    pub fn check(&self, limit_bytes: u64) -> Result<()> {
         let &Self { what, bytes: needed_bytes, hint } = self;
         match needed_bytes <= limit_bytes {
             true => Ok(()),

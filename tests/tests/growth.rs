@@ -9,8 +9,7 @@ use splat_demo::DemoOptions;
 use splat_hard_cases::scratch;
 use splat_model::capture::Photo;
 use splat_model::density::rows::Trained;
-use splat_model::density::{AdaptiveConfig, DensityConfig, Observed, RefineReport, Signals, Strategy, StrategyContext};
-use splat_model::gaussians::RowsError;
+use splat_model::density::{AdaptiveConfig, DensityConfig, Observed, Refined, Signals, Strategy, StrategyContext};
 use splat_model::loss::{DEFAULT_LAMBDA, Truth, photometric};
 use splat_model::optim::scene_extent;
 use splat_model::trainer::{TrainConfig, Trainer};
@@ -64,12 +63,7 @@ impl Strategy for Observing {
         self.strategy.acts_at(step)
     }
 
-    fn act(
-        &mut self,
-        scene: &mut Trained,
-        at: &StrategyContext,
-        rng: &mut dyn Rng,
-    ) -> Result<Option<RefineReport>, RowsError> {
+    fn act(&mut self, scene: &mut Trained, at: &StrategyContext, rng: &mut dyn Rng) -> Refined {
         let before = self.acts_at(at.step).then(|| self.loss(scene));
         let report = self.strategy.act(scene, at, rng)?;
         if let Some((before, report)) = before.zip(report) {

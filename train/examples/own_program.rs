@@ -8,9 +8,11 @@ use glam::{DAffine3, DQuat, DVec3};
 use rand::Rng;
 use splat_model::capture::{Capture, CaptureError, CaptureFormat, Cut, Pictures, View};
 use splat_model::density::rows::{RowEdit, Trained};
-use splat_model::density::{Observed, RefineReport, Signals, Strategy, StrategyContext, counts, largest, picked};
+use splat_model::density::{
+    Observed, RefineReport, Refined, Signals, Strategy, StrategyContext, counts, largest, picked,
+};
 use splat_model::effects::{Effect, EffectContext, Leaf, Learned, RenderInput};
-use splat_model::gaussians::{GroupOptions, RowsError};
+use splat_model::gaussians::GroupOptions;
 use splat_model::loss::photometric;
 use splat_model::state::{State, StateError};
 use splat_model::trainer::{LossInputs, TrainError, Trainer};
@@ -55,12 +57,7 @@ impl Strategy for Budget {
         step.is_multiple_of(self.every)
     }
 
-    fn act(
-        &mut self,
-        scene: &mut Trained,
-        at: &StrategyContext,
-        _rng: &mut dyn Rng,
-    ) -> Result<Option<RefineReport>, RowsError> {
+    fn act(&mut self, scene: &mut Trained, at: &StrategyContext, _rng: &mut dyn Rng) -> Refined {
         if !self.acts_at(at.step) || at.step == at.steps {
             return Ok(None);
         }

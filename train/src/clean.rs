@@ -145,9 +145,8 @@ impl KeptRows<'_> {
     }
 }
 
-/// Writes the scene without the splats that are to be removed, and prints what each kind cost. An error if the scene or
-/// the capture cannot be read, there is nothing to remove by, no splat would be left, the file is one of those that are
-/// read, or cannot be written.
+/// Writes the scene without the splats that are to be removed, and prints what each kind cost. An error if the scene or the capture cannot
+/// be read, there is nothing to remove by, no splat would be left, the file is one of those that are read, or cannot be written.
 pub fn run(args: &CleanArgs) -> Result<()> {
     let format = format_of(&args.out)?;
     ensure!(

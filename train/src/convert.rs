@@ -16,8 +16,7 @@ use crate::{input, progress};
 /// Range of SPZ's standard deviations, in words: their logarithms are stored in 8 bits.
 const SPZ_SCALES: &str = "SPZ holds standard deviations from 0.000045 to 379 scene units; SOG has no such limits";
 
-/// Largest relative error of a scale that is in range, half a step of 1/16 of the logarithm; a larger error means out
-/// of range.
+/// Largest relative error of a scale that is in range, half a step of 1/16 of the logarithm; a larger error means out of range.
 const SPZ_SCALE_ERROR: f64 = 0.033;
 
 /// Options of `splat convert`.

@@ -82,9 +82,8 @@ impl EffectsArg {
         EffectKind::ALL.into_iter().filter(on).collect()
     }
 
-    /// Decides on the effects for a capture, which is surveyed by its training views if `auto` needs it. `antialias`:
-    /// whether that option was given. An error if a picture of the capture cannot be read, or the two options
-    /// contradict each other.
+    /// Decides on the effects for a capture, which is surveyed by its training views if `auto` needs it. `antialias`: whether that option
+    /// was given. An error if a picture of the capture cannot be read, or the two options contradict each other.
     pub fn choose(&self, capture: &Capture, train: &[usize], antialias: bool) -> Result<ChosenEffects> {
         let adjusted = self.adjustments.iter().rev().find(|(effect, _)| *effect == EffectKind::Antialias);
         ensure!(

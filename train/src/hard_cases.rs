@@ -26,8 +26,7 @@ pub struct HardCasesArgs {
     /// Run only this group; may be given several times
     #[arg(long, value_name = "NAME", value_parser = PossibleValuesParser::new(GROUPS.iter().map(|group| group.name)))]
     pub group: Vec<String>,
-    /// Run only on this device; may be given several times [default: flex, ndarray, and the best adapter if there is
-    /// one]
+    /// Run only on this device; may be given several times [default: flex, ndarray, and the best adapter if there is one]
     #[arg(long, value_name = "NAME")]
     pub device: Vec<DeviceName>,
 }

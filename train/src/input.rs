@@ -222,9 +222,8 @@ pub fn selected(rows: &GaussianRows, which: impl IntoIterator<Item = usize>, sh_
 
 /// Adds `capture_from_scene` to every position, in f64.
 ///
-/// The positions move, not the cameras. A capture keeps its cameras near zero, so positions near them have digits to
-/// spare. Cameras moved to a scene stored far from zero would lose digits, and every render would have to take the
-/// difference of two large numbers.
+/// The positions move, not the cameras. A capture keeps its cameras near zero, so positions near them have digits to spare. Cameras moved
+/// to a scene stored far from zero would lose digits, and every render would have to take the difference of two large numbers.
 pub fn move_means(rows: &mut GaussianRows, capture_from_scene: [f64; 3]) {
     // Without an offset, the usual case, a scene keeps its values to the last bit.
     if capture_from_scene == [0.0; 3] {

@@ -75,8 +75,7 @@ impl Inputs {
         }
     }
 
-    /// Refuses to write, or to remove, any of these files that is an input. An error if one is; the message names it
-    /// and the input.
+    /// Refuses to write, or to remove, any of these files that is an input. An error if one is; the message names it and the input.
     pub fn spare<P: AsRef<Path>>(&self, outputs: impl IntoIterator<Item = P>) -> Result<()> {
         for output in outputs {
             let (output, found) = (output.as_ref().display(), self.find(output.as_ref()));

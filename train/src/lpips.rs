@@ -10,8 +10,7 @@ use splat_model::metrics::lpips::Lpips;
 /// Options of the LPIPS score.
 #[derive(Clone, Debug, Default, clap::Args, Serialize, Deserialize)]
 pub struct LpipsArgs {
-    /// Also measure LPIPS, with the AlexNet or VGG16 weights in this safetensors file (export: docs/METRICS.md)
-    /// [default: not measured]
+    /// Also measure LPIPS, with the AlexNet or VGG16 weights in this safetensors file (export: docs/METRICS.md) [default: not measured]
     #[arg(long, value_name = "WEIGHTS")]
     pub lpips: Option<PathBuf>,
 }

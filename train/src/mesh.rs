@@ -50,9 +50,8 @@ pub struct MeshArgs {
     pub device: DeviceName,
 }
 
-/// Writes the mesh and prints its size. An error if the scene or the capture cannot be read, an option is out of range,
-/// the views show no surface, the voxels do not fit into memory, or the file is one of those that are read or cannot be
-/// written.
+/// Writes the mesh and prints its size. An error if the scene or the capture cannot be read, an option is out of range, the views show no
+/// surface, the voxels do not fit into memory, or the file is one of those that are read or cannot be written.
 pub fn run(args: &MeshArgs) -> Result<()> {
     let is_glb = args.out.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("glb"));
     ensure!(is_glb, "{} does not end in .glb, the format of meshes: rename it", args.out.display());

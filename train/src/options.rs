@@ -111,9 +111,8 @@ pub fn command() -> clap::Command {
     ))
 }
 
-/// Parses a command line, the first word of which is the program. `splat train --config FILE` takes the options of the file too.
-/// An error: a [`clap::Error`] for an invalid command line, also for a request for help; and if the file cannot be
-/// read.
+/// Parses a command line, the first word of which is the program. `splat train --config FILE` takes the options of the file too. An error:
+/// a [`clap::Error`] for an invalid command line, also for a request for help; and if the file cannot be read.
 pub fn parse(words: impl IntoIterator<Item = OsString>) -> Result<Cli> {
     let parsed = |words: &[OsString]| Cli::from_arg_matches(&command().try_get_matches_from(words)?);
     let mut words: Vec<OsString> = words.into_iter().collect();

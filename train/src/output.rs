@@ -1,5 +1,4 @@
-//! Output files that appear complete or not at all: each is written under another name in the same folder, then
-//! renamed.
+//! Output files that appear complete or not at all: each is written under another name in the same folder, then renamed.
 
 use std::collections::BTreeSet;
 use std::ffi::OsStr;
@@ -111,8 +110,7 @@ pub fn free_folder(parent: &Path, name: &OsStr, may_hold: &[&str]) -> PathBuf {
         Ok(mut entries) => {
             entries.all(|entry| entry.is_ok_and(|entry| may_hold.iter().any(|name| entry.file_name() == *name)))
         }
-        // An existing path that cannot be listed is not free. Where nothing can be created, creating the folder reports
-        // it.
+        // An existing path that cannot be listed is not free. Where nothing can be created, creating the folder reports it.
         Err(_) => !path.exists(),
     };
     numbered(parent, name, is_free)

@@ -1,5 +1,4 @@
-//! Progress of a run: for people on standard error, as a bar on a terminal and as plain lines elsewhere; for programs
-//! on standard output.
+//! Progress of a run: for people on standard error, as a bar on a terminal and as plain lines elsewhere; for programs on standard output.
 
 use std::io::{IsTerminal, Write};
 use std::path::Path;

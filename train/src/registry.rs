@@ -20,8 +20,7 @@ fn quieten_wayland() {
 /// Runs the program `splat` on the command line of the process, with the parts of a registry beside its own. Call it once, as all of
 /// `main`.
 ///
-/// Exit codes: 0 on success, 1 on an error, 2 (from clap) for an invalid command line, 130 and 143 for a run stopped by
-/// Ctrl-C and SIGTERM.
+/// Exit codes: 0 on success, 1 on an error, 2 (from clap) for an invalid command line, 130 and 143 for a run stopped by Ctrl-C and SIGTERM.
 pub fn main_with(registry: Registry) -> ExitCode {
     main_of(registry, std::env::args_os())
 }

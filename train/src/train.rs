@@ -38,8 +38,7 @@ pub use crate::stop::Interrupted;
 /// Default number of steps on the demo capture, chosen so that the whole run takes under 3 minutes on 2 CPU cores.
 pub const DEMO_STEPS: usize = 1500;
 
-/// Default degree of the spherical harmonics on the demo capture. Its surfaces are matte: their colour is the same from
-/// everywhere.
+/// Default degree of the spherical harmonics on the demo capture. Its surfaces are matte: their colour is the same from everywhere.
 pub const DEMO_SH_DEGREE: usize = 0;
 
 /// Options of `splat train`. Checkpoints store them, and `run.toml` (see [`config`]).
@@ -287,8 +286,7 @@ fn strategies() -> impl TypedValueParser<Value = StrategyName> {
 }
 
 impl TrainArgs {
-    /// Gives a run the parts that its options take from the [registry](parts::Registry). An error if this program does
-    /// not have them.
+    /// Gives a run the parts that its options take from the [registry](parts::Registry). An error if this program does not have them.
     pub(crate) fn supply(&self, mut trainer: Trainer) -> Result<Trainer> {
         if self.loss != USUAL_LOSS {
             trainer = parts::supply(trainer, Part::Loss, &self.loss)?;

@@ -5,8 +5,7 @@ use splat_op::{Accumulation, Projection, RenderOptions};
 /// The reference that a dial's values are judged against. The two kinds are never mixed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Judge {
-    /// The exact render in f64 under the same model choices. Numerical dials approximate the function that the model choices
-    /// define.
+    /// The exact render in f64 under the same model choices. Numerical dials approximate the function that the model choices define.
     Exact,
     /// Photographs. Model choices define the function.
     Photographs,
@@ -67,10 +66,9 @@ pub(super) const ALPHA_MAX_RMS: f64 = 0.02;
 
 /// All dials. Values of numerical dials are listed from accurate to coarse.
 ///
-/// Reasons for the bounds: a contribution skipped by `alpha_min` has at most that weight, and about ten such layers show in a
-/// pixel. The layers cut off by `transmittance_min` have at most that weight over `1 − alpha_max`, because the layer that would
-/// cross the threshold is left out together with the layers behind it; where that ratio reaches one, anything may be left out,
-/// and pixels of opaque surfaces are.
+/// Reasons for the bounds: a contribution skipped by `alpha_min` has at most that weight, and about ten such layers show in a pixel. The
+/// layers cut off by `transmittance_min` have at most that weight over `1 − alpha_max`, because the layer that would cross the threshold is
+/// left out together with the layers behind it; where that ratio reaches one, anything may be left out, and pixels of opaque surfaces are.
 pub const DIALS: &[Dial] = &[
     Dial {
         // A hundred thousand contributions below this value change a picture by less than the precision of f32.

@@ -45,8 +45,7 @@ impl Setting {
         Ok(setting)
     }
 
-    /// The dials that differ between `from` and `to`, at their values in `to`. Dials whose value in `to` is not listed are left
-    /// out.
+    /// The dials that differ between `from` and `to`, at their values in `to`. Dials whose value in `to` is not listed are left out.
     pub fn between(from: &RenderOptions, to: &RenderOptions) -> Self {
         let turned = DIALS.iter().filter_map(|dial| {
             let value = dial.value_in(to)?;

@@ -49,11 +49,8 @@ pub fn folder(capture: &Capture) -> Option<PathBuf> {
 /// The levels of a depth map as its file holds them. Zero, infinite or not a number where nothing is known.
 pub(crate) type DepthMap = ImageBuffer<Luma<f32>, Vec<f32>>;
 
-/// Reads a grey PNG picture of 8 or 16 bits, the red of an EXR picture, or an array of NumPy, `[H, W]` of 16- or 32-bit floating-point numbers
-/// in C's order.
-///
-/// # Errors
-/// What the file holds instead.
+/// Reads a grey PNG picture of 8 or 16 bits, the red of an EXR picture, or an array of NumPy, `[H, W]` of 16- or 32-bit
+/// floating-point numbers in C's order. The error says what the file holds instead.
 pub(crate) fn load(file: &Path) -> Result<DepthMap, Box<dyn Error>> {
     let ([width, height], levels) = if file.extension().is_some_and(|kind| kind.eq_ignore_ascii_case("npy")) {
         array(&read(file)?)?

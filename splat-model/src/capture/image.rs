@@ -141,7 +141,6 @@ fn split_alpha(picture: RgbaImage) -> Pixels {
 /// Rotation tags (EXIF) are not applied, as COLMAP does not apply them either. 16-bit pictures are rounded to 8 bits.
 ///
 /// # Errors
-///
 /// A [`CaptureError`] if the file is missing, is not a JPEG or PNG picture, is damaged or cut short, or differs in size from the view's
 /// camera.
 pub fn load(view: &View, max_side: Option<u32>) -> Result<Photo, CaptureError> {
@@ -175,7 +174,6 @@ fn photo(view: &View, of_file: &mut Pixels, max_side: Option<u32>) -> Photo {
 /// Calls [`load`] for each of `views` on all threads; results are in the views' order. `progress` receives the number done, from any thread.
 ///
 /// # Errors
-///
 /// Those of [`load`]. If several pictures are faulty, the error is of any one of them.
 pub fn load_all<'a>(
     views: impl IntoIterator<Item = &'a View>,

@@ -5,11 +5,10 @@
 //! photograph's full name, as in COLMAP (`masks/a.jpg.png`), and the name with its extension replaced (`masks/a.png`).
 //! Masks that the capture itself names (`mask_path` in `transforms.json`) come first. That of a panorama has the panorama's size.
 //!
-//! Excluded pixels have exactly no influence. The loss compares neighbourhoods, so weights on pixels would not suffice.
-//! Instead, excluded pixels are black in render and photograph before the comparison, like the padding of SSIM beyond the
-//! border. The difference there is zero, the gradient with respect to the render is exactly zero there for any loss, and
-//! the photograph's excluded colours are not used anywhere. The loss stays a mean over all pixels, so the other pixels keep
-//! their full weight.
+//! Excluded pixels have exactly no influence. The loss compares neighbourhoods, so weights on pixels would not suffice. Instead, excluded
+//! pixels are black in render and photograph before the comparison, like the padding of SSIM beyond the border. The difference there is
+//! zero, the gradient with respect to the render is exactly zero there for any loss, and the photograph's excluded colours are not used
+//! anywhere. The loss stays a mean over all pixels, so the other pixels keep their full weight.
 
 use std::path::{Path, PathBuf};
 

@@ -130,10 +130,8 @@ pub(super) fn children(folder: &Path) -> Vec<PathBuf> {
     found
 }
 
-/// Names of files in a folder and its subfolders, in order, without hidden ones and those in folders of the names `without`.
-///
-/// # Errors
-/// If a folder cannot be listed.
+/// Names of files in a folder and its subfolders, in order, without hidden ones and those in folders of the names
+/// `without`. An error if a folder cannot be listed.
 pub(super) fn files_below(folder: &Path, without: &[&str]) -> Result<Vec<String>, CaptureError> {
     const DEEPEST: usize = 8;
     let (mut found, mut folders) = (Vec::new(), vec![(folder.to_owned(), String::new(), 0)]);

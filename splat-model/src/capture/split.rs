@@ -43,7 +43,6 @@ impl Split {
     /// The views to train on.
     ///
     /// # Errors
-    ///
     /// If there are none.
     pub fn require_train(&self) -> Result<&[usize], CaptureError> {
         if !self.train.is_empty() {
@@ -60,7 +59,6 @@ impl Split {
     /// The views held out.
     ///
     /// # Errors
-    ///
     /// If there are none.
     pub fn require_test(&self) -> Result<&[usize], CaptureError> {
         if !self.test.is_empty() {

@@ -11,8 +11,7 @@ pub struct Observation {
 
 /// Observations and reprojection error of each point, in the order of the point cloud.
 ///
-/// Tracks are evidence and may be incomplete: an element that names a photograph or keypoint that
-/// the model lacks is dropped.
+/// Tracks are evidence and may be incomplete: an element that names a photograph or keypoint that the model lacks is dropped.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Tracks {
     observations: Vec<Observation>,

@@ -13,7 +13,7 @@ use self::division::{Divided, parts};
 use super::order::z_order;
 use super::pick::{counts, largest, picked, rows_on, whole};
 use super::rows::{RowEdit, Trained};
-use super::strategy::{Observed, RefineReport, Signals, Strategy, StrategyContext};
+use super::strategy::{Observed, RefineReport, Refined, Signals, Strategy, StrategyContext};
 use super::tally::{self, Tally};
 use crate::gaussians::{Gaussians, RowsError, logit};
 use crate::state::{State, StateError};
@@ -207,12 +207,7 @@ impl Strategy for Adaptive {
         self.is_time_at(step) && (self.densifies_at(step) || self.resets_at(step))
     }
 
-    fn act(
-        &mut self,
-        scene: &mut Trained,
-        at: &StrategyContext,
-        rng: &mut dyn Rng,
-    ) -> Result<Option<RefineReport>, RowsError> {
+    fn act(&mut self, scene: &mut Trained, at: &StrategyContext, rng: &mut dyn Rng) -> Refined {
         if !self.is_time_at(at.step) {
             return Ok(None);
         }

@@ -36,26 +36,20 @@ impl From<McmcConfig> for DensityConfig {
 impl DensityConfig {
     /// Largest number of Gaussians.
     pub fn max_splats(&self) -> usize {
-        match self {
-            Self::Adaptive(config) => config.max_splats,
-            Self::Mcmc(config) => config.max_splats,
-        }
+        let (Self::Adaptive(AdaptiveConfig { max_splats, .. }) | Self::Mcmc(McmcConfig { max_splats, .. })) = self;
+        *max_splats
     }
 
     /// Share of the run after which Gaussians are neither added nor removed.
     pub fn until_share(&self) -> f64 {
-        match self {
-            Self::Adaptive(config) => config.until_share,
-            Self::Mcmc(config) => config.until_share,
-        }
+        let (Self::Adaptive(AdaptiveConfig { until_share, .. }) | Self::Mcmc(McmcConfig { until_share, .. })) = self;
+        *until_share
     }
 
     /// The same options with another cap.
     pub fn with_max_splats(mut self, most: usize) -> Self {
-        match &mut self {
-            Self::Adaptive(config) => config.max_splats = most,
-            Self::Mcmc(config) => config.max_splats = most,
-        }
+        let (Self::Adaptive(AdaptiveConfig { max_splats, .. }) | Self::Mcmc(McmcConfig { max_splats, .. })) = &mut self;
+        *max_splats = most;
         self
     }
 

@@ -1,6 +1,5 @@
-//! 3D Gaussian splatting as Markov chain Monte Carlo (Kheradmand et al. 2024): Gaussians are samples with noise on their
-//! positions, faded ones are moved to the positions of others, and their number grows to a cap by a schedule instead of a
-//! threshold.
+//! 3D Gaussian splatting as Markov chain Monte Carlo (Kheradmand et al. 2024): Gaussians are samples with noise on their positions, faded
+//! ones are moved to the positions of others, and their number grows to a cap by a schedule instead of a threshold.
 
 mod relocate;
 
@@ -14,8 +13,8 @@ use super::order::z_order;
 use super::pick::{counts, ones, picked, repeated, rounded_down, rows_on, running_sums};
 use super::rotate::{rotated, unit};
 use super::rows::{RowEdit, Trained};
-use super::strategy::{RefineReport, Strategy, StrategyContext};
-use crate::gaussians::{GaussianRows, Gaussians, RowsError, logit};
+use super::strategy::{RefineReport, Refined, Strategy, StrategyContext};
+use crate::gaussians::{GaussianRows, Gaussians, logit};
 use crate::loss::regularise;
 use crate::state::{State, StateError};
 
@@ -72,7 +71,7 @@ impl Mcmc {
     /// Replaces dead Gaussians and adds new ones: for each new Gaussian, a living one is drawn with a probability
     /// proportional to its opacity and shares its opacity and size with all new ones at its position. (The paper draws for
     /// the dead first and then for the additional ones. One draw for both is equivalent.)
-    fn refine(&self, scene: &mut Trained, rng: &mut dyn Rng) -> Result<Option<RefineReport>, RowsError> {
+    fn refine(&self, scene: &mut Trained, rng: &mut dyn Rng) -> Refined {
         let plain = scene.gaussians.untracked();
         let (rows, opacities) = (plain.len(), plain.opacities());
         let usable = opacities.clone().greater_elem(0.0);
@@ -186,12 +185,7 @@ impl Strategy for Mcmc {
         is_due && (step as f64) < self.config.until_share * self.steps as f64
     }
 
-    fn act(
-        &mut self,
-        scene: &mut Trained,
-        at: &StrategyContext,
-        rng: &mut dyn Rng,
-    ) -> Result<Option<RefineReport>, RowsError> {
+    fn act(&mut self, scene: &mut Trained, at: &StrategyContext, rng: &mut dyn Rng) -> Refined {
         let report = if self.acts_at(at.step) { self.refine(scene, rng)? } else { None };
         if report.is_some() {
             self.noise.forget();

@@ -21,4 +21,4 @@ pub use mcmc::{Mcmc, McmcConfig};
 pub use order::morton_order;
 pub(crate) use pick::rounded_down;
 pub use pick::{counts, largest, picked, rows_on};
-pub use strategy::{Observed, RefineReport, Signals, Strategy, StrategyContext};
+pub use strategy::{Observed, RefineReport, Refined, Signals, Strategy, StrategyContext};

@@ -1,5 +1,4 @@
-//! The order of Gaussians in memory: neighbours in space are neighbours in memory, so that the Gaussians of one tile are
-//! close together.
+//! The order of Gaussians in memory: neighbours in space are neighbours in memory, so that the Gaussians of one tile are close together.
 
 use burn::tensor::{Bool, DType, Int, Tensor};
 use glam::Vec3;
@@ -51,8 +50,7 @@ pub fn morton_order(means: &[[f32; 3]]) -> Vec<u32> {
     let points = || means.iter().map(|mean| Vec3::from(*mean)).filter(|mean| mean.is_finite());
     let low = points().fold(Vec3::INFINITY, Vec3::min).as_dvec3();
     let high = points().fold(Vec3::NEG_INFINITY, Vec3::max).as_dvec3();
-    // A cube, so that cells have equal sides. In f64, because the bounding box of finite f32 numbers may be larger than the
-    // largest f32.
+    // A cube, so that cells have equal sides. In f64, because the bounding box of finite f32 numbers may be larger than the largest f32.
     let side = (high - low).max_element();
     let per_unit = if side > 0.0 { f64::from(u32::MAX) / side } else { 0.0 };
     let key = |mean: &[f32; 3]| {

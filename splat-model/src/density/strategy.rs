@@ -61,6 +61,9 @@ pub struct RefineReport {
     pub threshold: f64,
 }
 
+/// What [`Strategy::act`] returns.
+pub type Refined = Result<Option<RefineReport>, RowsError>;
+
 /// A strategy of density control. The trainer calls the functions in the order below.
 ///
 /// All randomness must come from the generator that is passed in, and all state must be saved, so that a run can be
@@ -82,21 +85,14 @@ pub trait Strategy {
     /// Receives the requested signals, before the optimiser step.
     fn observe(&mut self, _seen: Observed) {}
 
-    /// Whether [`Self::act`] reads the scene at `step`, or adds, removes or moves rows. The trainer then waits for the
-    /// device.
+    /// Whether [`Self::act`] reads the scene at `step`, or adds, removes or moves rows. The trainer then waits for the device.
     fn acts_at(&self, step: usize) -> bool;
 
-    /// Changes the scene after the optimiser step. Called at every step. Returns a report if rows were added, removed,
-    /// moved or replaced.
+    /// Changes the scene after the optimiser step. Called at every step. Returns a report if rows were added, removed, moved or replaced.
     ///
     /// # Errors
     /// If the rows of the scene are inconsistent.
-    fn act(
-        &mut self,
-        scene: &mut Trained,
-        at: &StrategyContext,
-        rng: &mut dyn Rng,
-    ) -> Result<Option<RefineReport>, RowsError>;
+    fn act(&mut self, scene: &mut Trained, at: &StrategyContext, rng: &mut dyn Rng) -> Refined;
 
     /// Informs the strategy that the run will have `steps` steps, for one that reads the number before [`Self::act`] tells it.
     fn set_steps(&mut self, _steps: usize) {}

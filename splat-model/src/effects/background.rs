@@ -1,5 +1,4 @@
-//! The background behind the Gaussians: a constant colour, a random colour for each step, a learned colour, or a learned
-//! environment.
+//! The background behind the Gaussians: a constant colour, a random colour for each step, a learned colour, or a learned environment.
 //!
 //! - **A random colour for each step** (as in training on the NeRF-synthetic scenes by successors of Mildenhall et al.
 //!   2020) prevents colours from hiding in transparent parts: a scene that looks right over every colour has the
@@ -115,8 +114,7 @@ impl Background {
         }
     }
 
-    /// Composites a render over [`Self::colour`], `[H, W, 3]`, with its alpha `[H, W, 1]`, over this background. Not
-    /// tracked.
+    /// Composites a render over [`Self::colour`], `[H, W, 3]`, with its alpha `[H, W, 1]`, over this background. Not tracked.
     pub fn behind(
         &self,
         image: Tensor<3>,

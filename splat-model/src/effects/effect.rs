@@ -127,11 +127,10 @@ pub trait Effect: Any {
         None
     }
 
-    /// Lists the parameters whose gradients [`Self::step`] takes at a view, for example by
-    /// [`Learned::leaf`](super::Learned::leaf). Called only in runs of several processes, of which one renders the view, before
-    /// any effect takes a step. Every process lists the same parameters in the same order. Other state may depend on
-    /// [`Self::draw`], [`Self::step`] and [`Self::forget_rows`], which are called in all processes, and on the scene and the step
-    /// in [`Self::before`], but not on which views a process renders.
+    /// Lists the parameters whose gradients [`Self::step`] takes at a view, for example by [`Learned::leaf`](super::Learned::leaf). Called
+    /// only in runs of several processes, of which one renders the view, before any effect takes a step. Every process lists the same
+    /// parameters in the same order. Other state may depend on [`Self::draw`], [`Self::step`] and [`Self::forget_rows`], which are called
+    /// in all processes, and on the scene and the step in [`Self::before`], but not on which views a process renders.
     fn leaves(&mut self, _at: EffectContext) -> Vec<Leaf> {
         Vec::new()
     }

@@ -1,12 +1,11 @@
 //! Exposure and white balance of each photograph: an affine colour map, learned along with the scene.
 //!
-//! A photograph shows `A c + b` where the scene has colour `c`. Each photograph has its own `A` `[3, 3]` and `b` `[3]`,
-//! which start as the identity. The maps are affine as in Rematas et al. 2022 ("Urban Radiance Fields", section 3.3), and
-//! per image and trained with Adam as in the original 3D Gaussian splatting code (`exposure_compensation`). The scene's
-//! colours and all maps could change together without a change in any render, and they would, because maps learn faster
-//! than colours. The mean of the maps is therefore reset to the identity once in as many steps as there are photographs.
-//! Without the reset, a render without a map loses up to 5 dB. A weak penalty pulls each map towards the identity and so
-//! bounds maps with little evidence.
+//! A photograph shows `A c + b` where the scene has colour `c`. Each photograph has its own `A` `[3, 3]` and `b` `[3]`, which start as the
+//! identity. The maps are affine as in Rematas et al. 2022 ("Urban Radiance Fields", section 3.3), and per image and trained with Adam as
+//! in the original 3D Gaussian splatting code (`exposure_compensation`). The scene's colours and all maps could change together without a
+//! change in any render, and they would, because maps learn faster than colours. The mean of the maps is therefore reset to the identity
+//! once in as many steps as there are photographs. Without the reset, a render without a map loses up to 5 dB. A weak penalty pulls each
+//! map towards the identity and so bounds maps with little evidence.
 
 use burn::tensor::{Device, Tensor};
 use splat_op::colour_map;

@@ -1,6 +1,5 @@
-//! A parameter that is learned along with the scene. It has its own Adam state and step count: a parameter of one
-//! photograph gets a gradient only when that photograph is trained on, and Adam moves a parameter even if its gradient is
-//! zero.
+//! A parameter that is learned along with the scene. It has its own Adam state and step count: a parameter of one photograph gets a
+//! gradient only when that photograph is trained on, and Adam moves a parameter even if its gradient is zero.
 
 use burn::tensor::{Gradients, Int, Tensor};
 use serde::{Deserialize, Serialize};
@@ -65,9 +64,8 @@ impl<const D: usize> Learned<D> {
         Self { moments: Moments::new(&leaf), value: start, leaf, moved: true, unit: None, steps: 0 }
     }
 
-    /// A parameter that can move by about `reach` in a run that uses [`Self::step_within`]. The size of Adam's steps does
-    /// not depend on the size of gradients, so the parameter itself is scaled: it is learned in units of `reach`, whose
-    /// components must not be zero.
+    /// A parameter that can move by about `reach` in a run that uses [`Self::step_within`]. The size of Adam's steps does not depend on the
+    /// size of gradients, so the parameter itself is scaled: it is learned in units of `reach`, whose components must not be zero.
     pub fn reaching(start: Tensor<D>, reach: Tensor<D>) -> Self {
         Self { unit: Some(reach.clone()), ..Self::new(start / reach) }
     }
@@ -120,10 +118,9 @@ impl<const D: usize> Learned<D> {
         true
     }
 
-    /// Takes one Adam step on one of `views` parameters, each of which belongs to a photograph. The rate is chosen such
-    /// that the parameter can cover its reach in a whole run, and falls to the share `fall`. Adam moves a parameter by
-    /// about its rate per step, so short runs and large captures, in which a photograph is visited rarely, need other rates
-    /// than long runs.
+    /// Takes one Adam step on one of `views` parameters, each of which belongs to a photograph. The rate is chosen such that the parameter
+    /// can cover its reach in a whole run, and falls to the share `fall`. Adam moves a parameter by about its rate per step, so short runs
+    /// and large captures, in which a photograph is visited rarely, need other rates than long runs.
     pub fn step_within(&mut self, gradients: &mut Gradients, fall: f64, views: usize, at: EffectContext) {
         let visits = at.steps as f64 / views.max(1) as f64;
         // Rates that fall from `r` to `fall r` over the run are `r (1 − fall) / −ln fall` on average.

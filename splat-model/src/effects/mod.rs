@@ -1,5 +1,4 @@
-//! Effects of cameras and scenes that matte Gaussians under constant light do not model, simulated only where a scene needs
-//! them.
+//! Effects of cameras and scenes that matte Gaussians under constant light do not model, simulated only where a scene needs them.
 //!
 //! [`Survey`] gathers the evidence, [`Plan`] decides, and each effect is a file of ordinary tensor code. An effect that is
 //! off adds no parameter, no tensor and no launch. An effect is a type that implements [`Effect`], which may be the user's

@@ -1,9 +1,8 @@
 //! The poses of a camera that moves during the exposure.
 //!
-//! A twist `(ω, τ)`, `[6]`, is the motion of the scene in the camera's frame: over the exposure, a point `p` of the
-//! camera's frame moves along `exp(t ξ) p`, `t` from −½ to ½, with `ω` a rotation vector in rad and `τ` a translation in
-//! scene units. The pose of the photograph is the pose at `t = 0`. A camera that moves one unit forward has
-//! `τ = (0, 0, −1)`.
+//! A twist `(ω, τ)`, `[6]`, is the motion of the scene in the camera's frame: over the exposure, a point `p` of the camera's frame moves
+//! along `exp(t ξ) p`, `t` from −½ to ½, with `ω` a rotation vector in rad and `τ` a translation in scene units. The pose of the photograph
+//! is the pose at `t = 0`. A camera that moves one unit forward has `τ = (0, 0, −1)`.
 //!
 //! For a pinhole and a small motion, [`splat_op::optics`] changes the ellipses of one render instead. The average of renders from
 //! these poses holds for any camera and any motion.

@@ -1,5 +1,4 @@
-//! The 3D smoothing filter of Mip-Splatting (Yu et al. 2024, section 5.1): no Gaussian is finer than the sampling of the
-//! photographs.
+//! The 3D smoothing filter of Mip-Splatting (Yu et al. 2024, section 5.1): no Gaussian is finer than the sampling of the photographs.
 //!
 //! A camera samples a point at depth `z` with `f/z` samples per scene unit. The camera with the highest rate,
 //! `ν = max f/z`, shows the most detail of a Gaussian. The Gaussian is convolved with an isotropic Gaussian of variance
@@ -27,8 +26,7 @@ pub const VARIANCE: f64 = 0.2;
 /// Steps between updates of the filter for Gaussians that have moved.
 const EVERY: usize = 100;
 
-/// A centre counts as visible up to this share of the picture beyond its border, because its Gaussian may extend into the
-/// picture.
+/// A centre counts as visible up to this share of the picture beyond its border, because its Gaussian may extend into the picture.
 const MARGIN: f32 = 0.15;
 
 /// Share of the seen centres that are sampled less than one that no camera sees is taken to be.

@@ -12,10 +12,9 @@
 //! about `1e-7 · x²` beside C2 = 9e-4: negligible for pictures in 0..1, dominant for values of 100. The loss takes moments that
 //! lose less (see [`splat_op::loss`]): errors of about `1e-7 · x |1 − 2x|`.
 //!
-//! [`ssim_map`] and [`ssim`] define the metric in plain tensor code. The window is two depthwise convolutions, the fastest of
-//! the formulations tried on Burn Flex (banded matrix products, blocked or whole; shifted slices). The autodiff gradient of
-//! such a convolution is far slower than the convolution, so [`d_ssim`](super::d_ssim) and the loss are one operation, see
-//! [`splat_op::loss`].
+//! [`ssim_map`] and [`ssim`] define the metric in plain tensor code. The window is two depthwise convolutions, the fastest of the
+//! formulations tried on Burn Flex (banded matrix products, blocked or whole; shifted slices). The autodiff gradient of such a convolution
+//! is far slower than the convolution, so [`d_ssim`](super::d_ssim) and the loss are one operation, see [`splat_op::loss`].
 
 use burn::tensor::{Tensor, TensorData, module::conv2d, ops::ConvOptions};
 

@@ -8,8 +8,7 @@
 
 use crate::solve::solve;
 
-/// Weight of the identity in the fit, per pixel. It decides only what the picture leaves open, for example if all channels are
-/// equal.
+/// Weight of the identity in the fit, per pixel. It decides only what the picture leaves open, for example if all channels are equal.
 const TOWARDS_IDENTITY: f64 = 1e-6;
 
 /// Applies to `image`, RGB row by row, the affine map that brings it closest to `truth` over the pixels marked in `counts` (all

@@ -99,9 +99,8 @@ pub fn scene_extent(centres: &[DVec3]) -> f64 {
     if extent > 1e-12 * middle.length() && extent.is_finite() { extent } else { 1.0 }
 }
 
-/// The near plane of a scene of `extent` (see [`scene_extent`]), scene units: the value of [`RenderOptions::standard`], or a
-/// hundredth of the extent if that is less. A scene of a few millimetres, in metres, would lie entirely before a near plane at
-/// a centimetre.
+/// The near plane of a scene of `extent` (see [`scene_extent`]), scene units: the value of [`RenderOptions::standard`], or a hundredth of
+/// the extent if that is less. A scene of a few millimetres, in metres, would lie entirely before a near plane at a centimetre.
 pub fn near_plane(extent: f64) -> f64 {
     RenderOptions::standard().near * extent.min(1.0)
 }

@@ -1,11 +1,10 @@
 //! Scenes as PLY files, in the layout of the original 3D Gaussian splatting code (Kerbl et al. 2023), which every splat viewer
 //! opens. [`crate::formats`] also reads compressed files.
 //!
-//! The element `vertex` holds one row of float properties per Gaussian: `x y z` (scene units), `nx ny nz` (always 0),
-//! `f_dc_0..2`, `f_rest_0..` (all coefficients of red, then green, then blue), `opacity` (logit), `scale_0..2` (natural
-//! logarithm), `rot_0..3` (quaternion wxyz). Files are written as binary little endian. Reading also supports ASCII and big
-//! endian, and properties in any order and of any numeric type. Further properties are
-//! [groups](crate::gaussians::GroupRows): `name_0`, `name_1` and so on one group.
+//! The element `vertex` holds one row of float properties per Gaussian: `x y z` (scene units), `nx ny nz` (always 0), `f_dc_0..2`,
+//! `f_rest_0..` (all coefficients of red, then green, then blue), `opacity` (logit), `scale_0..2` (natural logarithm), `rot_0..3`
+//! (quaternion wxyz). Files are written as binary little endian. Reading also supports ASCII and big endian, and properties in any order
+//! and of any numeric type. Further properties are [groups](crate::gaussians::GroupRows): `name_0`, `name_1` and so on one group.
 //!
 //! [`read_points`] reads plain points with positions and colours, as in files of sparse reconstructions.
 //!

@@ -35,7 +35,6 @@ const CHANNELS: [[&str; 3]; 6] = [
 /// rows may lie beyond. A missing channel of `red green blue` and points without colours are grey. All other content of the file is ignored.
 ///
 /// # Errors
-///
 /// A [`FileError`] for every file that is not a complete PLY file with such points, or in which a coordinate is not finite or is
 /// beyond 1e15. Memory is bounded by a small multiple of the file's true size, whatever its header claims.
 pub fn read_points(path: &Path) -> Result<(Vec<DVec3>, Vec<[u8; 3]>), FileError> {

@@ -84,8 +84,7 @@ impl<'a> PlyReader<'a> {
         Ok(())
     }
 
-    /// Refuses a header whose rows, up to the rows of the element `last`, do not fit into the file, before memory is reserved
-    /// for them.
+    /// Refuses a header whose rows, up to the rows of the element `last`, do not fit into the file, before memory is reserved for them.
     pub fn check_size(&self, header: &Header, last: &str) -> Result<(), FileError> {
         let mut needed = 0_u64;
         for element in header.elements.values() {
@@ -249,8 +248,7 @@ pub(super) fn value_error(path: &Path, element: &str, row: usize, detail: &str) 
     FileError::new(path, format!("row {row} of `{element}`: {detail}; correct that row or export the scene again"))
 }
 
-/// Shortens a message of the parser to one line without control characters, because the parser quotes whole lines, whatever
-/// they hold.
+/// Shortens a message of the parser to one line without control characters, because the parser quotes whole lines, whatever they hold.
 pub(crate) fn brief(message: &str) -> String {
     const MAX_CHARS: usize = 240;
     let words: Vec<&str> = message.split_whitespace().collect();

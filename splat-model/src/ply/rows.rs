@@ -19,7 +19,6 @@ use crate::gaussians::GaussianRows;
 /// become groups: `name_0`, `name_1` and so on one group, others one each.
 ///
 /// # Errors
-///
 /// A [`FileError`] for every file that is not a complete scene in the layout of [this module](super). Memory is bounded
 /// by a small multiple of the file's true size, whatever its header claims.
 pub fn read(path: &Path) -> Result<(GaussianRows, DVec3), FileError> {

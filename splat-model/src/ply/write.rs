@@ -24,7 +24,6 @@ use crate::replace::{WRITE, replace};
 /// The file appears under its name only when it is complete; a file that was there before is replaced.
 ///
 /// # Errors
-///
 /// If the fields differ in length, the degree is above 4, the origin is not finite or the size of a unit not positive, no Gaussian can be
 /// rendered, or the file cannot be written. No temporary file is left behind.
 pub fn write(path: &Path, rows: &GaussianRows, world: impl Into<WorldFrame>) -> Result<(), FileError> {

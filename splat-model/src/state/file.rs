@@ -1,7 +1,6 @@
 //! State files: safetensors, which other programs can open, with a checksum in the metadata. A fact is an array of bytes.
 //!
-//! The checksum is the SHA-256 of all entries. A file is written under a temporary name and renamed when it is complete and on the
-//! disk.
+//! The checksum is the SHA-256 of all entries. A file is written under a temporary name and renamed when it is complete and on the disk.
 
 use std::collections::HashMap;
 use std::fmt::Display;

@@ -4,7 +4,7 @@ use serde::{Deserialize, Deserializer};
 use splat_op::sh::SH_DEGREE_MAX;
 use splat_op::{Projection, RenderOptions};
 
-use super::{Resolution, TrainError};
+use super::{Resolution, Result, TrainError};
 use crate::accuracy::Setting;
 use crate::density::{AdaptiveConfig, DensityConfig, GRADUAL_OPACITY_WEIGHT};
 use crate::effects::background::Backdrop;
@@ -44,8 +44,7 @@ options! {
         pub plain: bool = false,
         /// Schedule of the photographs' size.
         pub resolution: Resolution = Resolution::FULL,
-        /// The background behind the Gaussians and behind photographs with alpha: RGB, 0 to 1. The initial value of a learned
-        /// background.
+        /// The background behind the Gaussians and behind photographs with alpha: RGB, 0 to 1. The initial value of a learned background.
         #[serde(deserialize_with = "finite_colour")]
         pub background: [f32; 3] = [0.0; 3],
         /// Whether opacities are compensated for the screen-space blur (see [`RenderOptions::antialias`]).
@@ -70,9 +69,8 @@ options! {
         /// photograph needs, mainly floaters in front of the background, then fade and are pruned. The weight ends with
         /// [`DensityConfig::until_share`]: what fades later would stay, and all others would be fainter than photographs show.
         pub opacity_weight: f64 = 0.0,
-        /// Memory for prepared photographs, MiB: 512. On a CPU, photographs beyond it are prepared again at each use. On a GPU
-        /// where not all prepared photographs fit, they are stored in four bytes per pixel, and those beyond the limit are
-        /// uploaded again.
+        /// Memory for prepared photographs, MiB: 512. On a CPU, photographs beyond it are prepared again at each use. On a GPU where not
+        /// all prepared photographs fit, they are stored in four bytes per pixel, and those beyond the limit are uploaded again.
         pub cache_mib: usize = 512,
     }
 }
@@ -121,7 +119,7 @@ impl TrainConfig {
     /// # Errors
     /// If an option is out of range, if effects on ellipses are combined with a render that has no ellipses, or moments of few bits with tensor
     /// code.
-    pub fn check(&self) -> Result<(), TrainError> {
+    pub fn check(&self) -> Result<()> {
         let along_rays = self.dials.apply(RenderOptions::standard()).projection != Projection::Affine;
         let refuse = |what: String| Err(TrainError::Option(what));
         match () {

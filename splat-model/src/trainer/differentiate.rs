@@ -8,7 +8,7 @@ use burn::tensor::{Bool, Gradients as Remaining, Int, Tensor};
 use splat_op::{Extras, Rendered};
 
 use super::checked::first_wrong;
-use super::{LossInputs, TrainError, Trainer};
+use super::{LossInputs, Result, Trainer};
 use crate::density::rows::Gradients;
 use crate::density::{Observed, Signals};
 use crate::effects::{Effect, EffectContext, RenderInput, masks, mean_of};
@@ -64,7 +64,7 @@ impl Batch {
 
 impl Trainer {
     /// Differentiates the views of a step: one by one, unless the loss joins them.
-    pub(super) fn differentiate_batch(&mut self) -> Result<Batch, TrainError> {
+    pub(super) fn differentiate_batch(&mut self) -> Result<Batch> {
         let count = self.config.batch;
         if self.ranks.count() > 1 {
             return Ok(self.differentiate_shared()?.averaged(count));
@@ -88,7 +88,7 @@ impl Trainer {
 
     /// Renders views, each over a drawn background if there is one, compares them with their photographs, and computes the gradients, which
     /// the guard checks. Density control is not told.
-    pub(super) fn differentiate(&mut self, views: &[(usize, Option<[f32; 3]>)]) -> Result<Passed, TrainError> {
+    pub(super) fn differentiate(&mut self, views: &[(usize, Option<[f32; 3]>)]) -> Result<Passed> {
         let (mut prepared, mut pictures) = (Vec::new(), Vec::new());
         for &(view, drawn) in views {
             let one = self.prepare(view, drawn)?;
@@ -104,7 +104,7 @@ impl Trainer {
     }
 
     /// Prepares a view: Gaussians, camera and background after the effects, and the photograph.
-    pub(super) fn prepare(&mut self, view: usize, drawn: Option<[f32; 3]>) -> Result<PreparedStep, TrainError> {
+    pub(super) fn prepare(&mut self, view: usize, drawn: Option<[f32; 3]>) -> Result<PreparedStep> {
         let at = EffectContext { view, step: self.step, steps: self.config.steps, verdict: None };
         let splats = self.scene.splats();
         let signals = self.density.listens_at(self.step);

@@ -5,7 +5,7 @@ use glam::DAffine3;
 use splat_op::Intrinsics;
 use splat_op::sh::SH_DEGREE_MAX;
 
-use super::{TrainConfig, TrainError, Trainer};
+use super::{Result, TrainConfig, TrainError, Trainer};
 use crate::capture::Photograph;
 use crate::effects::background::{Backdrop, Background, Environment, LearnedBackground, RandomBackground};
 use crate::effects::depth::{DepthSample, Depths};
@@ -19,12 +19,7 @@ use crate::effects::{Effect, EffectStack};
 use crate::gaussians::{GaussianRows, ROWS_AT_ONCE};
 
 /// The initial effects of a run over `photos` of a scene of `extent`, in the order in which light passes them.
-pub(super) fn of(
-    config: &TrainConfig,
-    photos: &[Photograph],
-    extent: f64,
-    device: &Device,
-) -> Result<EffectStack, TrainError> {
+pub(super) fn of(config: &TrainConfig, photos: &[Photograph], extent: f64, device: &Device) -> Result<EffectStack> {
     let (mut stack, views) = (EffectStack::default(), photos.len());
     if config.smoothing {
         stack.put(Smoothing::new(photos.iter().map(|photo| (&photo.intrinsics, &photo.cam_from_world))));
@@ -64,8 +59,7 @@ pub(super) fn of(
 }
 
 impl Trainer {
-    /// Adds a custom effect after the existing ones, or replaces the effect of the same name. Must be called before the
-    /// first step.
+    /// Adds a custom effect after the existing ones, or replaces the effect of the same name. Must be called before the first step.
     pub fn with_effect(mut self, effect: impl Effect) -> Self {
         self.effects.put(effect);
         self
@@ -76,8 +70,7 @@ impl Trainer {
         self.effects.get()
     }
 
-    /// Adds known depths of each photograph, in the order of the photographs. They are used only if [`TrainConfig::depth`]
-    /// is set.
+    /// Adds known depths of each photograph, in the order of the photographs. They are used only if [`TrainConfig::depth`] is set.
     pub fn with_depths(mut self, samples: Vec<Vec<DepthSample>>) -> Self {
         if let Some(depth) = self.config.depth {
             self.effects.put(Depths::new(depth, samples, &self.device));

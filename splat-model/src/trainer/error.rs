@@ -9,6 +9,9 @@ use crate::capture::{CaptureError, PointsSeen};
 use crate::gaussians::RowsError;
 use crate::state::StateError;
 
+/// A result, or the reason why a run cannot start or continue.
+pub type Result<T, E = TrainError> = std::result::Result<T, E>;
+
 /// The reason why a run cannot start or continue.
 #[derive(Debug, Error)]
 #[non_exhaustive]

@@ -47,9 +47,8 @@ impl Guard {
         Self { waits: splat_op::is_gpu(device), ..Self::default() }
     }
 
-    /// Checks the loss, `[1]`, and the gradients of a step, counted from 1, on photograph number `view`, before the step is
-    /// taken. On an asynchronous device it returns a verdict, `[2]`. The step must change nothing if a step is recorded in
-    /// the verdict.
+    /// Checks the loss, `[1]`, and the gradients of a step, counted from 1, on photograph number `view`, before the step is taken. On an
+    /// asynchronous device it returns a verdict, `[2]`. The step must change nothing if a step is recorded in the verdict.
     ///
     /// # Errors
     /// The non-finite values, if they are known yet.

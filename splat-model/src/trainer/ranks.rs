@@ -13,7 +13,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use thiserror::Error;
 
-use super::TrainError;
+use super::{Result, TrainError};
 
 /// A connection between ranks that no longer works.
 #[derive(Debug, Error)]
@@ -115,7 +115,7 @@ pub type Fact = (String, String);
 ///
 /// # Errors
 /// [`TrainError::RanksDiffer`] for the first fact of the first rank that differs.
-pub fn agree(ranks: &dyn Ranks, facts: &[Fact]) -> Result<(), TrainError> {
+pub fn agree(ranks: &dyn Ranks, facts: &[Fact]) -> Result<()> {
     match first_difference(ranks, facts)? {
         None => Ok(()),
         Some((rank, what, found, expected)) => Err(TrainError::RanksDiffer { rank, what, found, expected }),

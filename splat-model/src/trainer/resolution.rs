@@ -10,8 +10,7 @@ use serde::{Deserialize, Serialize};
 pub struct Resolution {
     /// Initial divisor of the sides: a power of two, 1 for photographs of full size throughout.
     pub coarsest_divisor: usize,
-    /// Share of the run after which photographs have their full size. Each smaller size gets an equal part of the earlier
-    /// steps.
+    /// Share of the run after which photographs have their full size. Each smaller size gets an equal part of the earlier steps.
     pub full_from: f64,
 }
 
@@ -22,13 +21,11 @@ impl Resolution {
     /// Largest accepted divisor.
     pub const DIVISOR_MAX: usize = 16;
 
-    /// Photographs of full size from the first step. With another divisor, photographs are smaller in the first half of the
-    /// run.
+    /// Photographs of full size from the first step. With another divisor, photographs are smaller in the first half of the run.
     pub const FULL: Self = Self { coarsest_divisor: 1, full_from: 0.5 };
 
-    /// The schedule with which a run that has a time instead of a number of steps reaches most, if that time suffices for
-    /// `steps`: smaller photographs in the first 1,000 steps, but in at most 0.7 of the run. `docs/ACCURACY.md` holds the
-    /// measurements.
+    /// The schedule with which a run that has a time instead of a number of steps reaches most, if that time suffices for `steps`: smaller
+    /// photographs in the first 1,000 steps, but in at most 0.7 of the run. `docs/ACCURACY.md` holds the measurements.
     pub fn within_time(steps: usize) -> Self {
         let coarsest_divisor = if steps <= COARSE_STEPS { 8 } else { 4 };
         Self { coarsest_divisor, full_from: (COARSE_STEPS as f64 / steps.max(1) as f64).min(0.7) }

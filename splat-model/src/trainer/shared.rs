@@ -11,7 +11,7 @@ use splat_op::Extras;
 
 use super::differentiate::{Batch, Passed};
 use super::ranks::{self, Fact, RankError, gather_all, share_of};
-use super::{TrainError, Trainer};
+use super::{Result, TrainError, Trainer};
 use crate::density::Observed;
 use crate::density::rows::{Gradients, GroupGradients};
 use crate::effects::{Effect, EffectContext, Leaf, RenderInput, stand_in};
@@ -44,7 +44,7 @@ struct ViewAccount {
 impl Trainer {
     /// Differentiates the rank's views of a step, which the guard checks one by one, and completes them to the batch. Losses and
     /// gradients are sums.
-    pub(super) fn differentiate_shared(&mut self) -> Result<Batch, TrainError> {
+    pub(super) fn differentiate_shared(&mut self) -> Result<Batch> {
         let ranks = self.ranks.clone();
         if self.loss.joins_views() {
             let reason =
@@ -95,11 +95,9 @@ impl Trainer {
         self.effects.before(&mut input, &self.scene.gaussians, at);
     }
 
-    /// Tells the other ranks how the own views went. Returns the own views, and the accounts of all views.
-    ///
-    /// # Errors
-    /// If a view of any rank failed: on every rank the error of the first.
-    fn settle(&mut self, own: Result<Vec<Passed>, TrainError>) -> Result<(Vec<Passed>, Vec<ViewAccount>), TrainError> {
+    /// Tells the other ranks how the own views went. Returns the own views, and the accounts of all views. If a view of
+    /// any rank failed, the error of the first on every rank.
+    fn settle(&mut self, own: Result<Vec<Passed>>) -> Result<(Vec<Passed>, Vec<ViewAccount>)> {
         let account = match &own {
             Ok(own) => Account::Views(own.iter().map(|one| self.account_of(one)).collect()),
             Err(TrainError::NonFinite { view, what, stage, .. }) => {
@@ -152,7 +150,7 @@ impl Trainer {
         mut parts: Vec<Gradients>,
         accounts: &[ViewAccount],
         shares: &[std::ops::Range<usize>],
-    ) -> Result<Gradients, TrainError> {
+    ) -> Result<Gradients> {
         let mut place = 0;
         let mut summed = Gradients::default();
         for (i, group) in self.scene.gaussians.groups().iter().enumerate() {
@@ -175,7 +173,7 @@ impl Trainer {
         parts: Vec<Tensor<D>>,
         parts_of: &[usize],
         shape: [usize; D],
-    ) -> Result<Option<Tensor<D>>, TrainError> {
+    ) -> Result<Option<Tensor<D>>> {
         if parts_of.iter().all(|count| *count == 0) {
             return Ok(None);
         }
@@ -191,7 +189,7 @@ impl Trainer {
         own: Option<Observed>,
         signals: [bool; 2],
         size: (usize, usize),
-    ) -> Result<Observed, TrainError> {
+    ) -> Result<Observed> {
         let shape = [self.scene.gaussians.len(), 2];
         let Observed { gradient, abs_gradient, .. } = own.unwrap_or_default();
         let mut found = [gradient, abs_gradient];
@@ -213,7 +211,7 @@ impl Trainer {
         view: usize,
         left: Option<Remaining>,
         present: &[bool],
-    ) -> Result<Remaining, TrainError> {
+    ) -> Result<Remaining> {
         let leaves = self.leaves(view);
         if leaves.len() != present.len() {
             let reason = format!(
@@ -248,7 +246,7 @@ impl Trainer {
     }
 
     /// Checks that all ranks begin from the same run.
-    pub(super) fn agree(&mut self) -> Result<(), TrainError> {
+    pub(super) fn agree(&mut self) -> Result<()> {
         let mut facts: Vec<Fact> = vec![("the version".into(), env!("CARGO_PKG_VERSION").into())];
         let mut state = self.save()?;
         let config: serde_json::Map<String, serde_json::Value> = state.told("config")?;
@@ -266,7 +264,7 @@ impl Trainer {
 
     /// Checks that all ranks have come to the same after a step: the state of effects, of the loss and of density control, random numbers,
     /// and the centres of the Gaussians.
-    pub(super) fn check_together(&mut self) -> Result<(), TrainError> {
+    pub(super) fn check_together(&mut self) -> Result<()> {
         let mut state = State::default();
         state.tell("random numbers", &self.rng.get_word_pos().to_string())?;
         state.put("means", self.scene.gaussians.means().inner());

@@ -2,7 +2,7 @@
 
 use rand::Rng;
 
-use super::{TrainError, Trainer};
+use super::{Result, Trainer};
 use crate::capture::{Photograph, PointCloud, PointsSeen};
 use crate::density::rounded_down;
 use crate::density::rows::Trained;
@@ -37,7 +37,7 @@ impl Trainer {
     ///
     /// # Errors
     /// If the scene's rows are inconsistent.
-    pub fn from_scene(mut self, scene: &GaussianRows, points: &PointCloud) -> Result<Self, TrainError> {
+    pub fn from_scene(mut self, scene: &GaussianRows, points: &PointCloud) -> Result<Self> {
         scene.check()?;
         let room = self.config.density.max_splats().saturating_sub(scene.len());
         let mut rows = match points.positions.is_empty() || room == 0 {

@@ -3,7 +3,7 @@
 use rand_chacha::ChaCha8Rng;
 use serde_json::Value;
 
-use super::{TrainConfig, TrainError, Trainer};
+use super::{Result, TrainConfig, TrainError, Trainer};
 use crate::density::rows::Trained;
 use crate::effects::Effect;
 use crate::gaussians::{BASE_GROUPS, Group};
@@ -15,7 +15,7 @@ impl Trainer {
     ///
     /// # Errors
     /// If an earlier step turns out to have failed.
-    pub fn save(&mut self) -> Result<State, TrainError> {
+    pub fn save(&mut self) -> Result<State> {
         self.guard.read(true).map_err(|fault| self.non_finite(fault))?;
         let mut state = State::default();
         state.tell("step", &self.step)?;
@@ -34,7 +34,7 @@ impl Trainer {
     ///
     /// # Errors
     /// If the state belongs to a run with other options or photographs, or is incomplete. This run is then unusable.
-    pub fn resume(&mut self, mut state: State) -> Result<(), TrainError> {
+    pub fn resume(&mut self, mut state: State) -> Result<()> {
         let config: TrainConfig = state.told("config")?;
         check_same(&config, &self.config)?;
         let photographs: Vec<(String, [usize; 2])> = state.told("photographs")?;
@@ -86,7 +86,7 @@ fn groups_of<'a>(groups: impl Iterator<Item = &'a Group>) -> String {
 }
 
 /// Returns an error for the first option that differs between the saved run and this one.
-fn check_same(kept: &TrainConfig, own: &TrainConfig) -> Result<(), TrainError> {
+fn check_same(kept: &TrainConfig, own: &TrainConfig) -> Result<()> {
     let fields =
         |config: &TrainConfig| serde_json::to_value(config).map_err(|reason| StateError::fact("config", &reason));
     let (kept, own) = (fields(kept)?, fields(own)?);

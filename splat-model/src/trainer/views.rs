@@ -121,8 +121,7 @@ impl Views {
         }
     }
 
-    /// A photograph's pixels at the run's current size. Pixels that are not kept are released at the request for another
-    /// photograph.
+    /// A photograph's pixels at the run's current size. Pixels that are not kept are released at the request for another photograph.
     fn pixels(&mut self, view: usize) -> Result<Arc<Photo>, CaptureError> {
         if let Some(photo) = &self.views[view].photo {
             return Ok(Arc::clone(photo));
@@ -143,10 +142,8 @@ impl Views {
         Ok(photo)
     }
 
-    /// `[1, H, W]`: the excluded pixels of a view. `None` if no pixel is excluded. Cached.
-    ///
-    /// # Errors
-    /// If the photograph must be decoded again and cannot be.
+    /// `[1, H, W]`: the excluded pixels of a view. `None` if no pixel is excluded. Cached. An error if the photograph
+    /// must be decoded again and cannot be.
     pub fn excluded(&mut self, view: usize) -> Result<Option<Tensor<3, Bool>>, CaptureError> {
         if !self.views[view].photograph.has_mask {
             return Ok(None);
@@ -166,12 +163,9 @@ impl Views {
         Ok(Some(excluded))
     }
 
-    /// A view's camera and its photograph, which is black where its mask excludes pixels. The photograph is cached while
-    /// there is room: prepared, or packed on a GPU where not all prepared ones fit. A photograph with transparent parts is
-    /// prepared again over `drawn`, if this step has a drawn background.
-    ///
-    /// # Errors
-    /// If the photograph must be decoded again and cannot be.
+    /// A view's camera and its photograph, which is black where its mask excludes pixels. The photograph is cached while there is room:
+    /// prepared, or packed on a GPU where not all prepared ones fit. A photograph with transparent parts is prepared again over `drawn`, if
+    /// this step has a drawn background. An error if the photograph must be decoded again and cannot be.
     pub fn prepare(&mut self, view: usize, drawn: Option<[f32; 3]>) -> Result<(Camera, Truth), CaptureError> {
         let of = &self.views[view];
         let (camera, drawn) = (of.camera.clone(), drawn.filter(|_| of.photograph.has_alpha));

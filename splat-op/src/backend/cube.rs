@@ -15,14 +15,9 @@ use crate::gpu::{Buffer, Gpu};
 /// Memory of an output of a pass on a GPU, row-major, if there is one.
 pub type GpuOutput = Option<Handle>;
 
-/// Returns the memory of outputs.
-pub(crate) fn gpu_outputs<T>(outputs: impl IntoIterator<Item = Buffer<T>>) -> Vec<GpuOutput> {
-    outputs.into_iter().map(|buffer| Some(buffer.handle)).collect()
-}
-
-/// Returns the memory of outputs that may be missing.
-pub(crate) fn optional_outputs<T>(outputs: impl IntoIterator<Item = Option<Buffer<T>>>) -> Vec<GpuOutput> {
-    outputs.into_iter().map(|buffer| buffer.map(|buffer| buffer.handle)).collect()
+/// Returns the memory of outputs, of which some may be missing.
+pub(crate) fn gpu_outputs<T>(outputs: impl IntoIterator<Item = impl Into<Option<Buffer<T>>>>) -> Vec<GpuOutput> {
+    outputs.into_iter().map(|buffer| buffer.into().map(|buffer| buffer.handle)).collect()
 }
 
 /// Returns a tensor's elements, row-major.

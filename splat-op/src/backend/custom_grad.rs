@@ -10,6 +10,8 @@ use super::*;
 struct WithGradient;
 
 impl Operation for WithGradient {
+    const DIFFERENTIABLE: &'static [usize] = &[0];
+
     fn outputs(&self, inputs: &[Option<Spec>]) -> Vec<Option<Spec>> {
         vec![inputs[1].clone()]
     }
@@ -21,10 +23,6 @@ impl Operation for WithGradient {
     #[cfg(feature = "cube")]
     fn launch(&self, args: GpuArgs) -> Vec<GpuOutput> {
         vec![Some(args.handle(1))]
-    }
-
-    fn differentiable(&self) -> &'static [usize] {
-        &[0]
     }
 
     fn run_backward<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {

@@ -22,7 +22,7 @@ pub use args::Args;
 #[cfg(feature = "cube")]
 pub use cube::{GpuArgs, GpuOutput};
 #[cfg(feature = "cube")]
-pub(crate) use cube::{buffer, gpu_outputs, optional_outputs, owned};
+pub(crate) use cube::{buffer, gpu_outputs, owned};
 pub use host::{Host, HostArgs, HostOutput};
 pub(crate) use host::{float_outputs, slices};
 pub use list::Slot;

@@ -41,38 +41,35 @@ impl Spec {
 /// twin [`run`](Self::run) in f32 or in f64, which is the type of the inputs; a GPU calls [`launch`](Self::launch). With Burn's fusion both
 /// run later than [`apply`](super::apply), on the device's own thread.
 pub trait Operation: Clone + Debug + Send + Sync + 'static {
+    /// The inputs that gradients flow to, at most [`MAX_DIFFERENTIABLE`].
+    const DIFFERENTIABLE: &'static [usize] = &[];
+    /// Whether the backward pass is given the outputs. They are kept until then.
+    const KEEPS_OUTPUTS: bool = false;
+
     /// Returns the specification of each output from those of the inputs. By default there is one, as the first input.
     fn outputs(&self, inputs: &[Option<Spec>]) -> Vec<Option<Spec>> {
         inputs[..1].to_vec()
     }
 
     /// Computes the outputs on the CPU.
-    fn run<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {
-        let _ = args;
+    fn run<F: Real>(&self, _args: &HostArgs) -> Vec<HostOutput> {
         unreachable!("{self:?} has no CPU twin: its caller asks for the device")
     }
 
     /// Computes the outputs on the GPU.
     #[cfg(feature = "cube")]
-    fn launch(&self, args: GpuArgs) -> Vec<GpuOutput> {
-        let _ = args;
+    fn launch(&self, _args: GpuArgs) -> Vec<GpuOutput> {
         unreachable!("{self:?} has no kernel: its caller asks for the device")
     }
 
-    /// Returns the inputs that gradients flow to, at most [`MAX_DIFFERENTIABLE`]. All of them must be present.
+    /// Returns the inputs that gradients flow to. All of them must be present.
     fn differentiable(&self) -> &'static [usize] {
-        &[]
+        Self::DIFFERENTIABLE
     }
 
     /// Whether a gradient of `output` gives one of `input`, where outputs are functions of different inputs.
-    fn depends(&self, output: usize, input: usize) -> bool {
-        let _ = (output, input);
+    fn depends(&self, _output: usize, _input: usize) -> bool {
         true
-    }
-
-    /// Whether the backward pass is given the outputs. They are kept until then.
-    fn keeps_outputs(&self) -> bool {
-        false
     }
 
     /// Returns the operation to run if an input is tracked: one that keeps what its backward pass would compute again.
@@ -82,15 +79,13 @@ pub trait Operation: Clone + Debug + Send + Sync + 'static {
 
     /// Computes the gradients of the inputs on the CPU, one for each; those that are not needed are dropped. `args` has the gradients of
     /// the outputs.
-    fn run_backward<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {
-        let _ = args;
+    fn run_backward<F: Real>(&self, _args: &HostArgs) -> Vec<HostOutput> {
         unreachable!("{self:?} names no differentiable input")
     }
 
     /// Computes the gradients of the inputs on the GPU, as [`run_backward`](Self::run_backward).
     #[cfg(feature = "cube")]
-    fn launch_backward(&self, args: GpuArgs) -> Vec<GpuOutput> {
-        let _ = args;
+    fn launch_backward(&self, _args: GpuArgs) -> Vec<GpuOutput> {
         unreachable!("{self:?} names no differentiable input")
     }
 }
@@ -138,7 +133,7 @@ impl<O: Operation> Erased for O {
     }
 
     fn keeps_outputs(&self) -> bool {
-        Operation::keeps_outputs(self)
+        Self::KEEPS_OUTPUTS
     }
 
     fn tracked(&self) -> Arc<dyn Erased> {

@@ -11,6 +11,8 @@ struct Multiples;
 const FACTORS: [f32; 2] = [2.0, 3.0];
 
 impl Operation for Multiples {
+    const DIFFERENTIABLE: &'static [usize] = &[0, 1];
+
     fn outputs(&self, inputs: &[Option<Spec>]) -> Vec<Option<Spec>> {
         inputs.to_vec()
     }
@@ -22,10 +24,6 @@ impl Operation for Multiples {
     #[cfg(feature = "cube")]
     fn launch(&self, args: GpuArgs) -> Vec<GpuOutput> {
         [0, 1].map(|i| Some(times(args.tensor(i).clone(), FACTORS[i]))).into()
-    }
-
-    fn differentiable(&self) -> &'static [usize] {
-        &[0, 1]
     }
 
     fn depends(&self, output: usize, input: usize) -> bool {

@@ -6,7 +6,7 @@ use burn::tensor::Tensor;
 
 use crate::backend::custom_grad::constant;
 use crate::check::Reference;
-use crate::error::SplatError;
+use crate::error::Result;
 use crate::product::mixed;
 
 /// Maps every pixel of `image`, `[H, W, 3]` f32, or f64 on CPUs, by `map`, `[3, 4]`: a matrix and, in the last column, an offset.
@@ -14,7 +14,7 @@ use crate::product::mixed;
 ///
 /// # Errors
 /// If a shape is not as documented, or if float types or devices differ.
-pub fn apply(image: &Tensor<3>, map: &Tensor<2>) -> Result<Tensor<3>, SplatError> {
+pub fn apply(image: &Tensor<3>, map: &Tensor<2>) -> Result<Tensor<3>> {
     let reference = Reference::new("image", image)?;
     reference.check("image", image, [None, None, Some(3)], "[H, W, 3]")?;
     reference.check("map", map, [Some(3), Some(4)], "[3, 4]")?;

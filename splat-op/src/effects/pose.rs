@@ -16,7 +16,7 @@ use burn::tensor::{Tensor, TensorData};
 
 use crate::backend::custom_grad::{constant, plain};
 use crate::check::Reference;
-use crate::error::SplatError;
+use crate::error::Result;
 use crate::product::product;
 
 /// The least square of a distance that a direction is divided by.
@@ -27,7 +27,7 @@ const LEAST_SQUARE: f64 = 1e-30;
 ///
 /// # Errors
 /// If a shape is not as documented, or if float types or devices differ.
-pub fn corrected(correction: &Tensor<2>, cam_from_world: &Tensor<2>, unit: f64) -> Result<Tensor<2>, SplatError> {
+pub fn corrected(correction: &Tensor<2>, cam_from_world: &Tensor<2>, unit: f64) -> Result<Tensor<2>> {
     let reference = Reference::new("correction", correction)?;
     reference.check("correction", correction, [Some(2), Some(3)], "[2, 3]")?;
     reference.check("cam_from_world", cam_from_world, [Some(3), Some(4)], "[3, 4]")?;
@@ -61,7 +61,7 @@ pub fn cross_matrix(v: &Tensor<1>) -> Tensor<2> {
 ///
 /// # Errors
 /// If a shape is not as documented, or if float types differ.
-pub fn miss(pose: &Tensor<2>, points: &Tensor<2>, directions: &Tensor<2>, scale: f64) -> Result<Tensor<1>, SplatError> {
+pub fn miss(pose: &Tensor<2>, points: &Tensor<2>, directions: &Tensor<2>, scale: f64) -> Result<Tensor<1>> {
     let tracked = pose.is_autodiff();
     let values = plain(pose);
     let reference = Reference::new("pose", &values)?;

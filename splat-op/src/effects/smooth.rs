@@ -16,18 +16,14 @@ use burn::tensor::Tensor;
 
 use crate::backend::custom_grad::{constant, plain};
 use crate::check::Reference;
-use crate::error::SplatError;
+use crate::error::Result;
 
 /// Returns the standard deviations `[N, 3]` and opacities `[N]` of Gaussians that are convolved with isotropic Gaussians of the standard
 /// deviations `widths`, `[N, 1]`, greater than zero; scene units. Differentiable in all but the widths.
 ///
 /// # Errors
 /// If a shape is not as documented, or if float types or devices differ.
-pub fn smoothed(
-    scales: &Tensor<2>,
-    opacities: &Tensor<1>,
-    widths: &Tensor<2>,
-) -> Result<(Tensor<2>, Tensor<1>), SplatError> {
+pub fn smoothed(scales: &Tensor<2>, opacities: &Tensor<1>, widths: &Tensor<2>) -> Result<(Tensor<2>, Tensor<1>)> {
     let reference = Reference::new("scales", scales)?;
     let count = scales.dims()[0];
     reference.check("scales", scales, [None, Some(3)], "[N, 3]")?;

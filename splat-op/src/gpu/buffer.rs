@@ -19,8 +19,43 @@ pub fn poison(on: bool) {
     POISON.store(on, Ordering::Relaxed);
 }
 
-/// Rounds a length up to a multiple of an eighth of the next power of two, so that a slightly larger length finds the same
-/// memory again.
+/// What a launch takes for an argument of a kernel: the argument itself, a buffer, one that may be missing, or a number of elements.
+pub(crate) trait Argument<A> {
+    fn argument(self) -> A;
+}
+
+impl<A> Argument<A> for A {
+    fn argument(self) -> A {
+        self
+    }
+}
+
+impl<T> Argument<BufferArg> for &Buffer<T> {
+    fn argument(self) -> BufferArg {
+        self.arg()
+    }
+}
+
+impl<T, K: LaunchArg<RuntimeArg = BufferArg>> Argument<ComptimeOptionArgs<K>> for Option<&Buffer<T>> {
+    fn argument(self) -> ComptimeOptionArgs<K> {
+        self.map(Buffer::arg).into()
+    }
+}
+
+impl<T, K: LaunchArg<RuntimeArg = BufferArg>> Argument<ComptimeOptionArgs<K>> for &Option<Buffer<T>> {
+    fn argument(self) -> ComptimeOptionArgs<K> {
+        self.as_ref().argument()
+    }
+}
+
+// Numbers of elements fit: see `INDEX_LIMIT`.
+impl Argument<u32> for usize {
+    fn argument(self) -> u32 {
+        self as u32
+    }
+}
+
+/// Rounds a length up to a multiple of an eighth of the next power of two, so that a slightly larger length finds the same memory again.
 pub(crate) fn roomy(len: usize) -> usize {
     len.next_multiple_of((len.next_power_of_two() / 8).max(1))
 }
@@ -91,8 +126,7 @@ impl<T: Pod> Buffer<T> {
     fn with_room(gpu: &Gpu, len: usize, words: usize) -> Self {
         // Devices cannot bind an empty buffer.
         let words = words.max(1);
-        // Sizes known beforehand are checked at the public functions, and large buffers are checked by name; this check covers
-        // all others.
+        // Sizes known beforehand are checked at the public functions, and large buffers are checked by name; this check covers all others.
         let need = Need {
             what: "a buffer of the kernels",
             bytes: 4 * words as u64,
@@ -130,13 +164,9 @@ impl<T: Pod> Buffer<T> {
         const { assert!(size_of::<T>() == 4) };
         let buffers = lens.map(|len| len.map(|len| Self::new(gpu, len)));
         let longest = buffers.iter().flatten().map(|buffer| buffer.len).max().unwrap_or(0);
-        let output = |i: usize| buffers[i].as_ref().map(Buffer::arg).into();
-        let [a, b, c, d] = lens.map(|len| len.unwrap_or(0) as u32);
+        let ([e, f, g, h], [a, b, c, d]) = (buffers.each_ref(), lens.map(Option::unwrap_or_default));
         // SAFETY: every access is guarded by the lengths given.
-        launch_unchecked!(
-            gpu.units(longest),
-            clear_kernel(output(0), output(1), output(2), output(3), a, b, c, d, given(buffers.each_ref()))
-        );
+        launch_unchecked!(gpu.units(longest), clear_kernel(e, f, g, h, a, b, c, d, given([e, f, g, h])));
         buffers
     }
 
@@ -189,7 +219,7 @@ fn scale_kernel(values: &mut [f32], factor: &[f32], len: u32) {
 /// Multiplies values by a number, in place.
 pub(crate) fn launch_scale(gpu: &Gpu, values: &Buffer<f32>, factor: &Buffer<f32>) {
     // SAFETY: every access is guarded by the length given, and the factor is one number.
-    launch_unchecked!(gpu.units(values.len), scale_kernel(values.arg(), factor.arg(), values.len as u32));
+    launch_unchecked!(gpu.units(values.len), scale_kernel(values, factor, values.len));
 }
 
 #[cfg(test)]

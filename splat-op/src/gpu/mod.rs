@@ -15,7 +15,7 @@ use cubecl::ir::{DeviceProperties, ElemType, FloatKind, Type};
 use cubecl::prelude::{CubeCount, CubeDim};
 
 pub use buffer::poison;
-pub(crate) use buffer::{Buffer, PART_BYTES, launch_scale, roomy};
+pub(crate) use buffer::{Argument, Buffer, PART_BYTES, launch_scale, roomy};
 pub(crate) use math::*;
 pub(crate) use number::*;
 pub(crate) use reduce::*;
@@ -135,7 +135,8 @@ pub(crate) fn elementwise(elements: usize) -> (CubeCount, CubeDim) {
     (cubes(elements.div_ceil(UNITS)), CubeDim::new_1d(UNITS as u32))
 }
 
-/// Launches a kernel whose accesses are not checked: `launch_unchecked!(dispatch, kernel(arguments))`, with a [`Dispatch`].
+/// Launches a kernel whose accesses are not checked: `launch_unchecked!(dispatch, kernel(arguments))`, with a [`Dispatch`] and what
+/// [`Argument`] takes.
 ///
 /// # Safety
 /// Every access of the kernel lies within its buffers. A comment at each use says why.
@@ -144,7 +145,7 @@ macro_rules! launch_unchecked {
         let (client, grid, dim) = $dispatch;
         // SAFETY: see the comment at the use.
         unsafe {
-            $kernel::launch_unchecked(client, grid, dim, $($argument),*);
+            $kernel::launch_unchecked(client, grid, dim, $($crate::gpu::Argument::argument($argument)),*);
         }
     }};
 }

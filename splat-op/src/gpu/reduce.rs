@@ -132,9 +132,6 @@ pub(crate) fn launch_sums(
 ) -> Buffer<f32> {
     let sums = Buffer::new(gpu, columns);
     // SAFETY: every access is guarded by the lengths given.
-    launch_unchecked!(
-        gpu.cubes(columns),
-        column_sums_kernel(values.arg(), weights.map(Buffer::arg).into(), sums.arg(), rows as u32, columns as u32)
-    );
+    launch_unchecked!(gpu.cubes(columns), column_sums_kernel(values, weights, &sums, rows, columns));
     sums
 }

@@ -20,8 +20,7 @@ pub(crate) const fn width<S: Simd, F: Real>() -> usize {
     <F::Lanes<S> as SimdBase<S>>::LEN
 }
 
-/// Number of rows transposed at a time: enough that stores have completed when lanes read them, few enough to stay in the nearest
-/// cache.
+/// Number of rows transposed at a time: enough that stores have completed when lanes read them, few enough to stay in the nearest cache.
 pub(crate) const ROW_BLOCK: usize = 64;
 
 /// Up to [`ROW_BLOCK`] rows of `C` numbers, stored by columns.

@@ -71,8 +71,7 @@ pub trait Real:
     const EXP2_MAX: Self;
     /// The constants of [`Self::exp2_lanes`].
     const EXP2: [Self; EXP2_CONSTANTS];
-    /// Returns `2^−q` for `0 <= q <= EXP2_MAX`, within 2 ulp; arbitrary elsewhere. `constants` are [`Self::EXP2`], one copy in
-    /// each lane.
+    /// Returns `2^−q` for `0 <= q <= EXP2_MAX`, within 2 ulp; arbitrary elsewhere. `constants` are [`Self::EXP2`], one copy in each lane.
     fn exp2_lanes<S: Simd, L: SimdFloat<S, Element = Self>>(q: L, constants: &[L; EXP2_CONSTANTS]) -> L;
     /// Writes the sum over the lanes of each vector, with the bits of `reduce_sum`.
     #[inline(always)]
@@ -152,9 +151,8 @@ impl Real for f32 {
 
     const EXP2_MAX: Self = 126.0;
 
-    /// First `1.5 · 2²³`, whose addition rounds to an integer and leaves it in the low bits, plus 127, the bias of an exponent.
-    /// Then the polynomial of degree 6 for `2^−s`, `|s| <= 1/2`, of least relative error, 2e-9 (Remez's exchange), a thirtieth
-    /// of an ulp.
+    /// First `1.5 · 2²³`, whose addition rounds to an integer and leaves it in the low bits, plus 127, the bias of an exponent. Then the
+    /// polynomial of degree 6 for `2^−s`, `|s| <= 1/2`, of least relative error, 2e-9 (Remez's exchange), a thirtieth of an ulp.
     const EXP2: [f32; EXP2_CONSTANTS] = [
         12_583_039.0,
         1.534_581_2e-4,
@@ -201,8 +199,7 @@ impl Real for f32 {
 
     #[inline(always)]
     fn exp_lanes<S: Simd>(x: f32x8<S>) -> f32x8<S> {
-        // x = n ln 2 + s with an integer n and |s| <= (ln 2) / 2, as above; ln 2 is split in two parts, the first with few
-        // digits.
+        // x = n ln 2 + s with an integer n and |s| <= (ln 2) / 2, as above; ln 2 is split in two parts, the first with few digits.
         const ROUND: f32 = 12_582_912.0;
         const LN_2: [f32; 2] = [0.693_359_4, -2.121_944_4e-4];
         let simd = x.token();

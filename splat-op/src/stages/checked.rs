@@ -10,7 +10,7 @@ use crate::limits::Need;
 use crate::project::COLUMNS;
 use crate::rasterize::RasterizeSpec;
 use crate::sh::sh_degree;
-use crate::{Camera, CameraModel, Colour, Intrinsics, RenderOptions, SplatError, Splats};
+use crate::{Camera, CameraModel, Colour, Intrinsics, RenderOptions, Result, SplatError, Splats};
 
 /// Options in range, and the number of rows, the float type and the device that the tensors of a picture share.
 ///
@@ -24,13 +24,13 @@ pub(crate) struct Checked<'a> {
 
 impl<'a> Checked<'a> {
     /// Checks options, and the float type of `rows`, which has a row per Gaussian.
-    pub fn new(name: &'static str, rows: &Tensor<2>, options: &'a RenderOptions) -> Result<Self, SplatError> {
+    pub fn new(name: &'static str, rows: &Tensor<2>, options: &'a RenderOptions) -> Result<Self> {
         options.check()?;
         Ok(Self { options, count: rows.dims()[0], reference: Reference::new(name, rows)? })
     }
 
     /// Checks options, and Gaussians without their colours.
-    pub fn gaussians(splats: &Splats, options: &'a RenderOptions) -> Result<Self, SplatError> {
+    pub fn gaussians(splats: &Splats, options: &'a RenderOptions) -> Result<Self> {
         let checked = Self::new("means", &splats.means, options)?;
         let (reference, count) = (&checked.reference, Some(checked.count));
         reference.check("means", &splats.means, [count, Some(3)], "[N, 3]")?;
@@ -45,7 +45,7 @@ impl<'a> Checked<'a> {
         &self.reference
     }
 
-    pub fn camera(&self, camera: &Camera) -> Result<(), SplatError> {
+    pub fn camera(&self, camera: &Camera) -> Result<()> {
         camera.intrinsics.check()?;
         let ok = !self.options.along_rays() || camera.intrinsics.model != CameraModel::Orthographic;
         let expected = "Affine, whose ellipse is the maximum along parallel rays";
@@ -53,11 +53,11 @@ impl<'a> Checked<'a> {
         self.pose(camera)
     }
 
-    pub fn pose(&self, camera: &Camera) -> Result<(), SplatError> {
+    pub fn pose(&self, camera: &Camera) -> Result<()> {
         self.reference.check("cam_from_world", &camera.cam_from_world, [Some(3), Some(4)], "[3, 4]")
     }
 
-    pub fn colour(&self, colour: &Colour) -> Result<(), SplatError> {
+    pub fn colour(&self, colour: &Colour) -> Result<()> {
         match colour {
             Colour::Features(features) => self.features(features),
             Colour::SphericalHarmonics(sh) => self.harmonics(slice::from_ref(sh)),
@@ -65,12 +65,12 @@ impl<'a> Checked<'a> {
         }
     }
 
-    pub fn features(&self, features: &Tensor<2>) -> Result<(), SplatError> {
+    pub fn features(&self, features: &Tensor<2>) -> Result<()> {
         self.reference.check("features", features, [Some(self.count), None], "[N, C]")?;
         check_value("features", features.dims()[1] > 0, 0, "at least one channel")
     }
 
-    fn harmonics(&self, blocks: &[Tensor<3>]) -> Result<(), SplatError> {
+    fn harmonics(&self, blocks: &[Tensor<3>]) -> Result<()> {
         const EXPECTED: &str = "[N, (degree+1)², 3] with degree 0 to 4";
         const HINT: &str = "use fewer Gaussians or a lower degree of the spherical harmonics, or several tensors \
                             (`Colour::SphericalHarmonicsBlocks`)";
@@ -92,7 +92,7 @@ impl<'a> Checked<'a> {
     }
 
     /// Checks a background of so many channels; zeros if there is none.
-    pub fn background(&self, background: Option<Tensor<1>>, channels: usize) -> Result<Tensor<1>, SplatError> {
+    pub fn background(&self, background: Option<Tensor<1>>, channels: usize) -> Result<Tensor<1>> {
         let background = background.unwrap_or_else(|| Tensor::zeros([channels], self.reference.options()));
         self.reference.check("background", &background, [Some(channels)], "[C]")?;
         Ok(background)
@@ -100,20 +100,20 @@ impl<'a> Checked<'a> {
 
     /// Checks a probe; without rows if there is none. Burn's fusion would put zeros of no rows into one kernel with pending
     /// results of one row, and launch it for no rows.
-    pub fn probe(&self, name: &'static str, probe: Option<&Tensor<2>>) -> Result<Tensor<2>, SplatError> {
+    pub fn probe(&self, name: &'static str, probe: Option<&Tensor<2>>) -> Result<Tensor<2>> {
         let Some(probe) = probe else { return Ok(Tensor::empty([0, 2], self.reference.options())) };
         self.reference.check(name, probe, [Some(self.count), Some(2)], "[N, 2]")?;
         Ok(probe.clone())
     }
 
     /// Refuses to list every Gaussian in every tile if there are too many pairs.
-    pub fn lists(&self, intrinsics: &Intrinsics) -> Result<(), SplatError> {
+    pub fn lists(&self, intrinsics: &Intrinsics) -> Result<()> {
         let [tiles_x, tiles_y] = tile_grid(intrinsics.width, intrinsics.height);
         self.options.check_uncut(self.count, tiles_x * tiles_y)
     }
 
     /// Refuses features and a picture of so many channels that do not fit into a buffer.
-    pub fn picture(&self, intrinsics: &Intrinsics, channels: usize) -> Result<(), SplatError> {
+    pub fn picture(&self, intrinsics: &Intrinsics, channels: usize) -> Result<()> {
         let spec = RasterizeSpec { intrinsics: *intrinsics, options: self.options.of_rasterize() };
         let picture = [spec.planes(channels), intrinsics.height, intrinsics.width];
         self.reference.check_fits(&[

@@ -6,7 +6,7 @@ use super::checked::Checked;
 use crate::backend::apply;
 use crate::project::{COLUMNS, ProjectSpec};
 use crate::sh::operation::EvaluateSh;
-use crate::{Camera, CameraModel, Colour, Projected, RenderOptions, SplatError, Splats};
+use crate::{Camera, CameraModel, Colour, Projected, RenderOptions, Result, Splats};
 
 /// Evaluates spherical harmonics for the directions from a camera to Gaussians; those of an orthographic camera are its axis.
 ///
@@ -15,7 +15,7 @@ use crate::{Camera, CameraModel, Colour, Projected, RenderOptions, SplatError, S
 ///
 /// # Errors
 /// If a tensor's shape, type or device does not fit.
-pub fn evaluate_sh(sh: &Tensor<3>, means: &Tensor<2>, camera: &Camera) -> Result<Tensor<2>, SplatError> {
+pub fn evaluate_sh(sh: &Tensor<3>, means: &Tensor<2>, camera: &Camera) -> Result<Tensor<2>> {
     let (colour, options) = (Colour::SphericalHarmonics(sh.clone()), RenderOptions::standard());
     check(&colour, means, camera, &options)?;
     Ok(seen(&colour, means, camera, None, &options))
@@ -35,16 +35,15 @@ fn along_axis(pose: &Tensor<2>, count: usize) -> (Tensor<2>, Tensor<2>) {
 ///
 /// # Errors
 /// If a tensor's shape, type or device does not fit.
-pub fn colours(splats: &Splats, camera: &Camera) -> Result<Tensor<2>, SplatError> {
+pub fn colours(splats: &Splats, camera: &Camera) -> Result<Tensor<2>> {
     colours_up_to(splats, camera, None)
 }
 
-/// Returns the colour or features `[N, C]` of each Gaussian as [`colours`] does, without harmonics above `degree`. `None` uses
-/// all degrees.
+/// Returns the colour or features `[N, C]` of each Gaussian as [`colours`] does, without harmonics above `degree`. `None` uses all degrees.
 ///
 /// # Errors
 /// As [`colours`].
-pub fn colours_up_to(splats: &Splats, camera: &Camera, degree: Option<usize>) -> Result<Tensor<2>, SplatError> {
+pub fn colours_up_to(splats: &Splats, camera: &Camera, degree: Option<usize>) -> Result<Tensor<2>> {
     let options = RenderOptions::standard();
     check(&splats.colour, &splats.means, camera, &options)?;
     Ok(seen(&splats.colour, &splats.means, camera, None, &options.with_sh_degree(degree)))
@@ -64,18 +63,13 @@ pub fn visible_colours(
     camera: &Camera,
     projected: &Projected,
     options: &RenderOptions,
-) -> Result<Tensor<2>, SplatError> {
+) -> Result<Tensor<2>> {
     let checked = check(&splats.colour, &splats.means, camera, options)?;
     checked.reference().check("projected", &projected.packed, [Some(checked.count), Some(COLUMNS)], "[N, 7]")?;
     Ok(seen(&splats.colour, &splats.means, camera, Some(projected), options))
 }
 
-fn check<'a>(
-    colour: &Colour,
-    means: &Tensor<2>,
-    camera: &Camera,
-    options: &'a RenderOptions,
-) -> Result<Checked<'a>, SplatError> {
+fn check<'a>(colour: &Colour, means: &Tensor<2>, camera: &Camera, options: &'a RenderOptions) -> Result<Checked<'a>> {
     let checked = Checked::new("means", means, options)?;
     checked.reference().check("means", means, [None, Some(3)], "[N, 3]")?;
     checked.pose(camera)?;

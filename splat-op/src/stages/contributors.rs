@@ -7,7 +7,7 @@ use crate::check::check_value;
 use crate::limits::Need;
 use crate::rasterize::RasterizeSpec;
 use crate::rasterize::operation::Contribute;
-use crate::{Intersections, Intrinsics, Projected, RenderOptions, SplatError};
+use crate::{Intersections, Intrinsics, Projected, RenderOptions, Result};
 
 /// Largest number of contributors that [`contributors`] returns for a pixel.
 pub const MAX_CONTRIBUTORS: usize = 1024;
@@ -59,7 +59,7 @@ pub fn contributors(
     intersections: &Intersections,
     k: usize,
     options: &RenderOptions,
-) -> Result<Contributors, SplatError> {
+) -> Result<Contributors> {
     let checked = projected.checked(options)?;
     check_value("k", (1..=MAX_CONTRIBUTORS).contains(&k), k, "1 to 1024 contributors")?;
     let Intrinsics { width, height, .. } = projected.intrinsics;

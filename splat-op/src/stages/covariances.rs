@@ -7,18 +7,14 @@ use burn::tensor::{Bool, Tensor};
 use super::checked::Checked;
 use crate::backend::custom_grad::plain;
 use crate::check::check_value;
-use crate::{Extras, SplatError, Splats};
+use crate::{Extras, Result, Splats};
 
 /// Returns the Gaussians as [`project`](mod@crate::project) takes them, and whether factors stand in place of rotations and scales: those of
 /// the covariances of `extras`, if there are any.
 ///
 /// `Σ = C Cᵀ` with a lower triangle `C`, by Cholesky's decomposition. Of a covariance that is not positive definite all gradients are zero,
 /// and its factor is a zero quaternion, which is culled.
-pub(super) fn factored<'a>(
-    checked: &Checked,
-    splats: &'a Splats,
-    extras: &Extras,
-) -> Result<(Cow<'a, Splats>, bool), SplatError> {
+pub(super) fn factored<'a>(checked: &Checked, splats: &'a Splats, extras: &Extras) -> Result<(Cow<'a, Splats>, bool)> {
     let Some(covariances) = &extras.covariances else { return Ok((Cow::Borrowed(splats), false)) };
     let (count, options) = (checked.count, checked.options);
     checked.reference().check("covariances", covariances, [Some(count), Some(3), Some(3)], "[N, 3, 3]")?;

@@ -8,7 +8,7 @@ use crate::intersect::Kept;
 use crate::intersect::operation::Intersect;
 use crate::rasterize::RasterizeSpec;
 use crate::ray_space::operation::BoundRows;
-use crate::{Intrinsics, Projected, RenderOptions, SplatError};
+use crate::{Intrinsics, Projected, RenderOptions, Result, SplatError};
 
 /// The intersections of Gaussians and tiles of one view, as [`intersect`](fn@intersect) returns them.
 #[derive(Clone, Debug)]
@@ -22,7 +22,7 @@ pub struct Intersections {
 
 impl Intersections {
     /// Refuses lists of other Gaussians, of another picture or of other options: kernels do not check the indices in them.
-    pub(super) fn check(&self, checked: &Checked, intrinsics: &Intrinsics) -> Result<(), SplatError> {
+    pub(super) fn check(&self, checked: &Checked, intrinsics: &Intrinsics) -> Result<()> {
         let &Checked { count, options, .. } = checked;
         checked.reference().check_device("intersections", &self.counts.device())?;
         let (listed, of) = &self.of;
@@ -50,7 +50,7 @@ impl Intersections {
 /// # Errors
 /// If an option is out of range, if `projected` was not made with `options.projection`, or if
 /// `options.alpha_min` is zero and there are more than [`crate::MAX_UNCULLED_INTERSECTIONS`] pairs of a Gaussian and a tile.
-pub fn intersect(projected: &Projected, options: &RenderOptions) -> Result<Intersections, SplatError> {
+pub fn intersect(projected: &Projected, options: &RenderOptions) -> Result<Intersections> {
     let checked = projected.checked(options)?;
     checked.lists(projected.intrinsics())?;
     Ok(listed(&checked, projected, None))

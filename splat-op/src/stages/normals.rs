@@ -4,7 +4,7 @@ use burn::tensor::{Bool, Int, Tensor};
 
 use super::checked::Checked;
 use crate::backend::custom_grad::{constant, plain};
-use crate::{Camera, CameraModel, RenderOptions, SplatError, Splats};
+use crate::{Camera, CameraModel, RenderOptions, Result, Splats};
 
 /// Returns the unit normal of each Gaussian, `[N, 3]`, world frame: its shortest axis, turned towards the camera. Of equally short axes it
 /// is the first.
@@ -15,7 +15,7 @@ use crate::{Camera, CameraModel, RenderOptions, SplatError, Splats};
 ///
 /// # Errors
 /// If a tensor's shape, type or device does not fit.
-pub fn normals(splats: &Splats, camera: &Camera) -> Result<Tensor<2>, SplatError> {
+pub fn normals(splats: &Splats, camera: &Camera) -> Result<Tensor<2>> {
     let options = RenderOptions::standard();
     Checked::gaussians(splats, &options)?.camera(camera)?;
     Ok(facing(splats, camera))

@@ -2,7 +2,7 @@
 
 use crate::check::check_value;
 use crate::sh::SH_DEGREE_MAX;
-use crate::{CameraModel, Intrinsics, SplatError};
+use crate::{CameraModel, Intrinsics, Result};
 
 /// Declares a struct of options. Each field has a builder, after its `=>`, that sets it.
 macro_rules! with_builders {
@@ -162,9 +162,8 @@ impl RenderOptions {
 
     /// Returns options for accurate renders: [`Self::standard`] with finer thresholds.
     ///
-    /// `alpha_min` is 2⁻²⁶ and no pixel is finished early (`transmittance_min = 0`), so that nothing is skipped that an 8-bit or
-    /// 16-bit picture could show. `alpha_max` is unchanged, because scenes were trained with it; so are the dials whose error is
-    /// within rounding.
+    /// `alpha_min` is 2⁻²⁶ and no pixel is finished early (`transmittance_min = 0`), so that nothing is skipped that an 8-bit or 16-bit
+    /// picture could show. `alpha_max` is unchanged, because scenes were trained with it; so are the dials whose error is within rounding.
     pub const fn exact() -> Self {
         // 2⁻²⁶: a thousand such contributions stay below half a level of a 16-bit picture.
         Self { alpha_min: 1.0 / 67_108_864.0, transmittance_min: 0.0, ..Self::standard() }
@@ -197,7 +196,7 @@ impl RenderOptions {
         Self { depth: self.depth || self.expected_depth, ..*self }
     }
 
-    pub(crate) fn check(&self) -> Result<(), SplatError> {
+    pub(crate) fn check(&self) -> Result<()> {
         let within = |field, value: f64, low: f64, high: f64, expected| {
             check_value(field, value >= low && value <= high, value, expected)
         };
@@ -215,7 +214,7 @@ impl RenderOptions {
     }
 
     /// Refuses to list every Gaussian in every tile if there are more than [`MAX_UNCULLED_INTERSECTIONS`] pairs.
-    pub(crate) fn check_uncut(&self, gaussians: usize, tiles: usize) -> Result<(), SplatError> {
+    pub(crate) fn check_uncut(&self, gaussians: usize, tiles: usize) -> Result<()> {
         let pairs = gaussians.saturating_mul(tiles);
         let ok = self.alpha_min > 0.0 || pairs <= MAX_UNCULLED_INTERSECTIONS;
         let expected = "a value above 0, so that Gaussians are listed only in the tiles they reach, or at most 67108864 \

@@ -17,7 +17,7 @@ use crate::abilities::{check_fits, is_gpu};
 use crate::backend::custom_grad::constant;
 use crate::check::{Reference, check_value};
 use crate::limits::Need;
-use crate::{Accumulation, Camera, Extras, Intrinsics, RenderOptions, Rendered, SplatError, Splats};
+use crate::{Accumulation, Camera, Extras, Intrinsics, RenderOptions, Rendered, Result, Splats};
 
 /// Number of pixels of a face beyond the cube's, on each side.
 const MARGIN: usize = 1;
@@ -105,7 +105,7 @@ impl Panorama {
     ///
     /// # Errors
     /// If a side is zero or above 32,768 px, or if a table is larger than the device allows.
-    pub fn new(width: usize, height: usize, device: &Device) -> Result<Self, SplatError> {
+    pub fn new(width: usize, height: usize, device: &Device) -> Result<Self> {
         Self::with_faces(width, height, Equirectangular { width, height }.face_side(), device)
     }
 
@@ -113,7 +113,7 @@ impl Panorama {
     ///
     /// # Errors
     /// As [`Self::new`], and if `side` is zero or above 18,916 px.
-    pub fn with_faces(width: usize, height: usize, side: usize, device: &Device) -> Result<Self, SplatError> {
+    pub fn with_faces(width: usize, height: usize, side: usize, device: &Device) -> Result<Self> {
         Intrinsics::centred(width, height, 1.0).check()?;
         check_value("side", (1..=MAX_SIDE).contains(&side), side, "1 to 18916 px")?;
         let face = Intrinsics::centred(side + 2 * MARGIN, side + 2 * MARGIN, side as f64 / 2.0);
@@ -171,7 +171,7 @@ impl Panorama {
         cam_from_world: &Tensor<2>,
         extras: &Extras,
         options: &RenderOptions,
-    ) -> Result<Rendered<3>, SplatError> {
+    ) -> Result<Rendered<3>> {
         let reference = Reference::new("means", &splats.means)?;
         reference.check("cam_from_world", cam_from_world, [Some(3), Some(4)], "[3, 4]")?;
         reference.check_device("panorama", &self.corners.device())?;

@@ -9,7 +9,7 @@ use crate::check::Reference;
 use crate::project::operation::Project;
 use crate::project::{COLUMNS, Geometry, ProjectSpec, RADIUS_SIGMAS};
 use crate::ray_space::operation::RaySpace;
-use crate::{Camera, Extras, Intrinsics, RenderOptions, SplatError, Splats};
+use crate::{Camera, Extras, Intrinsics, RenderOptions, Result, SplatError, Splats};
 
 /// The screen-space ellipses of a view, one tensor per field.
 ///
@@ -53,7 +53,7 @@ impl Projected {
     }
 
     /// Checks options, and that the ellipses were made with their projection.
-    pub(super) fn checked<'a>(&self, options: &'a RenderOptions) -> Result<Checked<'a>, SplatError> {
+    pub(super) fn checked<'a>(&self, options: &'a RenderOptions) -> Result<Checked<'a>> {
         let expected = match (options.along_rays(), self.ray_space.is_some()) {
             (true, false) => "Affine for ellipses that were packed from fields, or projected with these options",
             (false, true) => "the projection that the ellipses were projected with",
@@ -118,7 +118,7 @@ impl Ellipses {
     ///
     /// # Errors
     /// If a field differs from `mean2d` in its number of rows, type or device, or if `intrinsics` are out of range.
-    pub fn pack(self, intrinsics: &Intrinsics) -> Result<Projected, SplatError> {
+    pub fn pack(self, intrinsics: &Intrinsics) -> Result<Projected> {
         intrinsics.check()?;
         let count = self.mean2d.dims()[0];
         let reference = Reference::new("mean2d", &self.mean2d)?;
@@ -151,12 +151,7 @@ impl Ellipses {
 ///
 /// # Errors
 /// If a tensor's shape, type or device does not fit, or if the camera or an option is out of range.
-pub fn project(
-    splats: &Splats,
-    camera: &Camera,
-    extras: &Extras,
-    options: &RenderOptions,
-) -> Result<Projected, SplatError> {
+pub fn project(splats: &Splats, camera: &Camera, extras: &Extras, options: &RenderOptions) -> Result<Projected> {
     let checked = Checked::gaussians(splats, options)?;
     checked.camera(camera)?;
     let probe = checked.probe("mean2d_probe", extras.mean2d_probe.as_ref())?;

@@ -16,7 +16,7 @@ use crate::abilities::check_fits;
 use crate::backend::custom_grad::constant;
 use crate::check::check_value;
 use crate::limits::Need;
-use crate::{Camera, Extras, RenderOptions, SplatError, Splats};
+use crate::{Camera, Extras, RenderOptions, Result, Splats};
 
 /// Renders Gaussians as seen by one or several cameras with pictures of one size.
 ///
@@ -27,12 +27,7 @@ use crate::{Camera, Extras, RenderOptions, SplatError, Splats};
 /// # Errors
 /// If there is no camera, if the sizes of their pictures differ, if a tensor's shape, type or device does not fit, if a camera or
 /// option is out of range, or if a buffer would be larger than the device allows.
-pub fn render(
-    splats: &Splats,
-    cameras: &[Camera],
-    extras: &Extras,
-    options: &RenderOptions,
-) -> Result<Rendered<4>, SplatError> {
+pub fn render(splats: &Splats, cameras: &[Camera], extras: &Extras, options: &RenderOptions) -> Result<Rendered<4>> {
     check_value("cameras", !cameras.is_empty(), 0, "at least one camera")?;
     let size = |camera: &Camera| (camera.intrinsics.width, camera.intrinsics.height);
     let (width, height) = size(&cameras[0]);
@@ -52,8 +47,7 @@ pub fn render(
     }))
 }
 
-/// Renders Gaussians as seen by cameras whose pictures may differ in size. Returns a picture for each camera, `[H, W, C]`; see
-/// [`render`].
+/// Renders Gaussians as seen by cameras whose pictures may differ in size. Returns a picture for each camera, `[H, W, C]`; see [`render`].
 ///
 /// # Errors
 /// As [`render`]; pictures may differ in size, and there may be no camera.
@@ -62,7 +56,7 @@ pub fn render_each(
     cameras: &[Camera],
     extras: &Extras,
     options: &RenderOptions,
-) -> Result<Vec<Rendered<3>>, SplatError> {
+) -> Result<Vec<Rendered<3>>> {
     let channels = splats.colour.channels();
     let checked = Checked::gaussians(splats, options)?;
     checked.colour(&splats.colour)?;
@@ -114,12 +108,7 @@ pub fn render_each(
 ///
 /// # Errors
 /// As [`render`].
-pub fn render_view(
-    splats: &Splats,
-    camera: &Camera,
-    extras: &Extras,
-    options: &RenderOptions,
-) -> Result<Rendered<3>, SplatError> {
+pub fn render_view(splats: &Splats, camera: &Camera, extras: &Extras, options: &RenderOptions) -> Result<Rendered<3>> {
     let expected = "`background`: one camera has one, and `render_each` takes several";
     check_value("backgrounds", extras.backgrounds.is_none(), "given", expected)?;
     Ok(render_each(splats, slice::from_ref(camera), extras, options)?.remove(0))

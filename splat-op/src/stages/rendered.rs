@@ -7,7 +7,7 @@ use super::checked::Checked;
 use crate::backend::apply;
 use crate::rasterize::RasterizeSpec;
 use crate::rasterize::operation::Rasterize;
-use crate::{Extras, Intersections, Projected, RenderOptions, SplatError};
+use crate::{Extras, Intersections, Projected, RenderOptions, Result};
 
 /// Rendered pictures: `Rendered<3>` holds the picture of one camera, `[H, W, …]`; `Rendered<4>` holds those of several cameras,
 /// `[B, H, W, …]`. Pictures are differentiable.
@@ -94,7 +94,7 @@ pub fn rasterize(
     intersections: &Intersections,
     extras: &Extras,
     options: &RenderOptions,
-) -> Result<Rendered<3>, SplatError> {
+) -> Result<Rendered<3>> {
     let checked = projected.checked(options)?;
     checked.features(features)?;
     let channels = features.dims()[1];

@@ -5,7 +5,7 @@ use burn::tensor::{Bool, DType, Int, Tensor};
 use super::checked::Checked;
 use super::intersections::{Intersections, listed};
 use crate::intersect::tile_grid;
-use crate::{Intrinsics, Projected, RenderOptions, SplatError};
+use crate::{Intrinsics, Projected, RenderOptions, Result, SplatError};
 
 /// Lists the Gaussians as [`intersect`](fn@crate::intersect), in the tiles where `tile_mask` is true; the lists of all others are empty.
 ///
@@ -19,7 +19,7 @@ pub fn intersect_masked(
     projected: &Projected,
     tile_mask: &Tensor<2, Bool>,
     options: &RenderOptions,
-) -> Result<Intersections, SplatError> {
+) -> Result<Intersections> {
     let checked = projected.checked(options)?;
     checked.lists(projected.intrinsics())?;
     let mask = checked_mask(&checked, projected.intrinsics(), tile_mask)?;
@@ -31,7 +31,7 @@ pub(super) fn checked_mask(
     checked: &Checked,
     intrinsics: &Intrinsics,
     tile_mask: &Tensor<2, Bool>,
-) -> Result<Tensor<2, Int>, SplatError> {
+) -> Result<Tensor<2, Int>> {
     let Intrinsics { width, height, .. } = *intrinsics;
     let [tiles_x, tiles_y] = tile_grid(width, height);
     if tile_mask.dims() != [tiles_y, tiles_x] {

@@ -13,8 +13,7 @@ use crate::train::TrainArgs;
 /// Options of `splat train` that a plan replaces by its own.
 pub const REPLACED: [&str; 4] = ["--effects", "--sh-degree", "--max-splats", "--test-every"];
 
-/// Reads options of `splat train`, as they follow `--`. An error if `splat train` refuses them, or blocks cannot be
-/// trained with them.
+/// Reads options of `splat train`, as they follow `--`. An error if `splat train` refuses them, or blocks cannot be trained with them.
 pub fn training(capture: &Path, options: &[String]) -> Result<TrainArgs> {
     let capture = utf8(capture)?;
     let line = ["splat", "train", capture].into_iter().chain(options.iter().map(String::as_str));

@@ -20,8 +20,7 @@ use crate::train::config::{self, CONFIG};
 use crate::train::{self, TrainArgs};
 use crate::{input, output};
 
-/// The splats that a block may have, relative to its share of the scene's: some of them lie in its margin or beyond, and are not
-/// kept.
+/// The splats that a block may have, relative to its share of the scene's: some of them lie in its margin or beyond, and are not kept.
 const ALLOWANCE: f64 = 1.3;
 
 /// Output folder of the coarse scene, beside the blocks.
@@ -49,8 +48,7 @@ pub struct PlanArgs {
     /// Width of the margin around a block in which it trains with all detail, as a share of the block's size
     #[arg(long, value_name = "SHARE", default_value_t = BlockOptions::default().margin, value_parser = train::share)]
     pub margin: f64,
-    /// Give a block the photographs that see at least this share of its points, or at least this share of whose points
-    /// lie in it
+    /// Give a block the photographs that see at least this share of its points, or at least this share of whose points lie in it
     #[arg(long, value_name = "SHARE", default_value_t = BlockOptions::default().min_share, value_parser = train::share)]
     pub min_share: f64,
     /// Steps of the coarse scene of the whole capture, which the plan trains and all blocks start from; 0: blocks start from their points

@@ -19,8 +19,7 @@ const STATUS: &str = "/status.json";
 const WORST: &str = "/worst.jpg";
 const STOP: &str = "/stop";
 
-/// Time after the last request for the status for which somebody looks. Browsers slow pages in the background down to a
-/// request a minute.
+/// Time after the last request for the status for which somebody looks. Browsers slow pages in the background down to a request a minute.
 pub const LOOKS: Duration = Duration::from_secs(10);
 
 /// The longest time that a finished run waits for a browser that still looks to load its results. Whoever pressed the button that stops the

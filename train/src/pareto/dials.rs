@@ -30,8 +30,7 @@ impl Candidate {
     }
 }
 
-/// Returns all settings around `base`, the standard with the scene's own model choices. `gpu`: with the dials
-/// that matter on a GPU only.
+/// Returns all settings around `base`, the standard with the scene's own model choices. `gpu`: with the dials that matter on a GPU only.
 pub fn candidates(base: &RenderOptions, gpu: bool) -> Vec<Candidate> {
     let dials = || DIALS.iter().filter(move |dial| gpu || !dial.gpu_only);
     let presets =

@@ -1,5 +1,4 @@
-//! Reference renders: whole pictures and their gradients in f64, checked in scattered pixels against the renderer without
-//! approximations.
+//! Reference renders: whole pictures and their gradients in f64, checked in scattered pixels against the renderer without approximations.
 //!
 //! The reference renders whatever `splat_op` renders: it is the f64 instance of the CPU twins, with every threshold off. Nothing
 //! is believed of it: every picture, whatever its projection and lens, has to agree with [`ExactView`], which shares no

@@ -53,8 +53,7 @@ impl DeviceScene {
         })
     }
 
-    /// Prepares the same values, poses included, in f64 on the CPU. Rounding in f32 arithmetic is an error; rounding of
-    /// its input is not.
+    /// Prepares the same values, poses included, in f64 on the CPU. Rounding in f32 arithmetic is an error; rounding of its input is not.
     pub fn in_f64(rows: &GaussianRows, photos: &[Photo], background: [f32; 3]) -> Result<Self> {
         let f32 = Self::new(rows, photos, background, &Device::flex())?;
         let gaussians = f32.gaussians.untracked().map(&mut Wide);

@@ -91,8 +91,7 @@ fn own_rank() -> usize {
     0
 }
 
-/// Checks that all ranks were started with the same version and options. An error on every rank, for the first
-/// difference.
+/// Checks that all ranks were started with the same version and options. An error on every rank, for the first difference.
 pub(crate) fn agree_on_start(ranks: &dyn Ranks, options: &impl Serialize) -> Result<()> {
     if ranks.count() == 1 {
         return Ok(());
@@ -104,8 +103,7 @@ pub(crate) fn agree_on_start(ranks: &dyn Ranks, options: &impl Serialize) -> Res
     Ok(agree(ranks, &facts)?)
 }
 
-/// Checks that all ranks see the same files of photographs, by their sizes. An error on every rank, for the
-/// first difference.
+/// Checks that all ranks see the same files of photographs, by their sizes. An error on every rank, for the first difference.
 pub(crate) fn agree_on_files(ranks: &dyn Ranks, capture: &Capture, views: &[usize]) -> Result<()> {
     if ranks.count() == 1 {
         return Ok(());

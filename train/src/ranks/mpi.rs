@@ -1,8 +1,7 @@
 //! Ranks over MPI.
 //!
-//! A sum goes along the ranks in pieces: each adds its parts to what it receives and sends the result on while the next piece
-//! arrives. The last rank has the sum and broadcasts it. A reduction by MPI itself would take less code, but MPI may add in any
-//! order.
+//! A sum goes along the ranks in pieces: each adds its parts to what it receives and sends the result on while the next piece arrives. The
+//! last rank has the sum and broadcasts it. A reduction by MPI itself would take less code, but MPI may add in any order.
 //!
 //! MPI ends all processes when an operation fails, so no operation here returns an error.
 

@@ -88,10 +88,8 @@ fn stamp_in(folder: &Path) -> Option<Stamp> {
 }
 
 impl Workspace {
-    /// Whether a folder holds a finished reconstruction of these ingredients.
-    ///
-    /// # Errors
-    /// If it holds another reconstruction, or anything else.
+    /// Whether a folder holds a finished reconstruction of these ingredients. An error if it holds another
+    /// reconstruction, or anything else.
     pub fn is_finished(folder: &Path, ingredients: &Ingredients) -> Result<bool> {
         let shown = folder.display();
         match stamp_in(folder) {
@@ -111,10 +109,8 @@ impl Workspace {
         }
     }
 
-    /// Opens a folder that [`is_finished`](Self::is_finished) accepts, and makes it if it is not there.
-    ///
-    /// # Errors
-    /// If it cannot be written to.
+    /// Opens a folder that [`is_finished`](Self::is_finished) accepts, and makes it if it is not there. An error if it
+    /// cannot be written to.
     pub fn open(folder: &Path, ingredients: Ingredients) -> Result<Self> {
         let shown = folder.display();
         fs::create_dir_all(folder)
@@ -135,10 +131,7 @@ impl Workspace {
         Ok(workspace)
     }
 
-    /// Removes what a stage left that did not finish.
-    ///
-    /// # Errors
-    /// If something is there and cannot be removed.
+    /// Removes what a stage left that did not finish. An error if something is there and cannot be removed.
     pub fn clear(&self, names: &[&str]) -> Result<()> {
         for path in names.iter().map(|name| self.join(name)) {
             let removed = if path.is_dir() { fs::remove_dir_all(&path) } else { fs::remove_file(&path) };
@@ -196,9 +189,7 @@ impl Workspace {
 }
 
 /// Keeps the size of a unit in the folder of a reconstruction, unless it is stated there. Elsewhere nothing is written.
-///
-/// # Errors
-/// If the file cannot be read or written.
+/// An error if the file cannot be read or written.
 pub fn keep_scale(folder: &Path, scale: &Scale) -> Result<()> {
     if stamp_in(folder).is_none() {
         return Ok(());

@@ -95,9 +95,6 @@ impl CameraArgs {
     }
 
     /// Refuses options about finding cameras for a capture that has them.
-    ///
-    /// # Errors
-    /// If one is given.
     pub fn check_for_capture(&self, folder: &Path) -> Result<()> {
         let option = match self {
             Self { frames: Some(_), .. } => "--frames",
@@ -112,9 +109,7 @@ impl CameraArgs {
     }
 
     /// Measures the size of a capture's unit, if that is asked for, and keeps it in a reconstruction of this program.
-    ///
-    /// # Errors
-    /// If it cannot be determined or written.
+    /// An error if it cannot be determined or written.
     pub fn scale(&self, capture: &mut Capture) -> Result<()> {
         if let Some(ScaleFrom::Gps) = self.scale_from {
             let scale = from_gps(capture)?.context("`--scale-from gps` finds no scale")?;
@@ -166,11 +161,8 @@ pub fn name_of(source: &Path) -> String {
     }
 }
 
-/// Finds the cameras of photographs or a video, and returns the capture in `folder`.
-///
-/// # Errors
-/// If a program is missing or fails, photographs are too few, broken or do not connect, or the user asked to stop; each message says what was found
-/// and what helps.
+/// Finds the cameras of photographs or a video, and returns the capture in `folder`. An error if a program is missing or fails, photographs
+/// are too few, broken or do not connect, or the user asked to stop; each message says what was found and what helps.
 pub fn reconstruct(source: &Path, folder: &Path, options: &CameraArgs) -> Result<Capture> {
     let stop = Stop::listen()?;
     let is_video = source.is_file();

@@ -21,10 +21,8 @@ pub struct ColmapProgram {
 }
 
 impl ColmapProgram {
-    /// Finds `colmap` on the PATH and asks for its version and commands.
-    ///
-    /// # Errors
-    /// If it is not there, with how to install it, or does not answer.
+    /// Finds `colmap` on the PATH and asks for its version and commands. An error if it is not there, with how to
+    /// install it, or does not answer.
     pub fn find() -> Result<Self> {
         let help = answer(Self::command("help"), "COLMAP, which finds the cameras of photographs,", COLMAP_ADVICE)?;
         let version = help.lines().find_map(|line| line.strip_prefix("COLMAP ")?.split_whitespace().next());

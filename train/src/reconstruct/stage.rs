@@ -43,10 +43,9 @@ impl Ended {
     }
 }
 
-/// Runs a program to its end, and hands each line that it prints to `line` and to the log. The program ends when the user asks to stop.
-///
-/// # Errors
-/// [`Interrupted`] if the user asked to stop, with `during` in the message; if the program cannot be started or the log written.
+/// Runs a program to its end, and hands each line that it prints to `line` and to the log. The program ends when the
+/// user asks to stop. An error is [`Interrupted`] if the user asked to stop, with `during` in the message, or says that
+/// the program cannot be started or the log written.
 pub fn run(
     mut command: Command,
     stop: &Stop,

@@ -41,8 +41,7 @@ pub struct RunLog {
     /// When progress was last shown, and the sum and the number of the losses since.
     shown: Instant,
     shown_losses: (f64, usize),
-    /// `[1]`: sum of the losses that were not read yet, and their number. Kept on the device, because each read would
-    /// wait.
+    /// `[1]`: sum of the losses that were not read yet, and their number. Kept on the device, because each read would wait.
     losses: Option<(Tensor<1>, usize)>,
     /// Number of scores since the run began or was resumed, and the time that they have taken, s.
     scored: usize,

@@ -1,5 +1,4 @@
-//! Output of a run besides the scene: `metrics.json`, pictures of the test views, `report.html`, and messages while it
-//! is in progress.
+//! Output of a run besides the scene: `metrics.json`, pictures of the test views, `report.html`, and messages while it is in progress.
 
 mod forecast;
 pub mod history;

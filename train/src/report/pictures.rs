@@ -11,9 +11,8 @@ use splat_model::gaussians::values_of;
 /// and a quarter and more becomes white.
 pub const ERROR_GAIN: f32 = 4.0;
 
-/// Returns paths for the pictures of views, below their folder: the view's name with another extension. Folders in
-/// names are kept; a picture whose name is already taken (`0001.jpg` beside `0001.png`) keeps its own extension within
-/// the new name.
+/// Returns paths for the pictures of views, below their folder: the view's name with another extension. Folders in names are kept; a
+/// picture whose name is already taken (`0001.jpg` beside `0001.png`) keeps its own extension within the new name.
 pub fn names<'a>(views: impl IntoIterator<Item = &'a str>, extension: &str) -> Vec<PathBuf> {
     let mut taken = HashSet::new();
     let mut free = |path: PathBuf| taken.insert(path.clone()).then_some(path);
@@ -29,8 +28,7 @@ pub fn names<'a>(views: impl IntoIterator<Item = &'a str>, extension: &str) -> V
     views.into_iter().map(&mut name).collect()
 }
 
-/// Returns ground truth | render | error side by side. The error is the absolute difference of each channel, magnified by
-/// [`ERROR_GAIN`].
+/// Returns ground truth | render | error side by side. The error is the absolute difference of each channel, magnified by [`ERROR_GAIN`].
 pub fn comparison(comparison: &Comparison) -> RgbImage {
     let [height, width, _] = comparison.image.dims();
     let (truth, render) = (values_of(comparison.truth.clone()), values_of(comparison.image.clone()));

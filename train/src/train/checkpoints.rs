@@ -1,7 +1,6 @@
 //! Checkpoints of a run, in the folder `checkpoints/` of its output.
 //!
-//! Each is written completely (see [`State::write`]) before an older one is removed. A folder belongs to one process at
-//! a time.
+//! Each is written completely (see [`State::write`]) before an older one is removed. A folder belongs to one process at a time.
 
 use std::fs::{self, File, TryLockError};
 use std::path::{Path, PathBuf};
@@ -114,8 +113,7 @@ impl Checkpoints {
     }
 
     /// Clears the folder of checkpoints for a new run, whose only one can be that before the first step of a run which was killed then. All
-    /// other files stay. An error if an unfinished run is there, or a file of another program with the name of a
-    /// checkpoint.
+    /// other files stay. An error if an unfinished run is there, or a file of another program with the name of a checkpoint.
     pub fn begin(&self) -> Result<()> {
         let steps = steps_in(&self.folder);
         if let Some((_, path)) = steps.iter().find(|(_, path)| !State::is_in(path)) {

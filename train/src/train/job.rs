@@ -52,9 +52,8 @@ impl Job {
         Ok((train, wanted.read(test, left, &Alone)?))
     }
 
-    /// Makes the trainer of these photographs. A run that `is_new` has the scene of `--start`, if there is one. An
-    /// error if no splat would be left, or the scene of `--start` cannot be read or has more splats than the run may
-    /// have.
+    /// Makes the trainer of these photographs. A run that `is_new` has the scene of `--start`, if there is one. An error if no splat would
+    /// be left, or the scene of `--start` cannot be read or has more splats than the run may have.
     pub fn trainer(&self, train: Vec<Photograph>, is_new: bool, ranks: &Rc<dyn Ranks>) -> Result<Trainer> {
         let by_name: BTreeMap<&str, usize> =
             self.capture.views.iter().enumerate().map(|(i, view)| (view.name.as_str(), i)).collect();

@@ -177,8 +177,7 @@ fn read_poses(path: &Path) -> Option<BTreeMap<String, [[f64; 4]; 3]>> {
     serde_json::from_slice(&fs::read(path).ok()?).ok()
 }
 
-/// Returns the poses by photograph, as JSON: the rows of `cam_from_world`, `[3, 4]`, OpenCV axes, in the world frame of
-/// the capture's file.
+/// Returns the poses by photograph, as JSON: the rows of `cam_from_world`, `[3, 4]`, OpenCV axes, in the world frame of the capture's file.
 fn poses_json(poses: &[(String, DAffine3)], capture: &Capture) -> serde_json::Result<String> {
     let local_from_world = DAffine3::from_translation(-capture.origin);
     let rows = |pose: &DAffine3| {

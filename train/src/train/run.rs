@@ -32,8 +32,7 @@ pub fn run_with(args: &TrainArgs, change: impl FnOnce(Trainer) -> Trainer) -> Re
     Run::begin(args.clone(), None, Rc::new(Alone), change)?.finish()
 }
 
-/// Runs as [`run`] does, on all ranks that were started together. An error as for [`run`], and if the ranks differ in
-/// version or options.
+/// Runs as [`run`] does, on all ranks that were started together. An error as for [`run`], and if the ranks differ in version or options.
 pub fn run_together(args: &TrainArgs) -> Result<()> {
     let ranks = ranks::join()?;
     ranks::agree_on_start(&*ranks, args)?;

@@ -141,8 +141,7 @@ fn open(args: &TrainArgs) -> Result<(PathBuf, Capture, Instant)> {
     }
 }
 
-/// Returns the default output folder: an empty one with the name of the capture, so that no run replaces the results of
-/// another.
+/// Returns the default output folder: an empty one with the name of the capture, so that no run replaces the results of another.
 fn own_folder(capture: Option<&Path>) -> PathBuf {
     let (name, may_hold) = match capture {
         None => ("demo".into(), &[DEMO_CAPTURE][..]),

@@ -59,8 +59,7 @@ impl Run {
         let stop = Stop::listen().context("cannot listen for Ctrl-C")?;
         let mut time_limit = args.time.map(TimeLimit::new);
         let schedule = |config, steps| args.schedule(config, steps);
-        // The first checkpoint comes before the first step: a run killed at once can be resumed too, and an unwritable
-        // folder is found now.
+        // The first checkpoint comes before the first step: a run killed at once can be resumed too, and an unwritable folder is found now.
         if trainer.steps_done() == 0 && args.checkpoint_every != Some(0) {
             checkpoints.write(&mut trainer, args, &so_far)?;
         }

@@ -7,8 +7,7 @@ use clap::Parser;
 use rand::Rng;
 use serde_json::Value;
 use splat_model::density::rows::{RowEdit, Trained};
-use splat_model::density::{RefineReport, Strategy, StrategyContext, rows_on};
-use splat_model::gaussians::RowsError;
+use splat_model::density::{RefineReport, Refined, Strategy, StrategyContext, rows_on};
 use splat_train::options::{Cli, Command};
 use splat_train::train;
 
@@ -44,12 +43,7 @@ impl Strategy for Halve {
         self.at == Some(step)
     }
 
-    fn act(
-        &mut self,
-        scene: &mut Trained,
-        at: &StrategyContext,
-        _: &mut dyn Rng,
-    ) -> Result<Option<RefineReport>, RowsError> {
+    fn act(&mut self, scene: &mut Trained, at: &StrategyContext, _: &mut dyn Rng) -> Refined {
         if !self.acts_at(at.step) {
             return Ok(None);
         }

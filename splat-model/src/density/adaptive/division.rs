@@ -22,10 +22,9 @@ pub enum Division {
 /// Factor by which the parts of a split Gaussian are smaller (Kerbl et al. 2023, section 5.2).
 const SPLIT_SHRINK: f64 = 1.6;
 
-/// Length of a half along the axis that is cut, distance of its centre from the old one, both in standard deviations of the
-/// whole, and its opacity relative to the whole's. The alpha of two such halves differs from the whole's by 10% (opacity 0.1)
-/// to 17% (opacity 0.99), as the root of the mean square along the axis relative to the whole's; two parts of a split differ
-/// by 72% to 82%.
+/// Length of a half along the axis that is cut, distance of its centre from the old one, both in standard deviations of the whole, and its
+/// opacity relative to the whole's. The alpha of two such halves differs from the whole's by 10% (opacity 0.1) to 17% (opacity 0.99), as
+/// the root of the mean square along the axis relative to the whole's; two parts of a split differ by 72% to 82%.
 const HALF_LENGTH: f64 = 0.6;
 const HALF_OFFSET: f64 = 0.6;
 const HALF_OPACITY: f64 = 0.8;

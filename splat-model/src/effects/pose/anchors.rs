@@ -1,9 +1,8 @@
 //! Constraints on a camera from the tracks of a reconstruction: the directions in which it observed the sparse points.
 //!
-//! Photographs alone determine poses only up to a motion of scene and cameras together, along which cameras drift while the
-//! scene is still blurred. Where there are tracks, each camera is first placed by them (resection, by the Gauss-Newton
-//! method with robust weights) and then held there by a weak penalty. The method compares directions instead of pixels, so
-//! that it works for every lens and image size.
+//! Photographs alone determine poses only up to a motion of scene and cameras together, along which cameras drift while the scene is still
+//! blurred. Where there are tracks, each camera is first placed by them (resection, by the Gauss-Newton method with robust weights) and
+//! then held there by a weak penalty. The method compares directions instead of pixels, so that it works for every lens and image size.
 
 use burn::tensor::{Device, Tensor, TensorData};
 use glam::{DAffine3, DMat3, DVec3, Vec2};
@@ -34,8 +33,7 @@ pub fn from_tracks(capture: &Capture, views: &[usize]) -> Vec<Anchors> {
 }
 
 impl Anchors {
-    /// The pose that fits the directions best, starting from `cam_from_world`. Returns `cam_from_world` if there are too
-    /// few points.
+    /// The pose that fits the directions best, starting from `cam_from_world`. Returns `cam_from_world` if there are too few points.
     pub fn resected(&self, cam_from_world: &DAffine3) -> DAffine3 {
         let mut pose = *cam_from_world;
         if self.0.len() < FEWEST {

@@ -17,9 +17,8 @@ const ROUNDS: usize = 10;
 /// Smallest number of points for the exposure of a photograph.
 const FEWEST_POINTS: usize = 20;
 
-/// The exposure of a photograph relative to the capture's median, in stops of stored (display-referred) values: log₂ of the
-/// ratio. A stop of light is a half to a third of a stop of stored values, because files hold about the 2.2nd root of
-/// light.
+/// The exposure of a photograph relative to the capture's median, in stops of stored (display-referred) values: log₂ of the ratio. A stop
+/// of light is a half to a third of a stop of stored values, because files hold about the 2.2nd root of light.
 #[derive(Clone, Debug, Serialize)]
 pub struct ViewExposure {
     /// Name of the photograph.

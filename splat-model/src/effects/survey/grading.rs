@@ -1,11 +1,10 @@
 //! Whether photographs were processed locally, as phones do, from the same points in several of them.
 //!
-//! A photograph's colour of a point is modelled as an affine map of the point's own colour, channel by channel. The first
-//! model has one map for the whole photograph, as an [exposure](crate::effects::exposure) has. In the second model gain and
-//! offset change linearly across the photograph, the simplest case that only a [grid](crate::effects::grid) can represent.
-//! Both are fitted by least squares with robust weights, alternating with the points' colours, and their residuals are
-//! compared. View-dependent colour (gloss) does not change linearly across a picture, so the second model does not explain
-//! it better.
+//! A photograph's colour of a point is modelled as an affine map of the point's own colour, channel by channel. The first model has one map
+//! for the whole photograph, as an [exposure](crate::effects::exposure) has. In the second model gain and offset change linearly across the
+//! photograph, the simplest case that only a [grid](crate::effects::grid) can represent. Both are fitted by least squares with robust
+//! weights, alternating with the points' colours, and their residuals are compared. View-dependent colour (gloss) does not change linearly
+//! across a picture, so the second model does not explain it better.
 
 use rayon::prelude::*;
 use serde::Serialize;
@@ -79,8 +78,7 @@ fn seen(capture: &Capture, observations: &PointObservations, channel: usize) -> 
     views
 }
 
-/// Absolute residuals of maps that are linear in `terms` of a point's colour and its position. The second term is the
-/// colour itself.
+/// Absolute residuals of maps that are linear in `terms` of a point's colour and its position. The second term is the colour itself.
 fn left<const N: usize>(
     views: &[Vec<ChannelObservation>],
     points: usize,

@@ -46,8 +46,7 @@ pub use self::view_dependence::ViewDependenceEvidence;
 pub struct Survey {
     /// Photographs in the capture.
     pub views: usize,
-    /// Number of photographs that were decoded: all requested ones, unless they have more pixels than
-    /// [`Survey::MOST_PIXELS`].
+    /// Number of photographs that were decoded: all requested ones, unless they have more pixels than [`Survey::MOST_PIXELS`].
     pub views_surveyed: usize,
     /// Mean number of pixels per photograph.
     pub pixels_per_view: f64,

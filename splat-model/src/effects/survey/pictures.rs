@@ -54,8 +54,7 @@ pub(super) fn look(
     Ok(glances)
 }
 
-/// Samples the colours around a position. `None` within two pixels of the border, and where the picture is transparent or
-/// masked.
+/// Samples the colours around a position. `None` within two pixels of the border, and where the picture is transparent or masked.
 fn sample(photo: &Photo, at_px: [f64; 2]) -> Option<ColourSample> {
     let (width, height) = (photo.intrinsics.width, photo.intrinsics.height);
     // Compared before the conversion to integers: a damaged file may place a keypoint anywhere.

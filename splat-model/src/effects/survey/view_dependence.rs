@@ -5,8 +5,7 @@ use serde::Serialize;
 use super::exposure::Fit;
 use super::{ColourSample, PointObservation, PointObservations, quantile};
 
-/// Smallest number of comparable photographs of a point. With fewer, the outliers could be fewer than three, which an
-/// occluder could cause.
+/// Smallest number of comparable photographs of a point. With fewer, the outliers could be fewer than three, which an occluder could cause.
 const FEWEST_OBSERVATIONS: usize = 9;
 
 const MOST_OBSERVATIONS: f64 = 2.0 / 3.0;

@@ -61,8 +61,7 @@ fn rest_per_row(sh_degree: usize) -> usize {
     GaussianRows { sh_degree, ..GaussianRows::default() }.rest_per_row()
 }
 
-/// Refuses files that do not describe Gaussians, and returns the number of ranges of a chunk and the degree of the spherical
-/// harmonics.
+/// Refuses files that do not describe Gaussians, and returns the number of ranges of a chunk and the degree of the spherical harmonics.
 fn check(
     path: &Path,
     header: &Header,

@@ -27,10 +27,9 @@
 //! examined readers use the header's number.
 //!
 //! **Examined crates.** `spz` 0.0.6 (Jackneill) takes lengths from the header without checking the file, so that a hundred
-//! bytes can request terabytes, overflows in shifts for other headers, reads rotations of version 2 as zero, and depends on
-//! tokio and clap. `spz_rs` 0.1.0 reads only versions 1 and 2 and trusts headers likewise. `wgpu-3dgs-core` 0.8.0 depends on
-//! another wgpu. None reads version 4. Tests read our version 3 with the first, and our version 4 with the reference's own code under
-//! node (`tests/readers`).
+//! bytes can request terabytes, overflows in shifts for other headers, reads rotations of version 2 as zero, and depends on tokio and clap.
+//! `spz_rs` 0.1.0 reads only versions 1 and 2 and trusts headers likewise. `wgpu-3dgs-core` 0.8.0 depends on another wgpu. None reads
+//! version 4. Tests read our version 3 with the first, and our version 4 with the reference's own code under node (`tests/readers`).
 //!
 //! **zstd.** The crate `zstd` binds the reference implementation and writes; `ruzstd`, whose encoder has the fastest level only, reads,
 //! because files from elsewhere are safer with it.

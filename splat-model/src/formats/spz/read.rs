@@ -129,8 +129,7 @@ impl Of<'_> {
         file.seek(SeekFrom::Start(to)).map_err(FileError::io(self.path, "read the scene")).map(drop)
     }
 
-    /// Parses the 16 bytes that all versions begin with. Returns the layout and the flags. Refuses more Gaussians than the file
-    /// can hold.
+    /// Parses the 16 bytes that all versions begin with. Returns the layout and the flags. Refuses more Gaussians than the file can hold.
     fn layout(&self, header: &[u8], versions: RangeInclusive<u32>) -> Result<(Layout, u8), FileError> {
         if header[..4] != MAGIC {
             let found = header[..4].escape_ascii();

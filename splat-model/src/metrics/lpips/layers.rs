@@ -119,8 +119,7 @@ pub struct ReceptiveField {
 pub struct SidePart {
     /// The pixels whose features belong to the part: the features of every tap for which `i · stride` lies here.
     pub core: Range<usize>,
-    /// The pixels that these features depend on. The start is a multiple of every stride, so that features keep their
-    /// positions.
+    /// The pixels that these features depend on. The start is a multiple of every stride, so that features keep their positions.
     pub seen: Range<usize>,
     /// Whether this is the last part, whose features extend to the end of the side.
     pub is_last: bool,

@@ -19,12 +19,9 @@ const MOST_BYTES: u64 = 600_000_000;
 const FIRST: &str = "net.slice1.0.weight";
 
 impl Lpips {
-    /// Reads the weights of a network and moves them to a device. The shape of the first layer identifies the network. Tensors
-    /// with other names are ignored.
-    ///
-    /// # Errors
-    /// If the file cannot be read or is not a safetensors file, if its tensors belong to no supported network, or if one of
-    /// them is missing, has another shape or type, or holds values that are not finite or, in a linear layer, negative.
+    /// Reads the weights of a network and moves them to a device. The shape of the first layer identifies the network. Tensors with other
+    /// names are ignored. An error if the file cannot be read or is not a safetensors file, if its tensors belong to no supported network,
+    /// or if one of them is missing, has another shape or type, or holds values that are not finite or, in a linear layer, negative.
     pub fn read(path: &Path, device: &Device) -> Result<Self, FileError> {
         let io = |reason| FileError::io(path, "read the weights of LPIPS")(reason);
         let format = |found: String| {

@@ -7,8 +7,7 @@ use std::sync::mpsc::{Receiver, channel};
 use super::at_size;
 use crate::capture::{CaptureError, Photo, Photograph};
 
-/// Largest number of photographs in decoding or waiting. On a fast GPU a step takes less time than decoding, and several
-/// threads keep up.
+/// Largest number of photographs in decoding or waiting. On a fast GPU a step takes less time than decoding, and several threads keep up.
 pub const MOST: usize = 8;
 
 /// A photograph at a size of the run, or why there is none.
@@ -39,10 +38,7 @@ impl Ahead {
         self.0.contains_key(&(view, divisor))
     }
 
-    /// Returns the photograph: waits for it if it is being decoded, and decodes it here otherwise.
-    ///
-    /// # Errors
-    /// If it cannot be decoded.
+    /// Returns the photograph: waits for it if it is being decoded, and decodes it here otherwise. An error if it cannot be decoded.
     pub fn take(&mut self, view: usize, photograph: &Photograph, divisor: usize) -> Decoded {
         let begun = self.0.remove(&(view, divisor)).and_then(|receiver| receiver.recv().ok());
         begun.unwrap_or_else(|| decoded(photograph, divisor))

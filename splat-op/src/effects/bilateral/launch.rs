@@ -12,9 +12,8 @@ fn sizes(size: SliceSize) -> SizesLaunch {
 /// Returns the mapped picture, `[3, H, W]`.
 pub(crate) fn launch_slice(gpu: &Gpu, inputs: &Sliced<Buffer<f32>>, size: SliceSize) -> Buffer<f32> {
     let out = Buffer::new(gpu, inputs.image.len);
-    let (image, maps) = (inputs.image.arg(), inputs.grid.arg());
     // SAFETY: units beyond the last pixel do nothing, and a pixel's corners are limited to the grid.
-    launch_unchecked!(gpu.units(out.len / 3), slice_kernel(image, maps, out.arg(), sizes(size)));
+    launch_unchecked!(gpu.units(out.len / 3), slice_kernel(&inputs.image, &inputs.grid, &out, sizes(size)));
     out
 }
 
@@ -31,14 +30,14 @@ pub(crate) fn launch_slice_backward(
         grid: Buffer::if_needed(gpu, needs.grid, inputs.grid.len),
     };
     if let Some(out) = &found.image {
-        let (image, maps, grad) = (inputs.image.arg(), inputs.grid.arg(), grad.arg());
+        let Sliced { image, grid } = inputs;
         // SAFETY: as in `launch_slice`.
-        launch_unchecked!(gpu.units(out.len / 3), image_backward_kernel(image, maps, grad, out.arg(), sizes(size)));
+        launch_unchecked!(gpu.units(out.len / 3), image_backward_kernel(image, grid, grad, out, sizes(size)));
     }
     if let Some(out) = &found.grid {
         let places = gpu.cubes(size.levels * size.rows * size.columns);
         // SAFETY: cubes beyond the last place do nothing, and the pixels of a place are limited to the picture.
-        launch_unchecked!(places, grid_backward_kernel(inputs.image.arg(), grad.arg(), out.arg(), sizes(size)));
+        launch_unchecked!(places, grid_backward_kernel(&inputs.image, grad, out, sizes(size)));
     }
     found
 }

@@ -5,9 +5,8 @@
 //! picture of `W` × `H` px and with the luma `ℓ` (Rec. 601, limited to 0 to 1) lies at
 //! `((L − 1) ℓ, (R − 1) y / H, (C − 1) x / W`) in the grid. Trilinear interpolation gives its map, and `out = M (r, g, b, 1)ᵀ`.
 //!
-//! With `g = ∂out`: `∂M = g (r, g, b, 1)`, which the eight corners share by their weights, and
-//! `∂(r, g, b) = Mᵀ g + (L − 1) ⟨∂M, M₁ − M₀⟩ luma weights`, with `M₁` and `M₀` the maps on the levels above and below the pixel.
-//! The second term is zero where the luma is limited.
+//! With `g = ∂out`: `∂M = g (r, g, b, 1)`, which the eight corners share by their weights, and `∂(r, g, b) = Mᵀ g + (L − 1) ⟨∂M, M₁ − M₀⟩
+//! luma weights`, with `M₁` and `M₀` the maps on the levels above and below the pixel. The second term is zero where the luma is limited.
 //!
 //! As tensor code the interpolation takes 96 numbers per pixel. This operation keeps none. The gradient of the grid is summed
 //! in a fixed order, so it has the same bits in every run.
@@ -32,7 +31,7 @@ use crate::backend::apply;
 use crate::backend::custom_grad::constant;
 use crate::check::Reference;
 use crate::record::record;
-use crate::{SplatError, is_tensor_code};
+use crate::{Result, SplatError, is_tensor_code};
 
 /// Entries of a colour map: three rows of four.
 pub const MAP: usize = 12;
@@ -73,7 +72,7 @@ impl SliceSize {
 ///
 /// # Errors
 /// If a shape is not as documented, or if float types or devices differ.
-pub fn slice(image: &Tensor<3>, grid: &Tensor<4>) -> Result<Tensor<3>, SplatError> {
+pub fn slice(image: &Tensor<3>, grid: &Tensor<4>) -> Result<Tensor<3>> {
     let reference = Reference::new("image", image)?;
     reference.check("image", image, [None, None, Some(3)], "[H, W, 3]")?;
     reference.check("grid", grid, [Some(MAP), None, None, None], "[12, L, R, C]")?;

@@ -11,6 +11,8 @@ use crate::backend::*;
 pub(super) struct Slice(pub SliceSize);
 
 impl Operation for Slice {
+    const DIFFERENTIABLE: &'static [usize] = &[0, 1];
+
     fn run<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {
         float_outputs([slice_cpu(Sliced::from_array(slices(&args.all::<F, 2>())), self.0)])
     }
@@ -18,10 +20,6 @@ impl Operation for Slice {
     #[cfg(feature = "cube")]
     fn launch(&self, args: GpuArgs) -> Vec<GpuOutput> {
         gpu_outputs([launch_slice(&args.gpu(), &Sliced::from_array(args.all()), self.0)])
-    }
-
-    fn differentiable(&self) -> &'static [usize] {
-        &[0, 1]
     }
 
     fn run_backward<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {
@@ -33,6 +31,6 @@ impl Operation for Slice {
     #[cfg(feature = "cube")]
     fn launch_backward(&self, args: GpuArgs) -> Vec<GpuOutput> {
         let (inputs, needs) = (Sliced::from_array(args.all()), Sliced::from_array(args.needs()));
-        optional_outputs(launch_slice_backward(&args.gpu(), &inputs, &args.only_grad(), self.0, needs).into_array())
+        gpu_outputs(launch_slice_backward(&args.gpu(), &inputs, &args.only_grad(), self.0, needs).into_array())
     }
 }

@@ -7,14 +7,14 @@ use burn::tensor::Tensor;
 
 use super::MAP;
 use crate::check::Reference;
-use crate::error::SplatError;
+use crate::error::Result;
 
 /// Returns the roughness of `grid`, `[12, L, R, C]` f32, or f64 on CPUs, as `[1]`: the mean squared difference between neighbours, over
 /// levels, rows and columns. Differentiable.
 ///
 /// # Errors
 /// If the shape is not as documented, or the float type has no kernel.
-pub fn roughness(grid: &Tensor<4>) -> Result<Tensor<1>, SplatError> {
+pub fn roughness(grid: &Tensor<4>) -> Result<Tensor<1>> {
     Reference::new("grid", grid)?.check("grid", grid, [Some(MAP), None, None, None], "[12, L, R, C]")?;
     let zero = Tensor::zeros([1], (&grid.device(), grid.dtype()));
     Ok((1..4).filter(|&axis| grid.dims()[axis] > 1).fold(zero, |sum, axis| {

@@ -1,6 +1,7 @@
 use burn::tensor::{DType, Device, Tensor, TensorData};
 
 use super::*;
+use crate::SplatError;
 use crate::testing::devices;
 use crate::testing::finite::{check_gradient, inner_product};
 use crate::testing::random::Random;

@@ -16,7 +16,7 @@ use burn::tensor::{DType, Int, Tensor};
 
 use crate::backend::custom_grad::{constant, plain};
 use crate::check::Reference;
-use crate::{SplatError, is_gpu};
+use crate::{Result, SplatError, is_gpu};
 
 /// The least alpha of a pixel whose depth counts.
 pub const COVERED: f64 = 0.5;
@@ -32,7 +32,7 @@ pub fn depth_miss(
     alpha: &Tensor<3>,
     known: &Tensor<1>,
     pixels: &Tensor<1, Int>,
-) -> Result<Tensor<1>, SplatError> {
+) -> Result<Tensor<1>> {
     let reference = Reference::new("depth", depth)?;
     let ([height, width, _], count) = (depth.dims(), known.dims()[0]);
     reference.check("depth", depth, [None, None, Some(1)], "[H, W, 1]")?;

@@ -9,8 +9,7 @@
 //! every run has the same bits.
 //!
 //! The directions in the camera's frame serve every photograph of that camera, so the caller keeps them from step to step, and rotates
-//! them. The harmonics are evaluated in both passes: reading sixteen numbers for each pixel
-//! takes longer than computing them from three.
+//! them. The harmonics are evaluated in both passes: reading sixteen numbers for each pixel takes longer than computing them from three.
 
 pub(crate) mod cpu;
 #[cfg(all(test, feature = "cube"))]
@@ -31,7 +30,7 @@ use crate::backend::custom_grad::constant;
 use crate::check::Reference;
 use crate::record::record;
 use crate::sh::sh_degree;
-use crate::{SplatError, is_tensor_code};
+use crate::{Result, SplatError, is_tensor_code};
 
 record! {
     /// Inputs of the composition, or their gradients.
@@ -47,10 +46,9 @@ record! {
     }
 }
 
-/// Composites a render over an environment. `image`, `[H, W, 3]` f32, or f64 on CPUs, is a render over black, `alpha`, `[H, W, 1]`,
-/// its alpha, `directions`, `[3, H, W]`, the unit viewing directions of the pixels, x, y and z, and `coefficients`,
-/// `[(degree+1)², 3]`, those of the harmonics in the frame of the directions, degree 0 to 4. Differentiable in all but the
-/// directions.
+/// Composites a render over an environment. `image`, `[H, W, 3]` f32, or f64 on CPUs, is a render over black, `alpha`, `[H, W, 1]`, its
+/// alpha, `directions`, `[3, H, W]`, the unit viewing directions of the pixels, x, y and z, and `coefficients`, `[(degree+1)², 3]`, those
+/// of the harmonics in the frame of the directions, degree 0 to 4. Differentiable in all but the directions.
 ///
 /// # Errors
 /// If a shape is not as documented, or if float types or devices differ.
@@ -59,7 +57,7 @@ pub fn over(
     alpha: &Tensor<3>,
     directions: &Tensor<3>,
     coefficients: &Tensor<2>,
-) -> Result<Tensor<3>, SplatError> {
+) -> Result<Tensor<3>> {
     const COEFFICIENTS: &str = "[(degree+1)², 3]";
     let reference = Reference::new("image", image)?;
     let [height, width, _] = image.dims();

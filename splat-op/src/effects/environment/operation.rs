@@ -11,6 +11,8 @@ use crate::backend::*;
 pub(super) struct OverEnvironment;
 
 impl Operation for OverEnvironment {
+    const DIFFERENTIABLE: &'static [usize] = &[0, 1, 3];
+
     fn run<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {
         float_outputs([environment_cpu(Sky::from_array(slices(&args.all::<F, 4>())))])
     }
@@ -18,10 +20,6 @@ impl Operation for OverEnvironment {
     #[cfg(feature = "cube")]
     fn launch(&self, args: GpuArgs) -> Vec<GpuOutput> {
         gpu_outputs([launch_environment(&args.gpu(), &Sky::from_array(args.all()))])
-    }
-
-    fn differentiable(&self) -> &'static [usize] {
-        &[0, 1, 3]
     }
 
     // The gradient of the picture is that of the composition.

@@ -12,7 +12,6 @@ use crate::project::{COLUMNS, Ellipse};
 /// Camera and change as arguments of the kernels.
 #[allow(dead_code, reason = "kernels read the fields of the expanded type")]
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
-#[expand(derive(Clone, Copy))]
 pub(super) struct ChangeArg {
     /// Their limits are those to which a centre is clamped for its velocity, px.
     x: CameraAxis,

@@ -19,9 +19,8 @@ fn change(spec: &OpticsSpec) -> ChangeArgLaunch {
 pub(crate) fn launch_expose(gpu: &Gpu, inputs: &Exposed<Buffer<f32>>, spec: &OpticsSpec) -> Buffer<f32> {
     let out = Buffer::new(gpu, inputs.projected.len);
     let count = out.len / COLUMNS;
-    let (projected, twist) = (inputs.projected.arg(), inputs.twist.arg());
     // SAFETY: units beyond the last Gaussian do nothing, and the public functions check the length of the twist.
-    launch_unchecked!(gpu.units(count), expose_kernel(projected, twist, out.arg(), change(spec), count as u32));
+    launch_unchecked!(gpu.units(count), expose_kernel(&inputs.projected, &inputs.twist, &out, change(spec), count));
     out
 }
 
@@ -34,22 +33,11 @@ pub(crate) fn launch_expose_backward(
 ) -> Exposed<Buffer<f32>> {
     let count = inputs.projected.len / COLUMNS;
     let projected = Buffer::new(gpu, inputs.projected.len);
-    if count == 0 {
-        return Exposed { projected, twist: Buffer::from_slice(gpu, &[0.0; PARAMETERS]) };
-    }
     let rows = Buffer::new(gpu, count.div_ceil(UNITS) * PARAMETERS);
     // SAFETY: as in `launch_expose`, and there is a row for every cube of Gaussians.
     launch_unchecked!(
         gpu.units(count),
-        expose_backward_kernel(
-            inputs.projected.arg(),
-            inputs.twist.arg(),
-            grad.arg(),
-            projected.arg(),
-            rows.arg(),
-            change(spec),
-            count as u32
-        )
+        expose_backward_kernel(&inputs.projected, &inputs.twist, grad, &projected, &rows, change(spec), count)
     );
     Exposed { projected, twist: launch_column_sums(gpu, &rows, PARAMETERS) }
 }

@@ -20,10 +20,9 @@
 //!
 //! # Motion
 //!
-//! A twist `(ω, τ)`, `[6]`, is the motion of the scene in the camera's frame: a point `p` moves along `exp(t ξ) p`, `t` from −½ to ½.
-//! The velocity of a centre in the picture follows from the image Jacobian of a pinhole (Longuet-Higgins and Prazdny 1980). With the
-//! slopes `s = (x − c_x)/f_x, (y − c_y)/f_y`, of a centre clamped to a margin around the picture, because velocities grow without
-//! bound there,
+//! A twist `(ω, τ)`, `[6]`, is the motion of the scene in the camera's frame: a point `p` moves along `exp(t ξ) p`, `t` from −½ to ½. The
+//! velocity of a centre in the picture follows from the image Jacobian of a pinhole (Longuet-Higgins and Prazdny 1980). With the slopes `s
+//! = (x − c_x)/f_x, (y − c_y)/f_y`, of a centre clamped to a margin around the picture, because velocities grow without bound there,
 //!
 //! ```text
 //! v_x = f_x ( (τ_x − s_x τ_z)/z + ω_y (1 + s_x²) − ω_x s_x s_y − ω_z s_y )
@@ -71,7 +70,7 @@ use burn::tensor::Tensor;
 use crate::backend::apply;
 use crate::check::{Reference, check_value};
 use crate::record::record;
-use crate::{CameraModel, Intrinsics, Projected, SplatError, is_tensor_code};
+use crate::{CameraModel, Intrinsics, Projected, Result, is_tensor_code};
 
 /// Largest vertical motion over a rolling shutter, as a share of the picture's height. Faster points are clamped to it.
 pub(crate) const LARGEST_SHARE: f64 = 0.5;
@@ -128,7 +127,7 @@ impl OpticsSpec {
 ///
 /// # Errors
 /// If the camera is not a pinhole, if a shape is not as documented, or if float types or devices differ.
-pub fn blurred(projected: &Projected, twist: &Tensor<1>, margin: f64) -> Result<Projected, SplatError> {
+pub fn blurred(projected: &Projected, twist: &Tensor<1>, margin: f64) -> Result<Projected> {
     exposed(projected, twist, OpticsEffect::MotionBlur, margin)
 }
 
@@ -138,16 +137,11 @@ pub fn blurred(projected: &Projected, twist: &Tensor<1>, margin: f64) -> Result<
 ///
 /// # Errors
 /// As [`blurred`].
-pub fn rolled(projected: &Projected, twist: &Tensor<1>, margin: f64) -> Result<Projected, SplatError> {
+pub fn rolled(projected: &Projected, twist: &Tensor<1>, margin: f64) -> Result<Projected> {
     exposed(projected, twist, OpticsEffect::RollingShutter, margin)
 }
 
-fn exposed(
-    projected: &Projected,
-    twist: &Tensor<1>,
-    exposure: OpticsEffect,
-    margin: f64,
-) -> Result<Projected, SplatError> {
+fn exposed(projected: &Projected, twist: &Tensor<1>, exposure: OpticsEffect, margin: f64) -> Result<Projected> {
     let intrinsics = *projected.intrinsics();
     let model = intrinsics.model;
     let expected = "Pinhole, because ellipses are moved and widened for that alone: average renders from several poses \

@@ -11,6 +11,8 @@ use crate::backend::*;
 pub(super) struct Expose(pub OpticsSpec);
 
 impl Operation for Expose {
+    const DIFFERENTIABLE: &'static [usize] = &[0, 1];
+
     fn run<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {
         float_outputs([expose_cpu(Exposed::from_array(slices(&args.all::<F, 2>())), &self.0)])
     }
@@ -18,10 +20,6 @@ impl Operation for Expose {
     #[cfg(feature = "cube")]
     fn launch(&self, args: GpuArgs) -> Vec<GpuOutput> {
         gpu_outputs([launch_expose(&args.gpu(), &Exposed::from_array(args.all()), &self.0)])
-    }
-
-    fn differentiable(&self) -> &'static [usize] {
-        &[0, 1]
     }
 
     // Whoever tracks one of the inputs nearly always tracks the other, and both gradients come from one kernel.

@@ -5,10 +5,10 @@ use burn::tensor::Tensor;
 
 use super::{LARGEST_SHARE, OpticsEffect, OpticsSpec, PARAMETERS};
 use crate::backend::custom_grad::{constant, plain};
-use crate::{Ellipses, Projected, SplatError};
+use crate::{Ellipses, Projected, Result};
 
 /// The changed ellipses.
-pub(super) fn exposed(of: &Projected, twist: &Tensor<1>, spec: &OpticsSpec) -> Result<Projected, SplatError> {
+pub(super) fn exposed(of: &Projected, twist: &Tensor<1>, spec: &OpticsSpec) -> Result<Projected> {
     let tracked = of.packed().is_autodiff() || twist.is_autodiff();
     let (old, twist) =
         (Projected::of(constant(of.packed(), tracked), spec.intrinsics).ellipses(), constant(twist, tracked));

@@ -5,6 +5,7 @@ use glam::{DQuat, DVec3};
 use super::cpu::{expose_backward_cpu, expose_cpu};
 use super::formulas::{Change, Moving, Rolled, Widened};
 use super::*;
+use crate::SplatError;
 use crate::project::{COLUMNS, Ellipse};
 use crate::simd::{LaneNumber, Real, dispatch};
 use crate::testing::finite::{check_gradient, inner_product};

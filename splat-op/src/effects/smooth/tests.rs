@@ -1,6 +1,7 @@
 use burn::tensor::{Device, Tensor, TensorData};
 
 use super::*;
+use crate::SplatError;
 use crate::testing::devices;
 use crate::testing::random::Random;
 

@@ -12,8 +12,7 @@ use crate::{Intrinsics, tasks};
 /// Number of Gaussians per task that finds intersections.
 const CHUNK: usize = 2048;
 
-/// Number of tasks that sort intersections by tile. Each counts all tiles, so few are better; no result depends on
-/// their number.
+/// Number of tasks that sort intersections by tile. Each counts all tiles, so few are better; no result depends on their number.
 const SORTERS: usize = 16;
 
 /// Computes the lists of a view from its `[N, 7]` packed ellipses.
@@ -151,8 +150,7 @@ impl Sorter {
     }
 }
 
-/// Returns the index of each tile's first intersection, and for each sorter the place of its first intersection in each
-/// tile.
+/// Returns the index of each tile's first intersection, and for each sorter the place of its first intersection in each tile.
 fn offsets(sorters: &[Sorter], tiles: usize) -> (Vec<usize>, Vec<Vec<u32>>) {
     let mut cursors = tasks::map(sorters, |_, sorter| {
         let mut counts = vec![0; tiles];

@@ -137,8 +137,7 @@ pub(super) fn number_kernel(
     }
 }
 
-/// Writes the tile and the Gaussian of each intersection; a unit writes some intersections of a block, whichever Gaussians
-/// have them.
+/// Writes the tile and the Gaussian of each intersection; a unit writes some intersections of a block, whichever Gaussians have them.
 #[cube(launch_unchecked)]
 pub(super) fn emit_kernel(
     order: &[u32],

@@ -53,9 +53,8 @@ impl<'a, F: Real> ExtentRules<'a, F> {
         }
     }
 
-    /// Appends to `tiles` the tiles of up to [`ROW_BLOCK`] Gaussians, one Gaussian after another: the tiles of the mask whose
-    /// rectangle of pixel centres its ellipse meets. Returns each Gaussian's number of tiles. Appends their boxes to `boxes` if they are
-    /// asked for.
+    /// Appends to `tiles` the tiles of up to [`ROW_BLOCK`] Gaussians, one Gaussian after another: the tiles of the mask whose rectangle of
+    /// pixel centres its ellipse meets. Returns each Gaussian's number of tiles. Appends their boxes to `boxes` if they are asked for.
     #[inline(always)]
     pub fn emit<S: Simd>(
         &self,
@@ -123,10 +122,9 @@ impl<F: Real> Default for ExtentScratch<F> {
 
 /// The extents of a vector of Gaussians.
 ///
-/// The part of the ellipse `u² + v² <= r²` on a row of tiles spans an interval of `x`. With `V` its standard deviation
-/// along `y` and `c = dy / V`, the ends of its chord at `dy` are `sigma_u (c k ± h √(r² − c²))`, where
-/// `k = shear sigma_u / V` and `h = sigma_v / V`. The farthest ends lie at `c = ± r k`, or, if that is outside the row,
-/// at the row's nearer edge.
+/// The part of the ellipse `u² + v² <= r²` on a row of tiles spans an interval of `x`. With `V` its standard deviation along `y` and `c =
+/// dy / V`, the ends of its chord at `dy` are `sigma_u (c k ± h √(r² − c²))`, where `k = shear sigma_u / V` and `h = sigma_v / V`. The
+/// farthest ends lie at `c = ± r k`, or, if that is outside the row, at the row's nearer edge.
 struct ExtentsSimd<S: Simd, F: Real> {
     mean: [F::Lanes<S>; 2],
     sigma_u: F::Lanes<S>,
@@ -167,8 +165,7 @@ impl<S: Simd, F: Real> ExtentsSimd<S, F> {
         // If `alpha_min` is zero the limit is unbounded, but nothing shows where a float can no longer hold the square.
         let limit = F::Lanes::<S>::from_slice(simd, &scratch.limits[first..first + width::<S, F>()]);
         let r = limit.min(lanes(F::MAX.sqrt())).sqrt();
-        // `dy − shear dx` loses digits when both terms are large: where it shows, neither exceeds
-        // `(|across| + sigma_v) r`.
+        // `dy − shear dx` loses digits when both terms are large: where it shows, neither exceeds `(|across| + sigma_v) r`.
         let slip = (across.abs() + sigma_v) * r * lanes(F::of(16.0) * F::EPSILON);
         let (half_width, half_height) = (r * sigma_u, r * vertical);
         let half = half_height + slip;

@@ -1,10 +1,9 @@
 //! The tiles that each Gaussian covers, and its depth as a sort key.
 //!
-//! The coverage of a Gaussian is decided once, in floats, and stored as integers: its box of tiles, divided into at
-//! most 8 × 8 cells, with one bit per cell. Counting the intersections and writing them both read these integers, so
-//! they cannot disagree. In a box of up to 8 × 8 tiles a cell is one tile. In a larger box a cell is several tiles, and
-//! its intersections are those of all its tiles: some that cannot contribute are listed, none that can contribute is
-//! lost.
+//! The coverage of a Gaussian is decided once, in floats, and stored as integers: its box of tiles, divided into at most 8 × 8 cells, with
+//! one bit per cell. Counting the intersections and writing them both read these integers, so they cannot disagree. In a box of up to 8 × 8
+//! tiles a cell is one tile. In a larger box a cell is several tiles, and its intersections are those of all its tiles: some that cannot
+//! contribute are listed, none that can contribute is lost.
 
 use cubecl::prelude::*;
 
@@ -208,9 +207,8 @@ struct EllipseExtent {
 
 #[cube]
 impl EllipseExtent {
-    /// Whether the ellipse reaches the rectangle of pixel centres from `first` up to, but not including, `end` px along
-    /// each axis. The least `u² + v²` over the rectangle lies at the centre, or on a side that faces the centre, where
-    /// it is the minimum of a parabola.
+    /// Whether the ellipse reaches the rectangle of pixel centres from `first` up to, but not including, `end` px along each axis. The
+    /// least `u² + v²` over the rectangle lies at the centre, or on a side that faces the centre, where it is the minimum of a parabola.
     fn meets(&self, first_x: u32, end_x: u32, first_y: u32, end_y: u32) -> bool {
         let e = self.ellipse;
         let left = f32::cast_from(first_x) + 0.5 - e.x;
@@ -248,9 +246,8 @@ impl EllipseExtent {
     }
 }
 
-/// Returns the first tile, and the tile after the last, along an axis that hold a pixel centre within `half` px of
-/// `mean`; the same tile twice if there is none. The tiles are tested afterwards, and the range may begin less than a
-/// pixel earlier.
+/// Returns the first tile, and the tile after the last, along an axis that hold a pixel centre within `half` px of `mean`; the same tile
+/// twice if there is none. The tiles are tested afterwards, and the range may begin less than a pixel earlier.
 #[cube]
 fn tile_range(mean: f32, half: f32, pixels: u32) -> (u32, u32) {
     // The margin covers the rounding of centre and extent.

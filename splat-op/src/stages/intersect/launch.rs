@@ -1,5 +1,7 @@
 //! Launches of `intersect`, and the lists that they leave on the device.
 
+use cubecl::prelude::ComptimeOptionArgs;
+
 use super::emit::{LIST_BLOCK, count_kernel, emit_kernel, emit_masked_kernel, number_kernel, ranges_kernel};
 use super::expected::{expected, remember};
 use super::forward::{COVER, TileListsLaunch, TileMaskLaunch, cover_kernel};
@@ -56,9 +58,8 @@ impl DeviceIntersections {
 
 /// Lists the intersections of `projected`, `[count, 7]`, and counts them by tile.
 ///
-/// The host learns the number of intersections from the device. If recent views tell how many to expect, the lists are
-/// written with room for so many while the host waits, so that the device has work. They are written once more if there
-/// are more.
+/// The host learns the number of intersections from the device. If recent views tell how many to expect, the lists are written with room
+/// for so many while the host waits, so that the device has work. They are written once more if there are more.
 pub(crate) fn launch_intersect(
     gpu: &Gpu,
     projected: &Buffer<f32>,
@@ -162,6 +163,11 @@ impl Room {
     }
 }
 
+/// The mask of tiles, of which so many are side by side, as a kernel argument.
+fn masked(mask: &Buffer<i32>, tiles_x: usize) -> TileMaskLaunch {
+    TileMaskLaunch::new(mask.arg(), tiles_x as u32)
+}
+
 impl Counted {
     pub fn launch(gpu: &Gpu, projected: &Buffer<f32>, camera: &Intrinsics, cut: Cut<&Buffer<i32>>) -> Self {
         let count = projected.len / crate::project::COLUMNS;
@@ -169,32 +175,17 @@ impl Counted {
         // SAFETY: every access is guarded by the lengths given.
         launch_unchecked!(
             gpu.units(count),
-            cover_kernel(
-                projected.arg(),
-                covers.arg(),
-                depths.arg(),
-                camera.width as u32,
-                camera.height as u32,
-                cut.alpha_min as f32,
-                count as u32
-            )
+            cover_kernel(projected, &covers, &depths, camera.width, camera.height, cut.alpha_min as f32, count)
         );
         let by_depth = launch_sort(gpu, depths, None, u32::BITS);
         let chunks = count.div_ceil(UNITS).clamp(1, COUNTERS);
         let (counts, sums) = (Buffer::<u32>::new(gpu, count), Buffer::<u32>::new(gpu, 2 * chunks));
         let (tiles, mask) = (tile_grid(camera.width, camera.height), cut.mask.cloned());
+        let of_tiles = ComptimeOptionArgs::from(mask.as_ref().map(|mask| masked(mask, tiles[0])));
         // SAFETY: every access is guarded by the number of visible Gaussians.
         launch_unchecked!(
             gpu.cubes(chunks),
-            count_kernel(
-                by_depth.indices.arg(),
-                covers.arg(),
-                by_depth.kept.arg(),
-                mask.as_ref().map(|mask| TileMaskLaunch::new(mask.arg(), tiles[0] as u32)).into(),
-                counts.arg(),
-                sums.arg(),
-                chunks as u32
-            )
+            count_kernel(&by_depth.indices, &covers, &by_depth.kept, of_tiles, &counts, &sums, chunks)
         );
         Self { covers, by_depth, counts, sums, chunks, tiles, mask }
     }
@@ -207,51 +198,25 @@ impl Counted {
     /// Writes the tile and the Gaussian of each intersection that `room` holds. Returns the number of the first
     /// intersection of each Gaussian, and the sizes: the number of intersections that are written, and of Gaussians.
     pub fn emit(&self, gpu: &Gpu, room: &Room) -> [Buffer<u32>; 2] {
-        let Self { covers, by_depth, counts, sums, .. } = self;
+        let Self { covers, by_depth: Sorted { indices, kept, .. }, counts, sums, chunks, .. } = self;
         let (first_intersection, sizes) = (Buffer::<u32>::new(gpu, counts.len), Buffer::<u32>::new(gpu, 2));
-        let blocks = room.capacity.div_ceil(LIST_BLOCK);
+        let Room { capacity, rank_of_block, tiles, gaussians } = room;
+        let (blocks, first, tiles_x) = (capacity.div_ceil(LIST_BLOCK), &first_intersection, self.tiles[0]);
         // SAFETY: ranks are guarded by the number of visible Gaussians, blocks and intersections by the capacity.
         launch_unchecked!(
-            gpu.cubes(self.chunks),
-            number_kernel(
-                counts.arg(),
-                sums.arg(),
-                by_depth.kept.arg(),
-                first_intersection.arg(),
-                room.rank_of_block.arg(),
-                sizes.arg(),
-                self.chunks as u32,
-                room.capacity as u32
-            )
+            gpu.cubes(*chunks),
+            number_kernel(counts, sums, kept, first, rank_of_block, &sizes, *chunks, *capacity)
         );
         match &self.mask {
             // SAFETY: as above.
             None => launch_unchecked!(
                 gpu.cubes(blocks),
-                emit_kernel(
-                    by_depth.indices.arg(),
-                    covers.arg(),
-                    first_intersection.arg(),
-                    room.rank_of_block.arg(),
-                    sizes.arg(),
-                    room.tiles.arg(),
-                    room.gaussians.arg(),
-                    blocks as u32,
-                    self.tiles[0] as u32
-                )
+                emit_kernel(indices, covers, first, rank_of_block, &sizes, tiles, gaussians, blocks, tiles_x)
             ),
             // SAFETY: as above; the public functions check that a mask has all tiles.
             Some(mask) => launch_unchecked!(
                 gpu.cubes(counts.len.div_ceil(UNITS)),
-                emit_masked_kernel(
-                    by_depth.indices.arg(),
-                    covers.arg(),
-                    first_intersection.arg(),
-                    sizes.arg(),
-                    TileMaskLaunch::new(mask.arg(), self.tiles[0] as u32),
-                    room.tiles.arg(),
-                    room.gaussians.arg()
-                )
+                emit_masked_kernel(indices, covers, first, &sizes, masked(mask, tiles_x), tiles, gaussians)
             ),
         }
         [first_intersection, sizes]
@@ -265,10 +230,7 @@ impl Counted {
         let by_tile = launch_sort(gpu, room.tiles, Some(sizes.clone()), usize::BITS - (tiles - 1).leading_zeros());
         let (tile_start, counts) = (Buffer::new(gpu, tiles + 1), Buffer::new(gpu, tiles));
         // SAFETY: every access is guarded by the number of tiles and by that of the sorted intersections.
-        launch_unchecked!(
-            gpu.units(tiles + 1),
-            ranges_kernel(by_tile.keys.arg(), sizes.arg(), tile_start.arg(), counts.arg(), tiles as u32)
-        );
+        launch_unchecked!(gpu.units(tiles + 1), ranges_kernel(&by_tile.keys, &sizes, &tile_start, &counts, tiles));
         DeviceIntersections {
             counts,
             tile_start,

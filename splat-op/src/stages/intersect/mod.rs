@@ -1,5 +1,4 @@
-//! Intersects Gaussians with tiles: ellipses → for each 16 × 16 tile of the picture, the Gaussians that can show in it,
-//! front to back.
+//! Intersects Gaussians with tiles: ellipses → for each 16 × 16 tile of the picture, the Gaussians that can show in it, front to back.
 //!
 //! The stage is not differentiable and changes no result: `rasterize` decides which Gaussian contributes to which
 //! pixel, and these lists only leave out pairs that cannot contribute. A Gaussian extends as far as its alpha is at

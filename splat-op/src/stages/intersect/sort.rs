@@ -1,9 +1,8 @@
 //! A stable radix sort of u32 keys on the device: least significant digit first, eight bits and a launch a pass.
 //!
-//! At most [`CHUNKS`] cubes share the keys; each has a chunk of consecutive keys. A first launch counts the lowest digit by
-//! chunk. In the launch of a pass each cube adds up the table of its digit to learn where its keys belong, moves its keys tile
-//! by tile, in order, and counts the next digit by the chunks into which they go. Launches cost the host as much as small passes
-//! cost the device.
+//! At most [`CHUNKS`] cubes share the keys; each has a chunk of consecutive keys. A first launch counts the lowest digit by chunk. In the
+//! launch of a pass each cube adds up the table of its digit to learn where its keys belong, moves its keys tile by tile, in order, and
+//! counts the next digit by the chunks into which they go. Launches cost the host as much as small passes cost the device.
 //!
 //! The rank of a key among the equal digits of its tile comes from bits in shared memory: of 32 neighbouring keys, each
 //! sets its bit in the word of its digit, and counts the bits below. Where these 32 units lie in one plane, they wait for one
@@ -54,8 +53,7 @@ const CHUNKS_AT_ONCE: usize = 8;
 const TILES_PER_COUNT: usize = 3;
 const _: () = assert!(TILES_PER_COUNT * PER_UNIT * GROUPS < 256);
 
-/// Returns the first of the values. WebGPU takes barriers in a loop only if the loop's bound is known to be the same in all
-/// units.
+/// Returns the first of the values. WebGPU takes barriers in a loop only if the loop's bound is known to be the same in all units.
 #[cube]
 pub(super) fn uniform(values: &[u32]) -> u32 {
     let mut value = Shared::<[u32]>::new_slice(1usize);
@@ -148,9 +146,8 @@ fn count_digits_kernel(
     }
 }
 
-/// Writes the keys that are not hidden, and their values, in the order of a digit, and the number of them. Without values,
-/// they are the indices of the keys. Adds up `next[chunk][digit]`, the numbers of keys by the next digit and the chunk to which
-/// they go.
+/// Writes the keys that are not hidden, and their values, in the order of a digit, and the number of them. Without values, they are the
+/// indices of the keys. Adds up `next[chunk][digit]`, the numbers of keys by the next digit and the chunk to which they go.
 #[cube(launch_unchecked)]
 fn scatter_kernel(
     keys: &[u32],
@@ -351,33 +348,17 @@ pub(crate) fn launch_sort(gpu: &Gpu, keys: Buffer<u32>, count: Option<Buffer<u32
     let (mut from, mut count) = (keys, count);
     // Two buffers in turn take the keys, and two the values.
     let (mut to, mut values, mut spare_values) = (room(), None, None);
-    let optional = |buffer: &Option<Buffer<u32>>| buffer.as_ref().map(Buffer::arg).into();
-    let (most, chunk_count) = (len as u32, chunks as u32);
     // SAFETY: reads are guarded by the length of a chunk, and there is a table for each pass.
-    launch_unchecked!(
-        gpu.cubes(chunks),
-        count_digits_kernel(from.arg(), optional(&count), tables.arg(), most, chunk_count, passes)
-    );
+    launch_unchecked!(gpu.cubes(chunks), count_digits_kernel(&from, &count, &tables, len, chunks, passes));
     for pass in 0..passes {
         let (moved, kept) = (spare_values.take().unwrap_or_else(room), Buffer::new(gpu, 1));
         let next = (pass + 1 < passes).then(|| table(pass + 1));
+        let (table, shift, given) = (table(pass), DIGIT_BITS * pass, given([&values, &count, &next]));
         // SAFETY: as above; places stay below `len` because the table counts every key that is moved once.
         launch_unchecked!(
             gpu.cubes(chunks),
             scatter_kernel(
-                from.arg(),
-                optional(&values),
-                optional(&count),
-                table(pass).arg(),
-                next.as_ref().map(Buffer::arg).into(),
-                to.arg(),
-                moved.arg(),
-                kept.arg(),
-                most,
-                chunk_count,
-                DIGIT_BITS * pass,
-                planes,
-                given([&values, &count, &next])
+                &from, &values, &count, &table, &next, &to, &moved, &kept, len, chunks, shift, planes, given
             )
         );
         std::mem::swap(&mut from, &mut to);

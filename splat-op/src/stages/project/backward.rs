@@ -57,7 +57,6 @@ fn factor_backward(f: &ProjectionTerms, camera: &ProjectCamera, opacity: f32, gr
 
 /// Gradients of the inputs of one axis of the picture.
 #[derive(CubeType, Clone, Copy)]
-#[expand(derive(Clone, Copy))]
 struct JacobianRowGrad {
     /// Gradient of the centre's camera x or y, and this axis's share of the gradient of its z.
     across: f32,
@@ -107,7 +106,6 @@ pub(crate) fn seen_backward(
 
 /// Gradients of one Gaussian's parameters and of its projected centre, per px, and its share of the pose's gradient.
 #[derive(CubeType, CubeTypeMut, Clone, Copy)]
-#[expand(derive(Clone, Copy))]
 pub(crate) struct GaussianGrad {
     pub mean: Vec3,
     pub rotation: Quaternion,

@@ -1,5 +1,4 @@
-//! The CPU twin of `project`: both passes, generic over the float, parallel over chunks of Gaussians. `ray_space` runs by the same
-//! loops.
+//! The CPU twin of `project`: both passes, generic over the float, parallel over chunks of Gaussians. `ray_space` runs by the same loops.
 
 use fearless_simd::prelude::*;
 

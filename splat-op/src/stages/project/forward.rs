@@ -137,8 +137,7 @@ impl PackedEllipse {
     }
 }
 
-/// Intermediate values of the forward pass that the backward pass needs. The names are those of the equations of
-/// [`project`](super).
+/// Intermediate values of the forward pass that the backward pass needs. The names are those of the equations of [`project`](super).
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub(crate) struct ProjectionTerms {
@@ -165,8 +164,7 @@ pub(crate) struct ProjectionTerms {
     pub compensation_free: bool,
 }
 
-/// Projections along both axes, from the centre in the camera's frame and `W R`, and whether the centre lies within the domain of a
-/// lens.
+/// Projections along both axes, from the centre in the camera's frame and `W R`, and whether the centre lies within the domain of a lens.
 #[cube]
 fn seen_rows(
     mean_cam: Vec3,

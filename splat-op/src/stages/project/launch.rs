@@ -42,13 +42,13 @@ pub(crate) fn launch_project(gpu: &Gpu, inputs: &Geometry<Buffer<f32>>, spec: &P
     // SAFETY: every access is guarded by the number of Gaussians.
     launch_unchecked!(
         gpu.units(count),
-        project_forward_kernel(geometry_arg(inputs), projected.arg(), project_camera(spec), count as u32)
+        project_forward_kernel(geometry_arg(inputs), &projected, project_camera(spec), count)
     );
     projected
 }
 
-/// Returns the gradients that `needs` selects. `launch` runs a backward kernel over `count` Gaussians, more than none, that writes
-/// them. It finds one row per cube as the gradient of the pose; these rows are then summed in a fixed order.
+/// Returns the gradients that `needs` selects. `launch` runs a backward kernel over `count` Gaussians that writes them. It
+/// finds one row per cube as the gradient of the pose; these rows are then summed in a fixed order.
 pub(crate) fn geometry_grads(
     gpu: &Gpu,
     count: usize,
@@ -57,9 +57,7 @@ pub(crate) fn geometry_grads(
 ) -> Geometry<Option<Buffer<f32>>> {
     let of_rows = Geometry { cam_from_world: false, ..needs };
     let mut grads = of_rows.zip(WIDTHS).map(|(needed, width)| Buffer::if_needed(gpu, needed, count * width));
-    if count == 0 {
-        grads.cam_from_world = needs.cam_from_world.then(|| Buffer::from_slice(gpu, &[0.0; POSE]));
-    } else if needs.into_array().contains(&true) {
+    if needs.into_array().contains(&true) {
         grads.cam_from_world = Buffer::if_needed(gpu, needs.cam_from_world, count.div_ceil(UNITS) * POSE);
         let output = |buffer: &Option<Buffer<f32>>| buffer.as_ref().map(Buffer::arg).into();
         launch(GeometryOutputsLaunch::new(
@@ -88,14 +86,7 @@ pub(crate) fn launch_project_backward(
         // SAFETY: every access is guarded by the number of Gaussians.
         launch_unchecked!(
             gpu.units(count),
-            project_backward_kernel(
-                geometry_arg(inputs),
-                grad.arg(),
-                outputs,
-                project_camera(spec),
-                count as u32,
-                needs
-            )
+            project_backward_kernel(geometry_arg(inputs), grad, outputs, project_camera(spec), count, needs)
         );
     })
 }

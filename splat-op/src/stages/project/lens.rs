@@ -25,10 +25,9 @@
 //! are clamped near the picture. The angles of a fisheye are not clamped, because its Jacobian is exact everywhere. An orthographic
 //! camera has no planar map, and its centre's z gets no gradient but that of the depth.
 //!
-//! For the angle `θ` from the axis, `α = θ/sin θ`, `β = (cos θ − α)/sin² θ` and, for the gradient,
-//! `δ = −(2 cos θ + 3β)/sin² θ`. They are smooth, but these forms are 0/0 on the axis and differences of almost equal numbers near
-//! it. With `v = tan²(θ/2) = |p|²/(1 + c)²`, at most one in front of the camera, and the smooth
-//! `h(v) = (atan(√v)/√v − 1 + v/3)/v²` they are
+//! For the angle `θ` from the axis, `α = θ/sin θ`, `β = (cos θ − α)/sin² θ` and, for the gradient, `δ = −(2 cos θ + 3β)/sin² θ`. They are
+//! smooth, but these forms are 0/0 on the axis and differences of almost equal numbers near it. With `v = tan²(θ/2) = |p|²/(1 + c)²`, at
+//! most one in front of the camera, and the smooth `h(v) = (atan(√v)/√v − 1 + v/3)/v²` they are
 //!
 //! ```text
 //! α = (1 + v)(1 + v a)                     a = v h − 1/3

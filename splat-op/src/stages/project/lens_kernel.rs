@@ -1,5 +1,4 @@
-//! Lenses in the kernels of `project`. The backward pass projects through the lens a second time. CubeCL removes the repeated
-//! operations.
+//! Lenses in the kernels of `project`. The backward pass projects through the lens a second time. CubeCL removes the repeated operations.
 
 use cubecl::prelude::*;
 

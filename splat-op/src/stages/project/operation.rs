@@ -11,6 +11,8 @@ use crate::backend::*;
 pub(crate) struct Project(pub ProjectSpec);
 
 impl Operation for Project {
+    const DIFFERENTIABLE: &'static [usize] = &[0, 1, 2, 3, 4, 5];
+
     fn outputs(&self, inputs: &[Option<Spec>]) -> Vec<Option<Spec>> {
         vec![inputs[0].as_ref().map(|means| means.with_shape([means.shape[0], COLUMNS]))]
     }
@@ -24,10 +26,6 @@ impl Operation for Project {
         gpu_outputs([launch_project(&args.gpu(), &Geometry::from_array(args.all()), &self.0)])
     }
 
-    fn differentiable(&self) -> &'static [usize] {
-        &[0, 1, 2, 3, 4, 5]
-    }
-
     fn run_backward<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {
         let (read, needs) = (args.all::<F, 6>(), Geometry::from_array(args.needs()));
         let inputs = Geometry::from_array(slices(&read));
@@ -37,6 +35,6 @@ impl Operation for Project {
     #[cfg(feature = "cube")]
     fn launch_backward(&self, args: GpuArgs) -> Vec<GpuOutput> {
         let (inputs, needs) = (Geometry::from_array(args.all()), Geometry::from_array(args.needs()));
-        optional_outputs(launch_project_backward(&args.gpu(), &inputs, &args.only_grad(), &self.0, needs).into_array())
+        gpu_outputs(launch_project_backward(&args.gpu(), &inputs, &args.only_grad(), &self.0, needs).into_array())
     }
 }

@@ -21,9 +21,8 @@ impl<S: Simd, F: Real> ProjectionTermsSimd<S, F> {
         let mut grad_p = [zero; 3];
         let mut grad_along = scale(self.n, grad.shear);
         if camera.antialias {
-            // With P = |p| and S = sigma_v, whose square is ε + P² + ε |along|²:
-            // d(P/S) = (ε + ε |along|²)/S² dP/S − P/S ε along·d along / S². Without blur every term is exactly zero; there is
-            // no difference of almost equal numbers.
+            // With P = |p| and S = sigma_v, whose square is ε + P² + ε |along|²: d(P/S) = (ε + ε |along|²)/S² dP/S − P/S ε along·d along /
+            // S². Without blur every term is exactly zero; there is no difference of almost equal numbers.
             let (simd, one) = (self.simd, self.lanes(F::ONE));
             let grad_compensation = grad.opacity * opacity;
             let blurred = camera.blur_sigma / self.sigma_v;

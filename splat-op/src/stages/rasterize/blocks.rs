@@ -1,5 +1,4 @@
-//! Blocks of a tile: 8 × 4 pixels each, the pixels of 32 consecutive units. A block evaluates only the Gaussians whose
-//! ellipse meets it.
+//! Blocks of a tile: 8 × 4 pixels each, the pixels of 32 consecutive units. A block evaluates only the Gaussians whose ellipse meets it.
 
 use cubecl::prelude::*;
 

@@ -2,7 +2,6 @@
 
 use fearless_simd::prelude::*;
 
-use super::footprint::EllipseFootprint;
 use super::layer_cpu::{Thresholds, Transmittances};
 use super::pixels::{SIMD_BLOCK, SIMD_BLOCK_ROW, TilePixels, TileView, len, row_and_column};
 use super::prepared::Prepared;
@@ -10,7 +9,6 @@ use super::splat_cpu::{Footprint, FootprintLanes};
 use super::tile_blocks::{Blocks, TileBlocks};
 use super::{Layers, MEDIAN, RasterizeSpec};
 use crate::intersect::{IntersectionLists, TILE_PIXELS, TILE_SIZE};
-use crate::rasterize_rays::footprint::RayFootprint;
 use crate::simd::dispatch;
 use crate::simd::real::Real;
 use crate::tasks;
@@ -29,19 +27,7 @@ pub(super) struct PixelContributors<I, W> {
 
 /// Returns the first `most` contributors of each pixel, front to back, and the one at which the transmittance falls to [`MEDIAN`]. Of
 /// `inputs`, the features and the background have no elements.
-pub(super) fn contributors_cpu<F: Real>(
-    inputs: Layers<&[F]>,
-    spec: &RasterizeSpec,
-    intersections: &IntersectionLists,
-    most: usize,
-) -> PixelContributors<Vec<i32>, Vec<F>> {
-    match spec.options.along_rays() {
-        true => of_picture::<F, RayFootprint<F>>(inputs, spec, intersections, most),
-        false => of_picture::<F, EllipseFootprint<F>>(inputs, spec, intersections, most),
-    }
-}
-
-fn of_picture<F: Real, P: Footprint<F>>(
+pub(super) fn contributors_cpu<F: Real, P: Footprint<F>>(
     inputs: Layers<&[F]>,
     spec: &RasterizeSpec,
     intersections: &IntersectionLists,

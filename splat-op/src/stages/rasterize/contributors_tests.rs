@@ -2,6 +2,7 @@
 
 use super::contributors::launch_contributors;
 use super::contributors_cpu::contributors_cpu;
+use super::footprint::EllipseFootprint;
 use super::{Layers, RasterizeSpec};
 use crate::camera::Intrinsics;
 use crate::gpu::Buffer;
@@ -9,6 +10,7 @@ use crate::intersect::Cut;
 use crate::intersect::cpu::intersect_cpu;
 use crate::intersect::launch::launch_intersect;
 use crate::options::{Projection, RenderOptions};
+use crate::rasterize_rays::footprint::RayFootprint;
 use crate::ray_space::bounds_cpu;
 use crate::ray_space::launch::launch_bounds;
 use crate::testing::ceiling::to_f32;
@@ -27,8 +29,11 @@ fn contributors_agree_with_the_twin() {
         let rows = ray_rows(&projected, &[0.05, -0.03, 0.02].repeat(40), &spec.intrinsics);
         let inputs = Layers { projected: &projected[..], ray_space: &rows, ..Layers::default() };
         let bounds = if options.along_rays() { bounds_cpu(&projected, &rows, &spec) } else { projected.clone() };
-        let expected =
-            contributors_cpu(inputs, &spec, &intersect_cpu(&bounds, &spec.intrinsics, Cut::of(&options)), MOST);
+        let twin = match options.along_rays() {
+            true => contributors_cpu::<f64, RayFootprint<f64>>,
+            false => contributors_cpu::<f64, EllipseFootprint<f64>>,
+        };
+        let expected = twin(inputs, &spec, &intersect_cpu(&bounds, &spec.intrinsics, Cut::of(&options)), MOST);
 
         let buffer = |values: &[f64]| Buffer::from_slice(&gpu, &to_f32(values));
         let inputs = inputs.each_ref().map(|values| buffer(values));

@@ -18,7 +18,6 @@ const SLIP: f32 = 1e-6;
 
 /// An ellipse in the form that the loop over a tile's pixels reads.
 #[derive(CubeType, Clone, Copy)]
-#[expand(derive(Clone, Copy))]
 pub(crate) struct LayerEllipse {
     pub x: f32,
     /// Distance, px, by which the centres of the tile's first row lie below the ellipse's centre.
@@ -31,9 +30,8 @@ pub(crate) struct LayerEllipse {
 
 #[cube]
 impl LayerEllipse {
-    /// Returns `u` in the column at `x` px, and the distance, px, by which the column's pixel in the tile's first row
-    /// lies below the ellipse's axis. For a lower row, its number is added to the distance. The distance times
-    /// `inverse_v` is `v`.
+    /// Returns `u` in the column at `x` px, and the distance, px, by which the column's pixel in the tile's first row lies below the
+    /// ellipse's axis. For a lower row, its number is added to the distance. The distance times `inverse_v` is `v`.
     ///
     /// The row number is added to a distance, never to a coordinate, whose digits are coarser.
     pub fn along_column(&self, x: f32) -> (f32, f32) {
@@ -41,8 +39,7 @@ impl LayerEllipse {
         (dx * self.inverse_u, fma(-self.shear, dx, self.rise))
     }
 
-    /// Returns the alpha at the pixel in the column at `x` px, `row` rows below the tile's first; zero where it is below
-    /// `alpha_min`.
+    /// Returns the alpha at the pixel in the column at `x` px, `row` rows below the tile's first; zero where it is below `alpha_min`.
     ///
     /// Every kernel takes its alphas from here. Products that are added are written as `fma`, so that no compiler can
     /// choose whether to round them, and all kernels see the same bits.

@@ -116,8 +116,7 @@ fn add_rows<F: Real>(intersection_sums: &[F], rows: &[u32], sum: &mut [F]) {
     }
 }
 
-/// [`add_rows`] for a length known at compile time: the fewer instructions a row takes, the more rows are fetched at a
-/// time.
+/// [`add_rows`] for a length known at compile time: the fewer instructions a row takes, the more rows are fetched at a time.
 #[inline(always)]
 fn add_rows_of<F: Real, const COLUMNS: usize>(intersection_sums: &[F], rows: &[u32], sum: &mut [F]) {
     let table = intersection_sums.as_chunks::<COLUMNS>().0;

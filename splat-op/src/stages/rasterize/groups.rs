@@ -255,7 +255,6 @@ pub(super) fn pass_group(
 
 /// The run of pixels that a unit sums, and their layer of the group.
 #[derive(CubeType, Clone, Copy)]
-#[expand(derive(Clone, Copy))]
 pub(super) struct Run {
     pub layer: u32,
     /// Unit of its first pixel.

@@ -18,7 +18,7 @@ use super::trace::{DeviceTrace, TraceRun, runs_of};
 use super::{Layers, RasterizeSpec};
 use crate::camera::PictureRays;
 use crate::gpu::reduce::launch_column_sums;
-use crate::gpu::{Buffer, Gpu, PART_BYTES, SHARED_BYTES, cubes, elementwise, given};
+use crate::gpu::{Buffer, Gpu, PART_BYTES, SHARED_BYTES, UNITS, cubes, given, launch_unchecked};
 use crate::intersect::launch::DeviceIntersections;
 use crate::intersect::{TILE_PIXELS, tile_grid};
 use crate::options::Accumulation;
@@ -114,19 +114,6 @@ pub(crate) fn launch_rasterize(
     spec: &RasterizeSpec,
     keep: bool,
 ) -> (DevicePlanes, Option<DeviceTrace>) {
-    match spec.options.along_rays() {
-        true => launch_forward::<RayGaussian>(gpu, inputs, lists, spec, keep),
-        false => launch_forward::<LayerEllipse>(gpu, inputs, lists, spec, keep),
-    }
-}
-
-fn launch_forward<S: Splat>(
-    gpu: &Gpu,
-    inputs: &Layers<Buffer<f32>>,
-    lists: &DeviceIntersections,
-    spec: &RasterizeSpec,
-    keep: bool,
-) -> (DevicePlanes, Option<DeviceTrace>) {
     let (shape, tiles) = (KernelShape::of(inputs.background.len, &spec.options), lists.counts.len);
     let splats = DeviceSplats::new(gpu, inputs, lists, spec);
     let planes = DevicePlanes::new(gpu, spec, shape.features);
@@ -136,12 +123,16 @@ fn launch_forward<S: Splat>(
         final_transmittance: Buffer::new(gpu, kept_tiles * TILE_PIXELS),
         segment_count: Buffer::new(gpu, kept_tiles),
     };
+    let launch = match splats.along_rays {
+        true => rasterize_forward_kernel::launch_unchecked::<RayGaussian>,
+        false => rasterize_forward_kernel::launch_unchecked::<LayerEllipse>,
+    };
     for slots in runs_of(gpu, lists, shape, keep) {
         let run = TraceRun::new(gpu, slots, shape, keep, lists.counted);
         // SAFETY: places, intersections and Gaussians come from the lists, which hold none out of range; pixels are
         // guarded; a run has the slots of all its tiles.
         unsafe {
-            rasterize_forward_kernel::launch_unchecked::<S>(
+            launch(
                 &gpu.client,
                 cubes(run.slots.tiles.len()),
                 CubeDim::new_1d(TILE_PIXELS as u32),
@@ -340,34 +331,32 @@ fn launch_gather(
         false => lens.map(|len| len.map(|len| Buffer::new(gpu, len))),
     };
     let grads = Layers { projected, features, background: None, mean2d_abs, ray_space };
-    let output = |buffer: &Option<Buffer<f32>>| buffer.as_ref().map(Buffer::arg).into();
+    let Layers { projected, features, mean2d_abs, ray_space, .. } = &grads;
+    let given = given([projected, features, mean2d_abs, ray_space]);
     for Rows { ranks, intersections, sums } in rows {
-        let (grid, dim) = elementwise(ranks.len());
         // SAFETY: ranks stay below the number of visible Gaussians; the rows hold the intersections of these ranks.
-        unsafe {
-            rasterize_gather_kernel::launch_unchecked(
-                &gpu.client,
-                grid,
-                dim,
-                inputs.projected.arg(),
-                lists.order.arg(),
-                lists.first_intersection.arg(),
-                sums.arg(),
-                output(&grads.projected),
-                output(&grads.features),
-                output(&grads.mean2d_abs),
-                output(&grads.ray_space),
-                ranks.start as u32,
-                ranks.end as u32,
-                intersections.start as u32,
-                intersections.end as u32,
+        launch_unchecked!(
+            gpu.cubes(ranks.len().div_ceil(UNITS)),
+            rasterize_gather_kernel(
+                &inputs.projected,
+                &lists.order,
+                &lists.first_intersection,
+                sums,
+                projected,
+                features,
+                mean2d_abs,
+                ray_space,
+                ranks.start,
+                ranks.end,
+                intersections.start,
+                intersections.end,
                 shape,
                 columns,
                 ray_columns,
                 ordered,
-                given([&grads.projected, &grads.features, &grads.mean2d_abs, &grads.ray_space]),
-            );
-        }
+                given
+            )
+        );
     }
     grads
 }

@@ -64,7 +64,6 @@ impl SplatInputs {
 
 /// Size of the picture in pixels, its tiles along x, and thresholds of the render.
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
-#[expand(derive(Clone, Copy))]
 pub(crate) struct RasterFrame {
     pub width: u32,
     pub height: u32,
@@ -79,7 +78,6 @@ pub(crate) struct RasterFrame {
 
 /// A pixel of a tile.
 #[derive(CubeType, Clone, Copy)]
-#[expand(derive(Clone, Copy))]
 pub(crate) struct TilePixel {
     /// Centre of its column and of the tile's first row, px, and its row within the tile.
     pub x: f32,
@@ -187,9 +185,8 @@ pub(super) fn layer(alpha: f32, through: f32, stopped: f32, before: f32, transmi
     )
 }
 
-/// Returns the transmittance behind a bucket from the transmittance before it and the shares that the bucket lets
-/// through and stops. The result is negative if `before` or `through` is: the pixel was finished before the bucket or
-/// within it.
+/// Returns the transmittance behind a bucket from the transmittance before it and the shares that the bucket lets through and stops. The
+/// result is negative if `before` or `through` is: the pixel was finished before the bucket or within it.
 #[cube]
 pub(super) fn transmittance_after_bucket(before: f32, through: f32, stopped: f32) -> f32 {
     let left = select(stopped < 0.5, fma(-stopped, before, before), before * through.abs());
@@ -215,8 +212,7 @@ pub(crate) fn add_compensated(sum: f32, lost: f32, value: f32) -> (f32, f32) {
     (total, change - (total - sum))
 }
 
-/// Returns the first slot of a tile's segments. Each started segment has a slot, so no two tiles share one and no list
-/// of slots is needed.
+/// Returns the first slot of a tile's segments. Each started segment has a slot, so no two tiles share one and no list of slots is needed.
 #[cube]
 pub(super) fn first_slot(first_place: u32, tile: u32) -> u32 {
     first_place / comptime!(SEGMENT as u32) + tile

@@ -7,10 +7,9 @@ use super::splat_cpu::FootprintLanes;
 use crate::intersect::TILE_PIXELS;
 use crate::simd::real::{EXP2_CONSTANTS, Real};
 
-/// Whether a list of intersections is rasterized with [`Transmittances::lost`] and shorter partial sums, which takes a
-/// fifth longer. Otherwise roundings do not add up to a difference that an f32 picture can show: the list is short
-/// enough, and if it is not very short, no layer is so faint that it alone would change no digit. Only rounding depends
-/// on this choice.
+/// Whether a list of intersections is rasterized with [`Transmittances::lost`] and shorter partial sums, which takes a fifth longer.
+/// Otherwise roundings do not add up to a difference that an f32 picture can show: the list is short enough, and if it is not very short,
+/// no layer is so faint that it alone would change no digit. Only rounding depends on this choice.
 pub(super) fn is_long<F: Real>(intersections: usize, alpha_min: F) -> bool {
     const LONG_LIST: usize = 2048;
     const LONG_FOR_FAINT: usize = 256;
@@ -91,8 +90,7 @@ impl<S: Simd, F: Real> Thresholds<S, F> {
             alpha_max: lanes(alpha_max),
             transmittance_min: lanes(never),
             zero: lanes(F::ZERO),
-            // The constants stay in memory, where instructions read them as operands; the compiler would rebuild them
-            // each time.
+            // The constants stay in memory, where instructions read them as operands; the compiler would rebuild them each time.
             exp2: std::hint::black_box(exp2),
         }
     }
@@ -129,8 +127,7 @@ impl<S: Simd, F: Real> Thresholds<S, F> {
     }
 }
 
-/// `T (1 − α)`, in two parts. `1 − α` is not computed: its rounding would be the same for all layers of one faint
-/// alpha.
+/// `T (1 − α)`, in two parts. `1 − α` is not computed: its rounding would be the same for all layers of one faint alpha.
 #[inline(always)]
 fn pass<S: Simd, F: Real, const LONG: bool>(
     alpha: F::Block<S>,

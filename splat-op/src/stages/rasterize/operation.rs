@@ -6,19 +6,18 @@ use std::array;
 use super::contributors::launch_contributors;
 use super::contributors_cpu::contributors_cpu;
 use super::cpu::{Trace, rasterize_backward_cpu, rasterize_cpu};
+use super::footprint::EllipseFootprint;
 #[cfg(feature = "cube")]
 use super::launch::{launch_rasterize, launch_rasterize_backward};
 #[cfg(feature = "cube")]
 use super::trace::DeviceTrace;
 use super::{Layers, PlaneParts, RasterizeSpec};
-#[cfg(feature = "cube")]
-use crate::backend::cube::{buffer, gpu_outputs, optional_outputs};
-use crate::backend::host::{Host, float_outputs};
 use crate::backend::*;
 use crate::camera::Intrinsics;
 #[cfg(feature = "cube")]
 use crate::gpu::{Buffer, Gpu};
 use crate::intersect::Kept;
+use crate::rasterize_rays::footprint::RayFootprint;
 
 /// Planes `[C, H, W]` of colours, `[1, H, W]` of alpha and, if asked for, of depth. Takes the tensors of [`Layers`] and the output of the
 /// intersection, which makes this operation run after that one. Without rays there are no rows of `ray_space`.
@@ -85,6 +84,9 @@ fn device_layers(args: &GpuArgs, gpu: &Gpu) -> Layers<Buffer<f32>> {
 }
 
 impl Operation for Rasterize {
+    // They make the backward pass run after this one, and are not read.
+    const KEEPS_OUTPUTS: bool = true;
+
     fn outputs(&self, inputs: &[Option<Spec>]) -> Vec<Option<Spec>> {
         planes(&self.spec, inputs[2].as_ref())
     }
@@ -112,11 +114,6 @@ impl Operation for Rasterize {
         if self.spec.options.along_rays() { &[0, 1, 2, 3, 4] } else { &[0, 1, 2, 3] }
     }
 
-    // They make the backward pass run after this one, and are not read.
-    fn keeps_outputs(&self) -> bool {
-        true
-    }
-
     fn tracked(&self) -> Self {
         Self { trace: Some(Kept::default()), ..self.clone() }
     }
@@ -141,7 +138,7 @@ impl Operation for Rasterize {
         });
         let needs = Layers::from_array(args.needs());
         let found = launch_rasterize_backward(&gpu, &inputs, &grad, lists, &kept, &self.spec, needs);
-        optional_outputs(found.into_array()).into_iter().chain([None]).collect()
+        gpu_outputs(found.into_array()).into_iter().chain([None]).collect()
     }
 }
 
@@ -165,7 +162,11 @@ impl Operation for Contribute {
 
     fn run<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {
         let read = host_layers::<F>(args);
-        let found = contributors_cpu(read.each_ref().map(slice), &self.spec, self.lists.read(), self.most);
+        let twin = match self.spec.options.along_rays() {
+            true => contributors_cpu::<F, RayFootprint<F>>,
+            false => contributors_cpu::<F, EllipseFootprint<F>>,
+        };
+        let found = twin(read.each_ref().map(slice), &self.spec, self.lists.read(), self.most);
         vec![HostOutput::ints(found.ids), HostOutput::floats(found.weights), HostOutput::ints(found.median)]
     }
 

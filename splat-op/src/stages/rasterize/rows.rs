@@ -18,9 +18,8 @@ pub(crate) struct Rows {
 }
 
 impl Rows {
-    /// Allocates rows of `columns` sums, one per intersection, in as many buffers as the device's largest makes necessary. Each
-    /// has all rows of its Gaussians, so the order of sums does not depend on the device. Waits for the device if one buffer is
-    /// too small.
+    /// Allocates rows of `columns` sums, one per intersection, in as many buffers as the device's largest makes necessary. Each has all
+    /// rows of its Gaussians, so the order of sums does not depend on the device. Waits for the device if one buffer is too small.
     pub fn of_intersections(gpu: &Gpu, lists: &DeviceIntersections, columns: usize) -> Vec<Self> {
         let room = (gpu.buffer_limit / (4 * columns as u64)) as usize;
         let rows = |ranks: Range<usize>, intersections: Range<usize>| {

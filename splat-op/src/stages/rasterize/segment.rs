@@ -22,7 +22,6 @@ pub(super) struct KeptTrace {
 
 /// The segments of a launch, and the intersections whose rows it writes, `first_row..end_row`.
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
-#[expand(derive(Clone, Copy))]
 pub(super) struct SegmentRange {
     pub run: TileRun,
     pub slots: u32,
@@ -32,7 +31,6 @@ pub(super) struct SegmentRange {
 
 /// A segment of a tile.
 #[derive(CubeType, Clone, Copy)]
-#[expand(derive(Clone, Copy))]
 pub(super) struct Segment {
     pub tile: u32,
     /// First place of the tile, and number of its places.

@@ -8,7 +8,6 @@ use crate::project::COLUMNS;
 
 /// A block of a tile, whose pixels gave each place of a bucket a value `h = α ∂L/∂α` and a weight `α T`.
 #[derive(CubeType, Clone, Copy)]
-#[expand(derive(Clone, Copy))]
 pub(crate) struct BlockPairs {
     /// First column and row of the tile, and index of the block's first unit.
     pub origin: (u32, u32),

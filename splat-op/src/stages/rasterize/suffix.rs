@@ -28,9 +28,8 @@ pub(super) fn plane_of(channel: usize, #[comptime] shape: KernelShape) -> usize 
 /// Writes `ρ = g·R` behind each segment, `[slot][unit]`, and the tile's share of the background's gradient,
 /// `[tile][feature]`. A cube per tile, a unit per pixel.
 ///
-/// The sums of the segments are weighted by the whole transmittance, so those behind a segment are added up from the
-/// last, and their total is divided by the transmittance behind the segment. The picture's alpha, `1 − T`, acts as a
-/// background of colour minus one.
+/// The sums of the segments are weighted by the whole transmittance, so those behind a segment are added up from the last, and their total
+/// is divided by the transmittance behind the segment. The picture's alpha, `1 − T`, acts as a background of colour minus one.
 #[cube(launch_unchecked)]
 pub(super) fn rasterize_suffix_kernel<S: Splat>(
     inputs: SplatInputs,

@@ -12,9 +12,8 @@ use crate::simd::real::Real;
 /// Number of Gaussians between two checkpoints of a tile's transmittances.
 pub(super) const CHECKPOINT_EVERY: usize = 64;
 
-/// Number of Gaussians in a partial sum. A longer sum is a sum of partial sums: added one by one in f32, the last of
-/// 10,000 faint layers would be too small to change it. Only Gaussians that reach a pixel count: a Gaussian that a tile
-/// lists in vain must change no bit.
+/// Number of Gaussians in a partial sum. A longer sum is a sum of partial sums: added one by one in f32, the last of 10,000 faint layers
+/// would be too small to change it. Only Gaussians that reach a pixel count: a Gaussian that a tile lists in vain must change no bit.
 const SUM_LENGTH: usize = 8 * CHECKPOINT_EVERY;
 
 /// Gaussians of a tile, copied side by side. They are scattered in memory; fetched together, their latencies overlap.
@@ -148,8 +147,7 @@ impl<S: Simd, F: Real> TilePass<'_, S, F> {
     }
 }
 
-/// Rasterizes a tile. Writes the sums `Σ w c` and the transmittance (positive) to `planes`, `[channels + 1, 256]`.
-/// Fills `trace`, if given.
+/// Rasterizes a tile. Writes the sums `Σ w c` and the transmittance (positive) to `planes`, `[channels + 1, 256]`. Fills `trace`, if given.
 ///
 /// `C` is the number of channels if it is known at compile time, else zero.
 #[inline(always)]

@@ -17,7 +17,6 @@ pub(super) const WORDS: usize = BUCKETS * BLOCKS;
 
 /// The tiles of a launch.
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
-#[expand(derive(Clone, Copy))]
 pub(super) struct TileRun {
     pub first_tile: u32,
     pub end_tile: u32,

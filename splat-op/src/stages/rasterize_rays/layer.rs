@@ -319,8 +319,7 @@ impl Splat for RayGaussian {
         (layer.alpha, layer.depth)
     }
 
-    /// Adds the moments, the gradients of the depth slope, the thickness and the centre's relative depth, and the sums of absolute
-    /// values.
+    /// Adds the moments, the gradients of the depth slope, the thickness and the centre's relative depth, and the sums of absolute values.
     fn add_pairs(
         row: &mut Array<f32>,
         splat: &RayGaussian,

@@ -12,7 +12,6 @@ use crate::project::{COLUMNS, Ellipse};
 /// Limits of a lens as an argument.
 #[allow(dead_code, reason = "kernels read the fields of the expanded type")]
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
-#[expand(derive(Clone, Copy))]
 pub(super) struct LensLimitsArg {
     low: Vec2,
     high: Vec2,

@@ -1,5 +1,7 @@
 //! Launches of `ray_space`.
 
+use cubecl::prelude::ComptimeOptionArgs;
+
 use super::backward::ray_space_backward_kernel;
 use super::bounds_kernel::{bounds_kernel, lens_limits};
 use super::columns;
@@ -16,7 +18,7 @@ pub(crate) fn launch_ray_space(gpu: &Gpu, inputs: &Geometry<Buffer<f32>>, spec: 
     // SAFETY: every access is guarded by the number of Gaussians.
     launch_unchecked!(
         gpu.units(count),
-        ray_space_forward_kernel(geometry_arg(inputs), ray_rows.arg(), project_camera(spec), count as u32)
+        ray_space_forward_kernel(geometry_arg(inputs), &ray_rows, project_camera(spec), count)
     );
     ray_rows
 }
@@ -30,18 +32,12 @@ pub(crate) fn launch_bounds(
 ) -> Buffer<f32> {
     let count = projected.len / COLUMNS;
     let bounds = Buffer::new(gpu, count * COLUMNS);
+    let size = Vec2Launch::new(spec.intrinsics.width as f32, spec.intrinsics.height as f32);
+    let (alpha_min, lens) = (spec.options.alpha_min as f32, lens_limits(&spec.intrinsics));
     // SAFETY: every access is guarded by the number of Gaussians.
     launch_unchecked!(
         gpu.units(count),
-        bounds_kernel(
-            projected.arg(),
-            ray_rows.arg(),
-            bounds.arg(),
-            Vec2Launch::new(spec.intrinsics.width as f32, spec.intrinsics.height as f32),
-            spec.options.alpha_min as f32,
-            lens_limits(&spec.intrinsics).into(),
-            count as u32
-        )
+        bounds_kernel(projected, ray_rows, &bounds, size, alpha_min, ComptimeOptionArgs::from(lens), count)
     );
     bounds
 }
@@ -60,14 +56,7 @@ pub(crate) fn launch_ray_space_backward(
         // SAFETY: every access is guarded by the number of Gaussians.
         launch_unchecked!(
             gpu.units(count),
-            ray_space_backward_kernel(
-                geometry_arg(inputs),
-                grad.arg(),
-                outputs,
-                project_camera(spec),
-                count as u32,
-                needs
-            )
+            ray_space_backward_kernel(geometry_arg(inputs), grad, outputs, project_camera(spec), count, needs)
         );
     })
 }

@@ -1,10 +1,9 @@
 //! Gaussians in ray space: 3D Gaussians → depth slope, thickness, centre and factor of each, for per-ray rasterization. Differentiable.
 //!
-//! The stage works in the coordinates (px from the origin, px from the origin, depth relative to the centre's depth), a linear
-//! map of the camera frame. The origin is the centre in the picture, or the picture's point next to a centre
-//! beyond the picture, `away` px from it. In these coordinates the pinhole's ray through the pixel at the offset `d` is `λ(d, 1)`
-//! from the camera, where `λ` is the camera z divided by the camera z of the centre, and the centre is `(away, 1)`. A Gaussian
-//! with the image-plane blur has the covariance
+//! The stage works in the coordinates (px from the origin, px from the origin, depth relative to the centre's depth), a linear map of the
+//! camera frame. The origin is the centre in the picture, or the picture's point next to a centre beyond the picture, `away` px from it. In
+//! these coordinates the pinhole's ray through the pixel at the offset `d` is `λ(d, 1)` from the camera, where `λ` is the camera z divided
+//! by the camera z of the centre, and the centre is `(away, 1)`. A Gaussian with the image-plane blur has the covariance
 //!
 //! ```text
 //! C = | m0 √ε 0 | | m0 √ε 0 |ᵀ        m0, m1: rows of J W R diag(s), px      mz = (last row of W R diag(s)) / z
@@ -165,8 +164,7 @@ pub(crate) fn columns(camera: &Intrinsics) -> usize {
     if camera.model == CameraModel::Pinhole { RAY_SPACE } else { LENS_COLUMNS }
 }
 
-/// Largest thickness. With the camera a billionth of a standard deviation from the centre, the Gaussian is one to the last digit
-/// of an f64.
+/// Largest thickness. With the camera a billionth of a standard deviation from the centre, the Gaussian is one to the last digit of an f64.
 pub(crate) const THICKNESS_MAX: f64 = 1e9;
 
 /// `√(u² + v²)` at which the alpha of a bounds row is `alpha_min`.

@@ -13,6 +13,9 @@ use crate::rasterize::RasterizeSpec;
 pub(crate) struct RaySpace(pub ProjectSpec);
 
 impl Operation for RaySpace {
+    // All but the opacities.
+    const DIFFERENTIABLE: &'static [usize] = &[0, 1, 2, 4, 5];
+
     fn outputs(&self, inputs: &[Option<Spec>]) -> Vec<Option<Spec>> {
         let columns = columns(&self.0.intrinsics);
         vec![inputs[0].as_ref().map(|means| means.with_shape([means.shape[0], columns]))]
@@ -27,11 +30,6 @@ impl Operation for RaySpace {
         gpu_outputs([launch_ray_space(&args.gpu(), &Geometry::from_array(args.all()), &self.0)])
     }
 
-    // All but the opacities.
-    fn differentiable(&self) -> &'static [usize] {
-        &[0, 1, 2, 4, 5]
-    }
-
     fn run_backward<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {
         let (read, needs) = (args.all::<F, 6>(), Geometry::from_array(args.needs()));
         let inputs = Geometry::from_array(slices(&read));
@@ -41,9 +39,7 @@ impl Operation for RaySpace {
     #[cfg(feature = "cube")]
     fn launch_backward(&self, args: GpuArgs) -> Vec<GpuOutput> {
         let (inputs, needs) = (Geometry::from_array(args.all()), Geometry::from_array(args.needs()));
-        optional_outputs(
-            launch_ray_space_backward(&args.gpu(), &inputs, &args.only_grad(), &self.0, needs).into_array(),
-        )
+        gpu_outputs(launch_ray_space_backward(&args.gpu(), &inputs, &args.only_grad(), &self.0, needs).into_array())
     }
 }
 

@@ -11,8 +11,7 @@ use super::forward::{CameraPosition, Frame, NORMS, basis, coefficient, linear_co
 use super::{coefficients_of, vector_width};
 use crate::gpu::{Mat3, Pose, UNITS, Vec3, cube_vector_sum, positive};
 
-/// `Σₖ wₖ ∇pₖ(d)` for the polynomials `pₖ` of [`basis`], grouped by degree. Only the component normal to `d` is meaningful on the
-/// sphere.
+/// `Σₖ wₖ ∇pₖ(d)` for the polynomials `pₖ` of [`basis`], grouped by degree. Only the component normal to `d` is meaningful on the sphere.
 #[cube]
 fn polynomials_backward(d: Vec3, w: &Sequence<f32>, #[comptime] degree: usize) -> Vec3 {
     let (x, y, z) = (d.x, d.y, d.z);

@@ -1,6 +1,6 @@
 //! Launches of `evaluate_sh`.
 
-use cubecl::prelude::{CubeCount, CubeDim};
+use cubecl::prelude::{ComptimeOptionArgs, CubeCount, CubeDim};
 
 use super::backward::{pose_backward_kernel, sh_backward_kernel};
 use super::forward::{FrameLaunch, sh_forward_kernel};
@@ -29,20 +29,12 @@ pub(crate) fn launch_sh(
     let colours = Buffer::new(gpu, 3 * count);
     let degree = degree_of(coefficients);
     let width = vector_width(degree);
+    let (Shading { sh, means, cam_from_world }, ellipses) = (inputs, visible.map(|(ellipses, _)| ellipses));
+    let (sh, frame) = (sh.vectors(width), frame(visible));
     // SAFETY: every access is guarded by the number of Gaussians.
     launch_unchecked!(
         gpu.units(count),
-        sh_forward_kernel(
-            width,
-            inputs.sh.vectors(width),
-            inputs.means.arg(),
-            inputs.cam_from_world.arg(),
-            visible.map(|(ellipses, _)| ellipses.arg()).into(),
-            colours.arg(),
-            frame(visible),
-            count as u32,
-            degree
-        )
+        sh_forward_kernel(width, sh, means, cam_from_world, ellipses, &colours, frame, count, degree)
     );
     colours
 }
@@ -67,23 +59,23 @@ pub(crate) fn launch_sh_backward(
     let through_pose = needs.cam_from_world && degree > 0 && count > 0;
     let view_direction_rows = Buffer::if_needed(gpu, through_pose, count.div_ceil(UNITS) * 3);
     if count > 0 && (needs.sh || needs.means || through_pose) {
-        let output = |buffer: &Option<Buffer<f32>>| buffer.as_ref().map(Buffer::arg).into();
         let width = vector_width(degree);
+        let grad_sh = ComptimeOptionArgs::from(grads.sh.as_ref().map(|grads| grads.vectors(width)));
         // SAFETY: every access is guarded by the number of Gaussians.
         launch_unchecked!(
             gpu.units(count),
             sh_backward_kernel(
                 width,
                 inputs.sh.vectors(width),
-                inputs.means.arg(),
-                inputs.cam_from_world.arg(),
-                visible.map(|(ellipses, _)| ellipses.arg()).into(),
-                grad.arg(),
-                grads.sh.as_ref().map(|grads| grads.vectors(width)).into(),
-                output(&grads.means),
-                output(&view_direction_rows),
+                &inputs.means,
+                &inputs.cam_from_world,
+                visible.map(|(ellipses, _)| ellipses),
+                grad,
+                grad_sh,
+                &grads.means,
+                &view_direction_rows,
                 frame(visible),
-                count as u32,
+                count,
                 degree,
                 given([&grads.sh, &grads.means, &view_direction_rows])
             )
@@ -102,7 +94,7 @@ fn launch_pose_backward(gpu: &Gpu, grad_sights: &Buffer<f32>, cam_from_world: &B
     // SAFETY: the kernel reads and writes exactly the lengths of these buffers.
     launch_unchecked!(
         (&gpu.client, CubeCount::Static(1, 1, 1), CubeDim::new_1d(1)),
-        pose_backward_kernel(grad_sights.arg(), cam_from_world.arg(), grad_pose.arg())
+        pose_backward_kernel(grad_sights, cam_from_world, &grad_pose)
     );
     grad_pose
 }

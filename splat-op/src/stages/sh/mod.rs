@@ -19,8 +19,7 @@
 //! This box is wider than the extent that `intersect` uses, so that no picture changes. A Gaussian with an opacity above one, which
 //! the operation does not forbid, extends beyond the box and always counts as visible.
 //!
-//! Shapes: coefficients `[N, (degree+1)², 3]`, means `[N, 3]`, pose `[3, 4]`, and packed ellipses `[N, 7]` or none → colours
-//! `[N, 3]`.
+//! Shapes: coefficients `[N, (degree+1)², 3]`, means `[N, 3]`, pose `[3, 4]`, and packed ellipses `[N, 7]` or none → colours `[N, 3]`.
 
 #[cfg(feature = "cube")]
 mod backward;

@@ -23,6 +23,8 @@ impl EvaluateSh {
 }
 
 impl Operation for EvaluateSh {
+    const DIFFERENTIABLE: &'static [usize] = &[0, 1, 2];
+
     fn outputs(&self, inputs: &[Option<Spec>]) -> Vec<Option<Spec>> {
         vec![inputs[1].clone()]
     }
@@ -38,10 +40,6 @@ impl Operation for EvaluateSh {
         gpu_outputs([launch_sh(&args.gpu(), &Shading::from_array(args.all()), visible, args.shape(0)[1])])
     }
 
-    fn differentiable(&self) -> &'static [usize] {
-        &[0, 1, 2]
-    }
-
     fn run_backward<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {
         let (grad, needs) = (args.only_grad::<F>(), Shading::from_array(args.needs()));
         let grads = self.with(args, |inputs, visible| sh_backward_cpu(inputs, visible, &grad, needs));
@@ -54,6 +52,6 @@ impl Operation for EvaluateSh {
         let visible = visible.as_ref().map(|ellipses| (ellipses, &self.0));
         let (inputs, coefficients) = (Shading::from_array(args.all()), args.shape(0)[1]);
         let grads = launch_sh_backward(&args.gpu(), &inputs, visible, coefficients, &args.only_grad(), needs);
-        optional_outputs(grads.into_array()).into_iter().chain([None]).collect()
+        gpu_outputs(grads.into_array()).into_iter().chain([None]).collect()
     }
 }

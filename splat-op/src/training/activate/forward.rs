@@ -9,8 +9,7 @@ use crate::gpu::{finite, own_values_finite};
 /// Exponent below which `exp` is less than the smallest subnormal f32.
 const SMALLEST_EXPONENT: f32 = -110.0;
 
-/// Bits of [`LARGEST`]. The bits of absolute values of floats sort as the values do, with infinity and NaN above all finite
-/// values.
+/// Bits of [`LARGEST`]. The bits of absolute values of floats sort as the values do, with infinity and NaN above all finite values.
 const LARGEST_BITS: u32 = (LARGEST as f32).to_bits();
 
 /// Whether a coordinate or colour coefficient is usable.

@@ -12,24 +12,22 @@ pub(crate) fn launch_activate(
 ) -> (Buffer<f32>, Buffer<f32>) {
     let count = inputs.logit_opacities.len;
     let (scales, opacities) = (Buffer::new(gpu, 3 * count), Buffer::new(gpu, count));
-    if count > 0 {
-        // SAFETY: every access is guarded by the number of Gaussians.
-        launch_unchecked!(
-            gpu.units(count),
-            activate_kernel(
-                inputs.means.arg(),
-                inputs.rotations.vectors(4),
-                inputs.log_scales.arg(),
-                inputs.logit_opacities.arg(),
-                inputs.sh.arg(),
-                mark.map(Buffer::arg).into(),
-                scales.arg(),
-                opacities.arg(),
-                count as u32,
-                (inputs.sh.len / count) as u32
-            )
-        );
-    }
+    // SAFETY: every access is guarded by the number of Gaussians.
+    launch_unchecked!(
+        gpu.units(count),
+        activate_kernel(
+            &inputs.means,
+            inputs.rotations.vectors(4),
+            &inputs.log_scales,
+            &inputs.logit_opacities,
+            &inputs.sh,
+            mark,
+            &scales,
+            &opacities,
+            count,
+            inputs.sh.len / count.max(1)
+        )
+    );
     (scales, opacities)
 }
 
@@ -48,19 +46,18 @@ pub(crate) fn launch_activate_backward(gpu: &Gpu, inputs: &ActivatedGrads) -> [O
     let count = opacities.len;
     let found = [(grad_scales, 3 * count), (grad_opacities, count)];
     let found = found.map(|(grad, len)| Buffer::if_needed(gpu, grad.is_some(), len));
-    let optional = |buffer: &Option<Buffer<f32>>| buffer.as_ref().map(Buffer::arg).into();
     // SAFETY: every access is guarded by the number of Gaussians.
     launch_unchecked!(
         gpu.units(count),
         activate_backward_kernel(
-            logit_opacities.arg(),
-            scales.arg(),
-            opacities.arg(),
-            optional(grad_scales),
-            optional(grad_opacities),
-            optional(&found[0]),
-            optional(&found[1]),
-            count as u32,
+            logit_opacities,
+            scales,
+            opacities,
+            grad_scales,
+            grad_opacities,
+            &found[0],
+            &found[1],
+            count,
             given(found.each_ref())
         )
     );
@@ -72,9 +69,8 @@ pub(crate) fn launch_non_finite(gpu: &Gpu, values: &Buffer<f32>) -> Buffer<u32> 
     let flag = Buffer::zeros(gpu, 1);
     if values.len > 0 {
         let (grid, dim, stride) = search(values.len);
-        let count = values.len as u32;
         // SAFETY: every access is guarded by the length given.
-        launch_unchecked!((&gpu.client, grid, dim), non_finite_kernel(values.arg(), flag.arg(), count, stride));
+        launch_unchecked!((&gpu.client, grid, dim), non_finite_kernel(values, &flag, values.len, stride));
     }
     flag
 }

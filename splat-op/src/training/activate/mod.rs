@@ -12,9 +12,8 @@
 //! - logarithms of standard deviations are at most [`LARGEST_LOG_SCALE`], so that their exponentials are finite,
 //! - its quaternion is not zero (any other length is normalised).
 //!
-//! An unusable Gaussian gets opacity 0: `intersect` then lists it nowhere, and it has no effect. Its gradients are exactly
-//! zero, including those through `exp` and the sigmoid. An unusable logarithm of a standard deviation gives 0 for that
-//! standard deviation.
+//! An unusable Gaussian gets opacity 0: `intersect` then lists it nowhere, and it has no effect. Its gradients are exactly zero, including
+//! those through `exp` and the sigmoid. An unusable logarithm of a standard deviation gives 0 for that standard deviation.
 //!
 //! Derivatives: `d scale = scale · d log_scale`; `d opacity = e / (1 + e)² · d logit` with `e = exp(−|logit|)`, which stays accurate
 //! where `opacity (1 − opacity)` loses digits.
@@ -41,7 +40,7 @@ pub use rule::{LARGEST, LARGEST_LOG_SCALE};
 
 use crate::backend::apply;
 use crate::check::Reference;
-use crate::{SplatError, is_tensor_code};
+use crate::{Result, is_tensor_code};
 
 /// Gaussians with unconstrained parameters, one row each, all of one float type and on one device.
 #[derive(Clone, Debug)]
@@ -65,7 +64,7 @@ pub struct RawSplats {
 ///
 /// # Errors
 /// If a tensor's shape, type or device does not fit.
-pub fn activated(raw: &RawSplats, mark: Option<&Tensor<1, Int>>) -> Result<(Tensor<2>, Tensor<1>), SplatError> {
+pub fn activated(raw: &RawSplats, mark: Option<&Tensor<1, Int>>) -> Result<(Tensor<2>, Tensor<1>)> {
     let reference = Reference::new("means", &raw.means)?;
     let count = raw.means.dims()[0];
     reference.check("means", &raw.means, [None, Some(3)], "[N, 3]")?;

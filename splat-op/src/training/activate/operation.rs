@@ -12,6 +12,9 @@ use crate::backend::*;
 pub(super) struct Activated;
 
 impl Operation for Activated {
+    const DIFFERENTIABLE: &'static [usize] = &[2, 3];
+    const KEEPS_OUTPUTS: bool = true;
+
     fn outputs(&self, inputs: &[Option<Spec>]) -> Vec<Option<Spec>> {
         vec![inputs[2].clone(), inputs[3].clone()]
     }
@@ -28,16 +31,8 @@ impl Operation for Activated {
         gpu_outputs([scales, opacities])
     }
 
-    fn differentiable(&self) -> &'static [usize] {
-        &[2, 3]
-    }
-
     fn depends(&self, output: usize, input: usize) -> bool {
         input == output + 2
-    }
-
-    fn keeps_outputs(&self) -> bool {
-        true
     }
 
     fn run_backward<F: Real>(&self, args: &HostArgs) -> Vec<HostOutput> {

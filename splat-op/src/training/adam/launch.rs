@@ -1,5 +1,7 @@
 //! Launches of Adam's step and of the check for finite values.
 
+use cubecl::prelude::ComptimeOptionArgs;
+
 use super::forward::{AdamParamLaunch, StepFactorsLaunch, WatchedCountsLaunch, adam_kernel, watch_kernel};
 use super::rule::{Band, Factors, WATCHED};
 use crate::gpu::{Buffer, Gpu, given, launch_unchecked, search};
@@ -40,22 +42,12 @@ pub(super) fn factors_arg(factors: &Factors) -> StepFactorsLaunch {
 pub(crate) fn launch_adam(gpu: &Gpu, steps: &[&DeviceStep], verdict: Option<&Buffer<u32>>, mark: Option<&Buffer<u32>>) {
     let (first, others) = steps.split_first().expect("at least one parameter");
     let count: usize = steps.iter().map(|step| step.grad.len).sum();
-    if count == 0 {
-        return;
-    }
-    let other = |i: usize| others.get(i).map(|step| step.arg()).into();
+    let other = |i: usize| ComptimeOptionArgs::from(others.get(i).map(|step| step.arg()));
     let (unused, marks) = (Buffer::new(gpu, 0), mark.is_some());
     // SAFETY: every access is guarded by the lengths given, which the buffers of a parameter share.
     launch_unchecked!(
         gpu.units(count),
-        adam_kernel(
-            first.arg(),
-            other(0),
-            other(1),
-            verdict.map(Buffer::arg).into(),
-            mark.unwrap_or(&unused).arg(),
-            marks
-        )
+        adam_kernel(first.arg(), other(0), other(1), verdict, mark.unwrap_or(&unused), marks)
     );
 }
 
@@ -75,10 +67,10 @@ pub(crate) fn launch_watch(
     let [n0, n1, n2, n3, n4, n5] = all.map(|values| values.map_or(0, |values| values.len as u32));
     let counts = WatchedCountsLaunch::new(n0, n1, n2, n3, n4, n5);
     let given = given(all.each_ref());
-    let [loss, a, b, c, d, e] = all.map(|values| values.map(Buffer::arg).into());
+    let [loss, a, b, c, d, e] = all;
     // SAFETY: every access is guarded by the lengths given; a verdict has two numbers.
     launch_unchecked!(
         (&gpu.client, grid, dim),
-        watch_kernel(loss, a, b, c, d, e, verdict.arg(), counts, stride, at_step, first, given)
+        watch_kernel(loss, a, b, c, d, e, verdict, counts, stride, at_step, first, given)
     );
 }

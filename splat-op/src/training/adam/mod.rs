@@ -83,8 +83,7 @@ pub struct GroupStep {
     pub factors: Factors,
 }
 
-/// Performs [`step`] for all parameters of a scene, up to three in a launch, and returns them in the same order. Ownership as in
-/// [`step`].
+/// Performs [`step`] for all parameters of a scene, up to three in a launch, and returns them in the same order. Ownership as in [`step`].
 ///
 /// `mark` is the place of the colour coefficients among the parameters, not the only one, and their mark, `[1]`: a zero before the
 /// first step, later that of the step before. The mark returned is set once a coefficient is not usable, and serves
@@ -110,9 +109,8 @@ pub fn step_groups(
     (steps, has_mark.then(|| found.int(0)))
 }
 
-/// Returns `verdict` after a check of a loss and of gradients, five in a launch. If a value is not finite, `at_step` (from 1) is
-/// entered, unless an earlier step is entered, with bit 0 for the loss and bit `i + 1` for gradient `i`; from [`LAST_BIT`] on they
-/// share it.
+/// Returns `verdict` after a check of a loss and of gradients, five in a launch. If a value is not finite, `at_step` (from 1) is entered,
+/// unless an earlier step is entered, with bit 0 for the loss and bit `i + 1` for gradient `i`; from [`LAST_BIT`] on they share it.
 ///
 /// # Panics
 /// If [`has_kernel`] is false; use tensor code there.

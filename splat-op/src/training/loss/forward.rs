@@ -1,5 +1,4 @@
-//! Kernels of the passes of the loss and of a photograph's moments. A unit holds a strip of values along the axis of its
-//! pass.
+//! Kernels of the passes of the loss and of a photograph's moments. A unit holds a strip of values along the axis of its pass.
 
 use cubecl::prelude::*;
 
@@ -327,8 +326,7 @@ pub(super) fn total_kernel(shares: &[f32], total: &mut [f32], cubes: u32) {
     }
 }
 
-/// Applies the window along the rows of the three derivatives, whose columns are already filtered. Writes the gradient
-/// of the loss.
+/// Applies the window along the rows of the three derivatives, whose columns are already filtered. Writes the gradient of the loss.
 #[cube(launch_unchecked)]
 pub(super) fn gradient_kernel(
     image: &[f32],

@@ -21,9 +21,9 @@ pub(crate) fn launch_moments(gpu: &Gpu, photograph: &Buffer<f32>, size: [usize; 
     let [mean, variance] = [(); 2].map(|()| Buffer::new(gpu, values));
     let (dispatch, planes) = pass(gpu, values, size, true);
     // SAFETY: strips beyond the last plane and values beyond the line are guarded, here and below.
-    launch_unchecked!(dispatch, moments_kernel(photograph.arg(), photograph.arg(), columns.arg(), planes));
+    launch_unchecked!(dispatch, moments_kernel(photograph, photograph, &columns, planes));
     let (dispatch, planes) = pass(gpu, values, size, false);
-    launch_unchecked!(dispatch, photograph_kernel(columns.arg(), mean.arg(), variance.arg(), planes, 1.0));
+    launch_unchecked!(dispatch, photograph_kernel(&columns, &mean, &variance, planes, 1.0_f32));
     [mean, variance]
 }
 
@@ -38,7 +38,7 @@ pub(crate) fn launch_photometric(
     let values = inputs.image.len;
     let share = 1.0 / values as f64;
     let weights = || TermWeightsLaunch::new(((1.0 - lambda) * share) as f32, lambda as f32, share as f32, 1.0);
-    let [image, truth, mean, variance] = inputs.each_ref().into_array();
+    let Compared { image, truth, mean, variance } = inputs;
     let cubes = values.div_ceil(UNITS * strip_of(false));
     let (shares, total) = (Buffer::<f32>::new(gpu, cubes), Buffer::new(gpu, 1));
     let derivatives = Buffer::<f32>::if_needed(gpu, with_gradient, 3 * values);
@@ -46,31 +46,19 @@ pub(crate) fn launch_photometric(
     let moments: Buffer<f32> = Buffer::new(gpu, 3 * values);
     let (dispatch, planes) = pass(gpu, values, size, true);
     // SAFETY: strips beyond the last plane and values beyond the line are guarded, here and below.
-    launch_unchecked!(dispatch, moments_kernel(image.arg(), truth.arg(), moments.arg(), planes));
+    launch_unchecked!(dispatch, moments_kernel(image, truth, &moments, planes));
     let (dispatch, planes) = pass(gpu, values, size, false);
     launch_unchecked!(
         dispatch,
-        index_kernel(
-            image.arg(),
-            truth.arg(),
-            mean.arg(),
-            variance.arg(),
-            moments.arg(),
-            shares.arg(),
-            derivatives.as_ref().map(Buffer::arg).into(),
-            planes,
-            weights(),
-            cubes as u32,
-        )
+        index_kernel(image, truth, mean, variance, &moments, &shares, &derivatives, planes, weights(), cubes)
     );
-    launch_unchecked!(gpu.units(1), total_kernel(shares.arg(), total.arg(), cubes as u32));
+    launch_unchecked!(gpu.units(1), total_kernel(&shares, &total, cubes));
     if let (Some(derivatives), Some(gradient)) = (&derivatives, &gradient) {
         // The moments are not read again: their memory takes the derivatives' filtered columns.
-        let (image, truth, filtered, gradient) = (image.arg(), truth.arg(), moments.arg(), gradient.arg());
         let (dispatch, planes) = pass(gpu, 3 * values, size, true);
-        launch_unchecked!(dispatch, columns_kernel(derivatives.arg(), moments.arg(), planes));
+        launch_unchecked!(dispatch, columns_kernel(derivatives, &moments, planes));
         let (dispatch, planes) = pass(gpu, values, size, false);
-        launch_unchecked!(dispatch, gradient_kernel(image, truth, filtered, gradient, planes, weights()));
+        launch_unchecked!(dispatch, gradient_kernel(image, truth, &moments, gradient, planes, weights()));
     }
     (total, gradient)
 }

@@ -44,7 +44,7 @@ impl Operation for Photometric {
     fn launch(&self, args: GpuArgs) -> Vec<GpuOutput> {
         let (inputs, size) = (Compared::from_array(args.all()), picture_size(&args.shape(0)));
         let (loss, gradient) = launch_photometric(&args.gpu(), &inputs, size, self.lambda, self.with_gradient);
-        optional_outputs([Some(loss), gradient])
+        gpu_outputs([Some(loss), gradient])
     }
 }
 

@@ -34,9 +34,8 @@ pub(super) fn splat<S: Simd, F: Real>(simd: S, value: F) -> F::Eight<S> {
 pub(super) struct Sweep<F, const N: usize> {
     /// A row of each map with [`HALF`] zeros before it and zeros behind it.
     padded: [Vec<F>; N],
-    /// By map, for each vector of columns: the last [`TAPS`] rows, filtered along their length. Row `r` is in slot
-    /// `r % TAPS` and again [`TAPS`] slots later, so that the rows that the window reaches are always adjacent: one
-    /// bounds check serves all of them.
+    /// By map, for each vector of columns: the last [`TAPS`] rows, filtered along their length. Row `r` is in slot `r % TAPS` and again
+    /// [`TAPS`] slots later, so that the rows that the window reaches are always adjacent: one bounds check serves all of them.
     slots: [Vec<[[F; LANES]; 2 * TAPS]>; N],
     width: usize,
 }

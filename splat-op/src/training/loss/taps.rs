@@ -21,8 +21,7 @@ pub(super) fn half_window() -> [f64; HALF + 1] {
 }
 
 record! {
-    /// A picture, the photograph that it is compared with, and the photograph's mean and variance. Each is
-    /// `[.., H, W]`.
+    /// A picture, the photograph that it is compared with, and the photograph's mean and variance. Each is `[.., H, W]`.
     pub(crate) struct Compared {
         /// The picture.
         image,

@@ -20,21 +20,10 @@ pub(crate) struct DevicePackedStep {
 /// Performs a step in place. Nothing changes where `verdict`, `[2]`, names a step.
 pub(crate) fn launch_adam_packed(gpu: &Gpu, step: &DevicePackedStep, verdict: Option<&Buffer<u32>>) {
     let DevicePackedStep { param, grad, words, factors, band, width } = step;
-    if words.len == 0 {
-        return;
-    }
+    let scalars = PackedScalarsLaunch::new(factors_arg(&factors.factors), factors.reach() as f32, factors.phase());
     // SAFETY: every access is guarded by the number of words and the width; each row has its words.
     launch_unchecked!(
         gpu.units(words.len),
-        adam_packed_kernel(
-            param.arg(),
-            grad.arg(),
-            words.arg(),
-            verdict.map(Buffer::arg).into(),
-            PackedScalarsLaunch::new(factors_arg(&factors.factors), factors.reach() as f32, factors.phase()),
-            words.len as u32,
-            *width as u32,
-            *band
-        )
+        adam_packed_kernel(param, grad, words, verdict, scalars, words.len, *width, *band)
     );
 }
