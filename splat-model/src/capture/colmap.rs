@@ -24,7 +24,7 @@ pub(super) use self::files::{SPARSE, is_complete, models_in};
 pub use self::pictures::Pictures;
 use super::names::{Names, PICTURES, parent};
 use super::read::{Place, PlaceInFile, quoted, read};
-use super::{Capture, CaptureError, CaptureFormat, Cut, Observation, Tracks, View};
+use super::{Capture, CaptureError, CaptureFormat, Cut, Observation, Result, Tracks, View};
 use crate::encoding::utf8;
 use crate::ply;
 
@@ -96,7 +96,7 @@ impl CaptureFormat for Colmap {
         folder.into_iter().filter(|folder| is_model(folder)).collect()
     }
 
-    fn load(&self, models: &[PathBuf], pictures: &Pictures) -> Result<Capture, CaptureError> {
+    fn load(&self, models: &[PathBuf], pictures: &Pictures) -> Result<Capture> {
         load(models, pictures)
     }
 }
@@ -107,7 +107,7 @@ fn is_model(folder: &Path) -> bool {
 }
 
 /// Loads one of some models, and finds its pictures.
-pub(super) fn load(models: &[PathBuf], pictures: &Pictures) -> Result<Capture, CaptureError> {
+pub(super) fn load(models: &[PathBuf], pictures: &Pictures) -> Result<Capture> {
     let (files, remark) = find(models)?;
     let cameras = by_id(&files.cameras, parse(&files.cameras, binary::cameras, text::cameras)?)?;
     let mut images = parse(&files.images, binary::images, text::images)?;
@@ -160,13 +160,13 @@ pub(super) fn point_file(folders: [&PathBuf; 2]) -> Option<PathBuf> {
 ///
 /// # Errors
 /// A [`CaptureError`] if it holds no model, or a damaged one.
-pub fn photographs_in(model: &Path) -> Result<usize, CaptureError> {
+pub fn photographs_in(model: &Path) -> Result<usize> {
     Ok(parse(&of_model(model)?.images, binary::images, text::images)?.len())
 }
 
-type Parser<T> = fn(&Path, &[u8]) -> Result<Vec<T>, CaptureError>;
+type Parser<T> = fn(&Path, &[u8]) -> Result<Vec<T>>;
 
-fn parse<T>(file: &Path, binary: Parser<T>, text: Parser<T>) -> Result<Vec<T>, CaptureError> {
+fn parse<T>(file: &Path, binary: Parser<T>, text: Parser<T>) -> Result<Vec<T>> {
     let parser = if file.extension().is_some_and(|extension| extension == "bin") { binary } else { text };
     let is_text = file.extension().is_some_and(|extension| extension == "txt");
     let bytes = read(file)?;
@@ -191,7 +191,7 @@ fn tracks(images: &[ImageRecord], points: &[PointRecord]) -> Tracks {
 /// Cameras by their `CAMERA_ID`.
 type CamerasById = HashMap<u32, (Intrinsics, Cut)>;
 
-fn by_id(file: &Path, cameras: Vec<CameraRecord>) -> Result<CamerasById, CaptureError> {
+fn by_id(file: &Path, cameras: Vec<CameraRecord>) -> Result<CamerasById> {
     let mut map = HashMap::with_capacity(cameras.len());
     for CameraRecord { at, id, intrinsics, cut } in cameras {
         if map.insert(id, (intrinsics, cut)).is_some() {
@@ -203,7 +203,7 @@ fn by_id(file: &Path, cameras: Vec<CameraRecord>) -> Result<CamerasById, Capture
 }
 
 /// Checks that each image has a camera, and an id and a name of its own.
-fn check_entries(files: &ModelFiles, cameras: &CamerasById, images: &[ImageRecord]) -> Result<(), CaptureError> {
+fn check_entries(files: &ModelFiles, cameras: &CamerasById, images: &[ImageRecord]) -> Result<()> {
     let (mut ids, mut names) = (HashSet::new(), HashSet::new());
     for image in images {
         let place = Place::new(&files.images, image.at);

@@ -5,6 +5,9 @@ use std::path::{Path, PathBuf};
 
 use thiserror::Error;
 
+/// What reads or writes captures.
+pub type Result<T, E = CaptureError> = std::result::Result<T, E>;
+
 /// A capture that cannot be read or written. Each message names the file, what was found and what to do.
 ///
 /// Reasons given by the operating system or a decoder are part of the message rather than a `source`, so that a report

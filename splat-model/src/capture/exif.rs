@@ -9,7 +9,7 @@ use std::path::Path;
 use exif::{In, Reader, Tag, Value};
 use image::ImageDecoder;
 
-use super::CaptureError;
+use super::Result;
 use super::image::header;
 
 /// Diagonal of a frame of 35 mm film, 36 mm × 24 mm, to which `FocalLengthIn35mmFilm` refers.
@@ -44,7 +44,7 @@ impl Exif {
     ///
     /// # Errors
     /// A [`CaptureError`] if the file cannot be opened or is not a picture.
-    pub fn read(file: &Path) -> Result<Self, CaptureError> {
+    pub fn read(file: &Path) -> Result<Self> {
         let raw = header(file)?.exif_metadata().ok().flatten();
         Ok(raw.map(Self::parse).unwrap_or_default())
     }

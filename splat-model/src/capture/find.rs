@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use super::format::{CaptureFormat, formats};
 use super::names::{SAMPLE, children, parent};
-use super::{Capture, CaptureError, colmap, panoramas};
+use super::{Capture, CaptureError, Result, colmap, panoramas};
 
 /// Folders below the given one that are searched: `CAPTURE/nerfstudio/colmap/sparse/0`.
 const DEEPEST: usize = 4;
@@ -23,7 +23,7 @@ pub(super) struct Cameras {
 }
 
 impl Cameras {
-    fn load(&self, pictures: &colmap::Pictures) -> Result<Capture, CaptureError> {
+    fn load(&self, pictures: &colmap::Pictures) -> Result<Capture> {
         panoramas::cut(Capture { format: self.format.name(), ..self.format.load(&self.paths, pictures)? })
     }
 }
@@ -42,7 +42,7 @@ pub(super) fn is_there(source: &Path) -> bool {
     !inside(source, 0).is_empty() || !above(source).is_empty()
 }
 
-pub(super) fn load(source: &Path) -> Result<Capture, CaptureError> {
+pub(super) fn load(source: &Path) -> Result<Capture> {
     if let Some(cameras) = of_file(source) {
         return cameras.load(&colmap::Pictures::Near(&parent(source)));
     }

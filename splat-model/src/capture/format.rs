@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, PoisonError, RwLock};
 
 use super::names::parent;
-use super::{Capture, CaptureError, Pictures, colmap, exports, transforms};
+use super::{Capture, Pictures, Result, colmap, exports, transforms};
 
 /// A format of captures: where its cameras are, and how they are read.
 pub trait CaptureFormat: Send + Sync {
@@ -30,7 +30,7 @@ pub trait CaptureFormat: Send + Sync {
     ///
     /// # Errors
     /// If they, or what belongs to them, cannot be read, or hold what no capture can have.
-    fn load(&self, cameras: &[PathBuf], pictures: &Pictures) -> Result<Capture, CaptureError>;
+    fn load(&self, cameras: &[PathBuf], pictures: &Pictures) -> Result<Capture>;
 }
 
 static REGISTERED: RwLock<Vec<Arc<dyn CaptureFormat>>> = RwLock::new(Vec::new());

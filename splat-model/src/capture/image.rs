@@ -18,7 +18,7 @@ use splat_op::Intrinsics;
 use splat_op::camera::MAX_SIDE_PX;
 
 use super::read::{read, regular_size, unreadable};
-use super::{CaptureError, Cut, View};
+use super::{CaptureError, Cut, Result, View};
 use crate::ply::brief;
 use crate::sniff::{FileClass, FileKind};
 
@@ -143,7 +143,7 @@ fn split_alpha(picture: RgbaImage) -> Pixels {
 /// # Errors
 /// A [`CaptureError`] if the file is missing, is not a JPEG or PNG picture, is damaged or cut short, or differs in size from the view's
 /// camera.
-pub fn load(view: &View, max_side: Option<u32>) -> Result<Photo, CaptureError> {
+pub fn load(view: &View, max_side: Option<u32>) -> Result<Photo> {
     Ok(photo(view, &mut pixels(view)?, max_side))
 }
 
@@ -151,7 +151,7 @@ pub fn load(view: &View, max_side: Option<u32>) -> Result<Photo, CaptureError> {
 pub(super) type Pixels = (Vec<u8>, Option<Vec<u8>>);
 
 /// Decodes the file of a view.
-fn pixels(view: &View) -> Result<Pixels, CaptureError> {
+fn pixels(view: &View) -> Result<Pixels> {
     let picture = decode(&view.image_path, view.file_size())?;
     Ok(match with_alpha(&picture) {
         Some(rgba) => split_alpha(rgba),
@@ -179,7 +179,7 @@ pub fn load_all<'a>(
     views: impl IntoIterator<Item = &'a View>,
     max_side: Option<u32>,
     progress: impl Fn(usize) + Sync,
-) -> Result<Vec<Photo>, CaptureError> {
+) -> Result<Vec<Photo>> {
     let views: Vec<&View> = views.into_iter().collect();
     let done = AtomicUsize::new(0);
     // The file of a panorama is decoded once for its views, which stand together.
@@ -197,7 +197,7 @@ pub fn load_all<'a>(
 ///
 /// The size of the file is compared with the camera's before any pixel is decoded, so that a picture allocates no more
 /// than its camera implies.
-pub(crate) fn decode(file: &Path, size: [usize; 2]) -> Result<DynamicImage, CaptureError> {
+pub(crate) fn decode(file: &Path, size: [usize; 2]) -> Result<DynamicImage> {
     let reader = reader(file)?;
     if reader.format() != Some(ImageFormat::Jpeg) {
         return decoded(file, reader, size);
@@ -209,11 +209,7 @@ pub(crate) fn decode(file: &Path, size: [usize; 2]) -> Result<DynamicImage, Capt
     decoded(file, ImageReader::with_format(Cursor::new(&bytes), ImageFormat::Jpeg), size)
 }
 
-fn decoded<R: BufRead + Seek>(
-    file: &Path,
-    mut reader: ImageReader<R>,
-    size: [usize; 2],
-) -> Result<DynamicImage, CaptureError> {
+fn decoded<R: BufRead + Seek>(file: &Path, mut reader: ImageReader<R>, size: [usize; 2]) -> Result<DynamicImage> {
     let fail = |error: ImageError| undecodable(file, error.to_string());
     reader.limits(limits(size));
     let decoder = reader.into_decoder().map_err(fail)?;
@@ -233,7 +229,7 @@ fn decoded<R: BufRead + Seek>(
     DynamicImage::from_decoder(decoder).map_err(fail)
 }
 
-fn reader(file: &Path) -> Result<ImageReader<BufReader<File>>, CaptureError> {
+fn reader(file: &Path) -> Result<ImageReader<BufReader<File>>> {
     let reader = ImageReader::new(BufReader::new(open(file)?));
     reader.with_guessed_format().map_err(|error| undecodable(file, error.to_string()))
 }
@@ -250,12 +246,12 @@ fn undecodable(file: &Path, reason: String) -> CaptureError {
 }
 
 /// A decoder that has read a picture's header.
-pub(crate) fn header(file: &Path) -> Result<impl ImageDecoder + use<>, CaptureError> {
+pub(crate) fn header(file: &Path) -> Result<impl ImageDecoder + use<>> {
     reader(file)?.into_decoder().map_err(|error| undecodable(file, error.to_string()))
 }
 
 /// Width and height of a picture, px, from its header.
-pub(crate) fn size(file: &Path) -> Result<[usize; 2], CaptureError> {
+pub(crate) fn size(file: &Path) -> Result<[usize; 2]> {
     let (width, height) = reader(file)?.into_dimensions().map_err(|error| undecodable(file, error.to_string()))?;
     match [width, height].map(|side| side as usize) {
         size if size.iter().all(|&side| (1..=MAX_SIDE_PX).contains(&side)) => Ok(size),
@@ -279,7 +275,7 @@ fn limits([width, height]: [usize; 2]) -> Limits {
     limits
 }
 
-fn open(file: &Path) -> Result<File, CaptureError> {
+fn open(file: &Path) -> Result<File> {
     regular_size(file).and_then(|_| File::open(file)).map_err(|reason| match reason.kind() {
         io::ErrorKind::NotFound => CaptureError::Missing {
             what: "picture",

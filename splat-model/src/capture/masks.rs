@@ -16,7 +16,7 @@ use burn::tensor::{Bool, Tensor};
 use rayon::prelude::*;
 
 use super::names::Names;
-use super::{Capture, CaptureError, Cut, Photo, View, image};
+use super::{Capture, Cut, Photo, Result, View, image};
 
 /// Folders of the capture that are searched for masks.
 const FOLDERS: [&str; 2] = ["masks", "mask"];
@@ -61,7 +61,7 @@ pub(super) fn by_name(
 ///
 /// # Errors
 /// A [`CaptureError`] if the file cannot be decoded or has another size than the view's photograph.
-pub fn load(file: &Path, view: &View) -> Result<Vec<bool>, CaptureError> {
+pub fn load(file: &Path, view: &View) -> Result<Vec<bool>> {
     let picture = image::decode(file, view.file_size())?;
     let levels = |values: Vec<u16>| {
         let largest = values.iter().copied().max().unwrap_or_default();
@@ -84,7 +84,7 @@ pub fn load(file: &Path, view: &View) -> Result<Vec<bool>, CaptureError> {
 ///
 /// # Errors
 /// Errors of [`load`].
-pub fn attach(capture: &Capture, views: &[usize], photos: &mut Vec<Photo>) -> Result<(), CaptureError> {
+pub fn attach(capture: &Capture, views: &[usize], photos: &mut Vec<Photo>) -> Result<()> {
     let found = of_views(capture, views.iter().copied());
     let masked = photos.par_iter_mut().zip(views).zip(&found);
     let masked = masked.filter_map(|((photo, &view), file)| Some((photo, view, file.as_ref()?)));

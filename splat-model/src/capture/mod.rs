@@ -37,7 +37,7 @@ use splat_op::Intrinsics;
 
 use self::blocks::Bounds;
 pub use colmap::{Pictures, photographs_in};
-pub use error::CaptureError;
+pub use error::{CaptureError, Result};
 pub use format::{CaptureFormat, register};
 pub use image::{Photo, load_all};
 pub use panoramas::Cut;
@@ -110,7 +110,7 @@ impl Capture {
     ///
     /// A [`CaptureError`] if there is neither a COLMAP model nor one of the JSON files, or if any file is cut short,
     /// contradicts another, or holds what no capture can have.
-    pub fn load(folder: &Path) -> Result<Self, CaptureError> {
+    pub fn load(folder: &Path) -> Result<Self> {
         if blocks::is_there(folder) {
             return blocks::load(folder);
         }
@@ -132,7 +132,7 @@ impl Capture {
     ///
     /// # Errors
     /// A [`CaptureError`], with the number of all photographs that are not.
-    pub fn check_photographs(&self, views: &[usize]) -> Result<(), CaptureError> {
+    pub fn check_photographs(&self, views: &[usize]) -> Result<()> {
         // A folder in the place of a picture has an error of its own.
         if views.iter().all(|&view| self.views[view].image_path.exists()) {
             return Ok(());

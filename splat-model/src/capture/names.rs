@@ -6,8 +6,8 @@ use std::path::{Component, Path, PathBuf};
 
 use unicode_normalization::UnicodeNormalization;
 
-use super::CaptureError;
 use super::read::{quoted, unreadable};
+use super::{CaptureError, Result};
 
 /// Extensions of pictures. A name may lack its own (NeRF-synthetic), or have one more on the disk than in the list (BlenderNeRF).
 pub(crate) const PICTURES: [&str; 3] = ["png", "jpg", "jpeg"];
@@ -132,7 +132,7 @@ pub(super) fn children(folder: &Path) -> Vec<PathBuf> {
 
 /// Names of files in a folder and its subfolders, in order, without hidden ones and those in folders of the names
 /// `without`. An error if a folder cannot be listed.
-pub(super) fn files_below(folder: &Path, without: &[&str]) -> Result<Vec<String>, CaptureError> {
+pub(super) fn files_below(folder: &Path, without: &[&str]) -> Result<Vec<String>> {
     const DEEPEST: usize = 8;
     let (mut found, mut folders) = (Vec::new(), vec![(folder.to_owned(), String::new(), 0)]);
     while let Some((folder, prefix, depth)) = folders.pop() {

@@ -10,7 +10,7 @@ use glam::{DAffine3, DVec2, DVec3};
 use splat_op::{Equirectangular, Intrinsics};
 
 use super::image::Pixels;
-use super::{Capture, CaptureError, Observation, Split, View};
+use super::{Capture, CaptureError, Observation, Result, Split, View};
 
 /// Names of the faces, in the order of [`Equirectangular::face_from_cam`].
 const NAMES: [&str; 6] = ["ahead", "right", "behind", "left", "up", "down"];
@@ -70,7 +70,7 @@ impl View {
 
 /// The capture with six views in the place of each panorama, which stand together. Refuses a panorama that is not twice as wide as high, and a
 /// face that has the name of a photograph.
-pub(super) fn cut(mut capture: Capture) -> Result<Capture, CaptureError> {
+pub(super) fn cut(mut capture: Capture) -> Result<Capture> {
     let panoramas = capture.views.iter().filter(|view| view.cut == Cut::Panorama).count();
     if panoramas == 0 {
         return Ok(capture);

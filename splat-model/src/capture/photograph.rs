@@ -7,10 +7,10 @@ use std::sync::{Arc, OnceLock};
 use glam::DAffine3;
 use splat_op::Intrinsics;
 
-use super::{CaptureError, Photo};
+use super::{CaptureError, Photo, Result};
 
 /// Decodes a photograph again, in the same way.
-type Decode = dyn Fn() -> Result<Photo, CaptureError> + Send + Sync;
+type Decode = dyn Fn() -> Result<Photo> + Send + Sync;
 
 /// What is known of a photograph before it is decoded.
 #[derive(Clone, Debug)]
@@ -72,7 +72,7 @@ impl Photograph {
     pub fn read_later(
         facts: PhotographFacts,
         room: &Arc<AtomicUsize>,
-        read: impl Fn() -> Result<Photo, CaptureError> + Send + Sync + 'static,
+        read: impl Fn() -> Result<Photo> + Send + Sync + 'static,
     ) -> Self {
         Self { facts, read: Arc::new(read), room: Arc::clone(room), kept: Arc::default() }
     }
@@ -86,7 +86,7 @@ impl Photograph {
     ///
     /// # Errors
     /// If the picture is missing or has changed.
-    pub fn pixels(&self) -> Result<Arc<Photo>, CaptureError> {
+    pub fn pixels(&self) -> Result<Arc<Photo>> {
         if let Some(photo) = self.kept.get() {
             return Ok(Arc::clone(photo));
         }

@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::{fmt, fs, io};
 
-use super::CaptureError;
+use super::{CaptureError, Result};
 
 /// Positions and lens parameters beyond this count as damage. The square of this limit still fits an f32, and no survey needs more.
 pub(super) const MAX_MAGNITUDE: f64 = 1e15;
@@ -18,7 +18,7 @@ pub(super) fn regular_size(file: &Path) -> io::Result<u64> {
 }
 
 /// Reads a whole regular file.
-pub(super) fn read(file: &Path) -> Result<Vec<u8>, CaptureError> {
+pub(super) fn read(file: &Path) -> Result<Vec<u8>> {
     regular_size(file).and_then(|_| fs::read(file)).map_err(|reason| unreadable(file, reason))
 }
 

@@ -1,6 +1,6 @@
 //! The split into training and test views.
 
-use super::{Capture, CaptureError, View};
+use super::{Capture, CaptureError, Result, View};
 
 /// Indices into a list of views, in order of name. No view is listed twice. A view that a capture's own split leaves out, such as
 /// a validation photograph where there are test photographs, is in neither list.
@@ -44,7 +44,7 @@ impl Split {
     ///
     /// # Errors
     /// If there are none.
-    pub fn require_train(&self) -> Result<&[usize], CaptureError> {
+    pub fn require_train(&self) -> Result<&[usize]> {
         if !self.train.is_empty() {
             return Ok(&self.train);
         }
@@ -60,7 +60,7 @@ impl Split {
     ///
     /// # Errors
     /// If there are none.
-    pub fn require_test(&self) -> Result<&[usize], CaptureError> {
+    pub fn require_test(&self) -> Result<&[usize]> {
         if !self.test.is_empty() {
             return Ok(&self.test);
         }

@@ -30,7 +30,7 @@ pub(super) use self::json::Fields;
 pub use self::keyframes::read_keyframes;
 use super::names::{Names, PICTURES, below, entries, missing_photographs, parent};
 use super::read::{Place, PlaceInFile, quoted, read, regular_size, unreadable};
-use super::{Capture, CaptureError, CaptureFormat, Pictures, Split, View, colmap};
+use super::{Capture, CaptureError, CaptureFormat, Pictures, Result, Split, View, colmap};
 use crate::encoding::utf8;
 use crate::ply;
 
@@ -49,12 +49,12 @@ const MAX_PATH_BYTES: usize = 400;
 
 impl Place<'_> {
     /// The value of a required field.
-    fn required<T>(&self, field: &'static str, value: Option<T>, expected: &str) -> Result<T, CaptureError> {
+    fn required<T>(&self, field: &'static str, value: Option<T>, expected: &str) -> Result<T> {
         value.ok_or_else(|| self.refuse(field, "missing", expected))
     }
 
     /// A path relative to the file's folder, without `.`. It must stay below that folder.
-    fn path(&self, field: &'static str, path: &str) -> Result<String, CaptureError> {
+    fn path(&self, field: &'static str, path: &str) -> Result<String> {
         let refuse = || {
             self.refuse_with(
                 field,
@@ -91,7 +91,7 @@ impl CaptureFormat for Json {
         if has_frames(file) { vec![file.to_owned()] } else { Vec::new() }
     }
 
-    fn load(&self, files: &[PathBuf], _: &Pictures) -> Result<Capture, CaptureError> {
+    fn load(&self, files: &[PathBuf], _: &Pictures) -> Result<Capture> {
         load(&files[0])
     }
 }
@@ -117,7 +117,7 @@ pub(super) fn holds(file: &Path, extension: &str, words: &[&str]) -> bool {
 }
 
 /// Reads the text of a file of at most [`MAX_BYTES`].
-pub(super) fn text(file: &Path) -> Result<Vec<u8>, CaptureError> {
+pub(super) fn text(file: &Path) -> Result<Vec<u8>> {
     let bytes = regular_size(file).map_err(|reason| unreadable(file, reason))?;
     if bytes > MAX_BYTES {
         let reason = format!("it has {bytes} bytes, expected at most {MAX_BYTES}");
@@ -127,17 +127,12 @@ pub(super) fn text(file: &Path) -> Result<Vec<u8>, CaptureError> {
 }
 
 /// Reads a JSON file of at most [`MAX_BYTES`].
-pub(super) fn read_json<T: DeserializeOwned>(file: &Path) -> Result<T, CaptureError> {
+pub(super) fn read_json<T: DeserializeOwned>(file: &Path) -> Result<T> {
     json::parse(file, &text(file)?)
 }
 
 /// The capture of frames that `file` holds in a format of its own, with names below `folder`, and points of a PLY file beside.
-pub(super) fn of_frames(
-    folder: PathBuf,
-    file: &Path,
-    frames: Vec<Fields>,
-    remarks: Vec<String>,
-) -> Result<Capture, CaptureError> {
+pub(super) fn of_frames(folder: PathBuf, file: &Path, frames: Vec<Fields>, remarks: Vec<String>) -> Result<Capture> {
     let points = colmap::point_file([&parent(file), &folder]);
     let mut reading = Reading { folder, remarks, ..Reading::default() };
     reading.remarks.extend(points.iter().map(|points| format!("the points are read from {}", points.display())));
@@ -147,7 +142,7 @@ pub(super) fn of_frames(
 }
 
 /// Loads a JSON file: with its test frames if it is NeRF-synthetic's, and else with the split that it states.
-pub(super) fn load(file: &Path) -> Result<Capture, CaptureError> {
+pub(super) fn load(file: &Path) -> Result<Capture> {
     let mut reading = Reading { folder: parent(file), ..Reading::default() };
     let fields: Fields = read_json(file)?;
     reading.add(file, &fields)?;
@@ -183,7 +178,7 @@ struct Reading {
 }
 
 impl Reading {
-    fn add(&mut self, file: &Path, fields: &Fields) -> Result<(), CaptureError> {
+    fn add(&mut self, file: &Path, fields: &Fields) -> Result<()> {
         let whole = Place::new(file, PlaceInFile::Whole);
         let frames = whole.required("frames", fields.frames.as_deref(), "a list of frames")?;
         if frames.is_empty() {
@@ -212,7 +207,7 @@ impl Reading {
     }
 
     /// Whether any picture of the frames for testing is there: BlenderNeRF writes their poses alone.
-    fn has_pictures(&mut self, file: &Path, fields: &Fields) -> Result<bool, CaptureError> {
+    fn has_pictures(&mut self, file: &Path, fields: &Fields) -> Result<bool> {
         let Some(frames) = &fields.frames else { return Ok(true) };
         let pictures = self.pictures(frames);
         let Some((first, _)) = pictures.first().filter(|_| pictures.iter().all(|(_, is_there)| !is_there)) else {
@@ -234,7 +229,7 @@ impl Reading {
         missing_photographs(&missing.collect::<Vec<_>>(), pictures.len(), file)
     }
 
-    fn add_frame(&mut self, file: &Path, index: usize, frame: &Fields, of_file: &Fields) -> Result<(), CaptureError> {
+    fn add_frame(&mut self, file: &Path, index: usize, frame: &Fields, of_file: &Fields) -> Result<()> {
         let place = Place::new(file, PlaceInFile::Frame(index));
         let stated = place.required("file_path", frame.file_path.as_deref(), "the path of a picture")?;
         let place = Place { path: stated, ..place };
@@ -265,9 +260,9 @@ impl Reading {
 
     /// The split given by the lists, if there are any. Validation views replace missing test views. Views
     /// in no list are for training if there is no training list, and held out if that is the only list.
-    fn split(&self, file: &Path, fields: &Fields) -> Result<Option<Split>, CaptureError> {
+    fn split(&self, file: &Path, fields: &Fields) -> Result<Option<Split>> {
         let place = Place::new(file, PlaceInFile::Whole);
-        let listed = |field, list: &Option<Vec<String>>| -> Result<Option<BTreeSet<usize>>, CaptureError> {
+        let listed = |field, list: &Option<Vec<String>>| -> Result<Option<BTreeSet<usize>>> {
             let view = |path: &String| {
                 let unknown = || place.refuse(field, quoted(path), "the `file_path` of a frame");
                 let path = place.path(field, path)?;
@@ -300,7 +295,7 @@ impl Reading {
     }
 
     /// The capture, its views in order of name.
-    fn finish(mut self, split: Option<Split>) -> Result<Capture, CaptureError> {
+    fn finish(mut self, split: Option<Split>) -> Result<Capture> {
         let (positions, colours) = match &self.points {
             Some(file) => {
                 regular_size(file).map_err(|reason| unreadable(file, reason))?;

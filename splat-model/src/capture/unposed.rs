@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use rayon::prelude::*;
 use sha2::{Digest, Sha256};
 
-use super::CaptureError;
+use super::Result;
 use super::exif::Exif;
 use super::image::{decode, size};
 use super::names::{PICTURES, files_below};
@@ -36,7 +36,7 @@ impl PhotographFolder {
     ///
     /// # Errors
     /// A [`CaptureError`] if a folder cannot be listed.
-    pub fn list(folder: &Path) -> Result<Self, CaptureError> {
+    pub fn list(folder: &Path) -> Result<Self> {
         let images = folder.join("images");
         let root = if images.is_dir() { images } else { folder.to_owned() };
         let mut found = Self { root, ..Self::default() };
@@ -62,7 +62,7 @@ impl PhotographFolder {
     ///
     /// # Errors
     /// A [`CaptureError`] that names a photograph that cannot be read or decoded.
-    pub fn look(&self, progress: impl Fn(u64) + Sync) -> Result<Vec<Unposed>, CaptureError> {
+    pub fn look(&self, progress: impl Fn(u64) + Sync) -> Result<Vec<Unposed>> {
         let one = |name: &String| {
             let found = Unposed::look(name, &self.path(name))?;
             progress(1);
@@ -86,7 +86,7 @@ pub struct Unposed {
 }
 
 impl Unposed {
-    fn look(name: &str, file: &Path) -> Result<Self, CaptureError> {
+    fn look(name: &str, file: &Path) -> Result<Self> {
         let [width, height] = size(file)?;
         decode(file, [width, height])?;
         let digest = Sha256::digest(read(file)?).into();

@@ -23,7 +23,7 @@ use self::relative::Quantity;
 use super::{Effect, EffectContext, EffectKind, Falling, RenderInput};
 pub use crate::capture::depth_maps::folder;
 use crate::capture::depth_maps::{self, DepthMap, UNIT, find};
-use crate::capture::{Capture, CaptureError};
+use crate::capture::{Capture, CaptureError, Result};
 use crate::gaussians::Gaussians;
 use crate::json;
 use crate::quantile::quantile;
@@ -85,11 +85,7 @@ enum Stated {
 /// # Errors
 /// If `depth.json` is missing or states neither, or its scale is not positive, if a map cannot be read or is not grey, or if the scale of no map
 /// can be solved.
-pub fn from_maps(
-    capture: &Capture,
-    views: &[usize],
-    note: impl Fn(&str),
-) -> Result<Option<Vec<Vec<DepthSample>>>, CaptureError> {
+pub fn from_maps(capture: &Capture, views: &[usize], note: impl Fn(&str)) -> Result<Option<Vec<Vec<DepthSample>>>> {
     let Some(folder) = folder(capture) else { return Ok(None) };
     let unit_file = capture.folder.join(folder).join(UNIT);
     let wrong = |file: &Path, reason: String| {

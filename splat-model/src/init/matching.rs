@@ -12,7 +12,7 @@ use rayon::prelude::*;
 use splat_op::{CameraModel, Projector};
 
 use super::{distance_to, focus_of};
-use crate::capture::{CaptureError, Photo, Photograph, PointCloud};
+use crate::capture::{Photo, Photograph, PointCloud, Result};
 
 /// Largest number of photographs that are compared, evenly spaced. Their pictures take up to 120 MB.
 const MOST_PHOTOGRAPHS: usize = 256;
@@ -53,7 +53,7 @@ const AT_ONCE: usize = 4096;
 ///
 /// # Errors
 /// If a photograph cannot be decoded.
-pub fn matched_points(photos: &[Photograph], count: usize, rng: &mut impl Rng) -> Result<PointCloud, CaptureError> {
+pub fn matched_points(photos: &[Photograph], count: usize, rng: &mut impl Rng) -> Result<PointCloud> {
     let step = photos.len().div_ceil(MOST_PHOTOGRAPHS).max(1);
     let is_usable = |photo: &&Photograph| photo.intrinsics.model != CameraModel::Orthographic;
     let of: Vec<&Photograph> = photos.iter().step_by(step).filter(is_usable).collect();
@@ -61,7 +61,7 @@ pub fn matched_points(photos: &[Photograph], count: usize, rng: &mut impl Rng) -
     let mut points = PointCloud::default();
     let Some((focus, extent, _)) = focus_of(&poses) else { return Ok(points) };
     let picture = |photo: &&Photograph| photo.pixels().map(|photo| Picture::new(&photo, focus, extent));
-    let pictures = of.par_iter().map(picture).collect::<Result<Vec<_>, CaptureError>>()?;
+    let pictures = of.par_iter().map(picture).collect::<Result<Vec<_>>>()?;
     let neighbours: Vec<Vec<Neighbour>> = pictures.par_iter().map(|own| own.neighbours(&pictures)).collect();
     let mut left = TRIALS * count;
     while points.positions.len() < count && left > 0 {

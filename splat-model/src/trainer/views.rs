@@ -10,7 +10,7 @@ use splat_op::{Camera, Intrinsics};
 
 use self::ahead::Ahead;
 use crate::capture::packed::PackedPhoto;
-use crate::capture::{CaptureError, Photo, Photograph};
+use crate::capture::{Photo, Photograph, Result};
 use crate::effects::masks;
 use crate::loss::Truth;
 
@@ -122,7 +122,7 @@ impl Views {
     }
 
     /// A photograph's pixels at the run's current size. Pixels that are not kept are released at the request for another photograph.
-    fn pixels(&mut self, view: usize) -> Result<Arc<Photo>, CaptureError> {
+    fn pixels(&mut self, view: usize) -> Result<Arc<Photo>> {
         if let Some(photo) = &self.views[view].photo {
             return Ok(Arc::clone(photo));
         }
@@ -144,7 +144,7 @@ impl Views {
 
     /// `[1, H, W]`: the excluded pixels of a view. `None` if no pixel is excluded. Cached. An error if the photograph
     /// must be decoded again and cannot be.
-    pub fn excluded(&mut self, view: usize) -> Result<Option<Tensor<3, Bool>>, CaptureError> {
+    pub fn excluded(&mut self, view: usize) -> Result<Option<Tensor<3, Bool>>> {
         if !self.views[view].photograph.has_mask {
             return Ok(None);
         }
@@ -166,7 +166,7 @@ impl Views {
     /// A view's camera and its photograph, which is black where its mask excludes pixels. The photograph is cached while there is room:
     /// prepared, or packed on a GPU where not all prepared ones fit. A photograph with transparent parts is prepared again over `drawn`, if
     /// this step has a drawn background. An error if the photograph must be decoded again and cannot be.
-    pub fn prepare(&mut self, view: usize, drawn: Option<[f32; 3]>) -> Result<(Camera, Truth), CaptureError> {
+    pub fn prepare(&mut self, view: usize, drawn: Option<[f32; 3]>) -> Result<(Camera, Truth)> {
         let of = &self.views[view];
         let (camera, drawn) = (of.camera.clone(), drawn.filter(|_| of.photograph.has_alpha));
         if let (None, Some(truth)) = (drawn, &of.truth) {
@@ -192,7 +192,7 @@ impl Views {
     }
 
     /// The photograph in four bytes per pixel, if it is cached in that form or can be from now on.
-    fn packed(&mut self, view: usize) -> Result<Option<PackedPhoto>, CaptureError> {
+    fn packed(&mut self, view: usize) -> Result<Option<PackedPhoto>> {
         let Intrinsics { width, height, .. } = self.views[view].camera.intrinsics;
         let is_new = self.packs && self.views[view].packed.is_none();
         if is_new && self.reserve(PackedPhoto::PIXEL * width * height) {

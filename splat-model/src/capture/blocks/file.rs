@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use super::{Block, Bounds};
 use crate::capture::read::{Place, PlaceInFile, quoted};
 use crate::capture::strays::picked;
-use crate::capture::{Capture, CaptureError, Split};
+use crate::capture::{Capture, CaptureError, Result, Split};
 use crate::json;
 use crate::replace::replace;
 
@@ -61,7 +61,7 @@ impl BlockFile {
     ///
     /// # Errors
     /// If it cannot be written.
-    pub fn write(&self, folder: &Path) -> Result<(), CaptureError> {
+    pub fn write(&self, folder: &Path) -> Result<()> {
         let file = folder.join(BLOCK);
         let write = |out: &mut dyn Write| Ok::<_, std::io::Error>(serde_json::to_writer(out, self)?);
         replace(&file, |out| write(out)).map_err(|reason| CaptureError::unwritable(&file, &reason))
@@ -71,7 +71,7 @@ impl BlockFile {
     ///
     /// # Errors
     /// If it is missing, too large, or not such a file.
-    pub fn read(folder: &Path) -> Result<Self, CaptureError> {
+    pub fn read(folder: &Path) -> Result<Self> {
         let file = folder.join(BLOCK);
         let place = Place::new(&file, PlaceInFile::Whole);
         let refuse = |found: String| place.refuse_with("text", quoted(&found), "a block of at most 1 GiB", FIX);
@@ -84,7 +84,7 @@ impl BlockFile {
     }
 
     /// The part of `capture` that the block is. `file` is named in errors.
-    fn part(&self, file: &Path, capture: Capture) -> Result<Capture, CaptureError> {
+    fn part(&self, file: &Path, capture: Capture) -> Result<Capture> {
         let place = Place::new(file, PlaceInFile::Whole);
         let refuse = |field, found: String, expected: &str| Err(place.refuse_with(field, found, expected, FIX));
         let counts = [capture.views.len(), capture.points.positions.len()];
@@ -134,7 +134,7 @@ pub(in crate::capture) fn is_there(folder: &Path) -> bool {
     folder.join(BLOCK).is_file()
 }
 
-pub(in crate::capture) fn load(folder: &Path) -> Result<Capture, CaptureError> {
+pub(in crate::capture) fn load(folder: &Path) -> Result<Capture> {
     let block = BlockFile::read(folder)?;
     let (file, whole) = (folder.join(BLOCK), block.capture_folder(folder));
     if is_there(&whole) {

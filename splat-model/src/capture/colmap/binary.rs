@@ -7,8 +7,8 @@ use std::path::Path;
 
 use super::model::ColmapCameraModel;
 use super::{CameraRecord, ImageRecord, PointRecord, TrackElement};
-use crate::capture::CaptureError;
 use crate::capture::read::{Place, PlaceInFile, quoted};
+use crate::capture::{CaptureError, Result};
 
 /// Bytes of the smallest camera: id, model, width, height, two parameters.
 const CAMERA_BYTES: usize = 4 + 4 + 8 + 8 + 2 * 8;
@@ -21,7 +21,7 @@ const POINT_BYTES: usize = 8 + 3 * 8 + 3 + 8 + 8;
 /// Bytes of an element of a track: image, keypoint.
 const TRACK_BYTES: usize = 4 + 4;
 
-pub(super) fn cameras(file: &Path, bytes: &[u8]) -> Result<Vec<CameraRecord>, CaptureError> {
+pub(super) fn cameras(file: &Path, bytes: &[u8]) -> Result<Vec<CameraRecord>> {
     let mut reader = BinaryReader { file, kind: "camera", entry: 0, rest: bytes };
     let mut last = None;
     let cameras = reader.entries(CAMERA_BYTES, |input| {
@@ -56,7 +56,7 @@ pub(super) fn cameras(file: &Path, bytes: &[u8]) -> Result<Vec<CameraRecord>, Ca
     }
 }
 
-pub(super) fn images(file: &Path, bytes: &[u8]) -> Result<Vec<ImageRecord>, CaptureError> {
+pub(super) fn images(file: &Path, bytes: &[u8]) -> Result<Vec<ImageRecord>> {
     BinaryReader { file, kind: "image", entry: 0, rest: bytes }.entries(IMAGE_BYTES, |input| {
         let id = u32::from_le_bytes(input.take("IMAGE_ID")?);
         let quaternion = input.numbers("QW QX QY QZ")?;
@@ -74,7 +74,7 @@ pub(super) fn images(file: &Path, bytes: &[u8]) -> Result<Vec<ImageRecord>, Capt
     })
 }
 
-pub(super) fn points(file: &Path, bytes: &[u8]) -> Result<Vec<PointRecord>, CaptureError> {
+pub(super) fn points(file: &Path, bytes: &[u8]) -> Result<Vec<PointRecord>> {
     BinaryReader { file, kind: "point", entry: 0, rest: bytes }.entries(POINT_BYTES, |input| {
         input.take::<8>("POINT3D_ID")?;
         let xyz = input.numbers("X Y Z")?;
@@ -104,11 +104,7 @@ impl<'a> BinaryReader<'a> {
 
     /// Reads a count and that many entries of at least `each` bytes, which must fill the file. Left-over bytes mean that the
     /// count and the entries disagree, so the entries may have been misread.
-    fn entries<T>(
-        &mut self,
-        each: usize,
-        mut read: impl FnMut(&mut Self) -> Result<T, CaptureError>,
-    ) -> Result<Vec<T>, CaptureError> {
+    fn entries<T>(&mut self, each: usize, mut read: impl FnMut(&mut Self) -> Result<T>) -> Result<Vec<T>> {
         let what = format!("{}s", self.kind);
         let count = self.count(&what, each)?;
         let mut entries = Vec::with_capacity(count);
@@ -125,7 +121,7 @@ impl<'a> BinaryReader<'a> {
         }
     }
 
-    fn take<const N: usize>(&mut self, field: &'static str) -> Result<[u8; N], CaptureError> {
+    fn take<const N: usize>(&mut self, field: &'static str) -> Result<[u8; N]> {
         let Some((head, rest)) = self.rest.split_first_chunk::<N>() else {
             return Err(self.truncated(field, N));
         };
@@ -133,7 +129,7 @@ impl<'a> BinaryReader<'a> {
         Ok(*head)
     }
 
-    fn numbers<const N: usize>(&mut self, field: &'static str) -> Result<[f64; N], CaptureError> {
+    fn numbers<const N: usize>(&mut self, field: &'static str) -> Result<[f64; N]> {
         let mut numbers = [0.0; N];
         for number in &mut numbers {
             *number = f64::from_le_bytes(self.take(field)?);
@@ -142,7 +138,7 @@ impl<'a> BinaryReader<'a> {
     }
 
     /// Reads a count of items of at least `each` bytes, and checks that the file has room for them.
-    fn count(&mut self, what: &str, each: usize) -> Result<usize, CaptureError> {
+    fn count(&mut self, what: &str, each: usize) -> Result<usize> {
         let count = u64::from_le_bytes(self.take("count")?);
         let (needed, left) = (u128::from(count) * each as u128, self.rest.len());
         match usize::try_from(count) {
@@ -159,13 +155,13 @@ impl<'a> BinaryReader<'a> {
         &mut self,
         what: &'static str,
         each: usize,
-        mut read: impl FnMut(&mut Self) -> Result<T, CaptureError>,
-    ) -> Result<Vec<T>, CaptureError> {
+        mut read: impl FnMut(&mut Self) -> Result<T>,
+    ) -> Result<Vec<T>> {
         let count = self.count(&format!("{what} in {}", self.place()), each)?;
         (0..count).map(|_| read(self)).collect()
     }
 
-    fn name(&mut self) -> Result<String, CaptureError> {
+    fn name(&mut self) -> Result<String> {
         let Some(length) = self.rest.iter().position(|&byte| byte == 0) else {
             return Err(self.truncated("NAME", self.rest.len() + 1));
         };

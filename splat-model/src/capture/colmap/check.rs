@@ -7,10 +7,10 @@ use splat_op::camera::{MAX_COEFFICIENT, MAX_SIDE_PX};
 use super::model::ColmapCameraModel;
 use crate::capture::names::below;
 use crate::capture::read::{MAX_MAGNITUDE, Place, quoted};
-use crate::capture::{CaptureError, Cut};
+use crate::capture::{CaptureError, Cut, Result};
 
 impl Place<'_> {
-    pub(super) fn model_by_name(&self, name: &str) -> Result<ColmapCameraModel, CaptureError> {
+    pub(super) fn model_by_name(&self, name: &str) -> Result<ColmapCameraModel> {
         ColmapCameraModel::by_name(name).ok_or_else(|| self.unsupported(name))
     }
 
@@ -31,7 +31,7 @@ impl Place<'_> {
         model: ColmapCameraModel,
         size_px: [u64; 2],
         parameters: &[f64],
-    ) -> Result<(Intrinsics, Cut), CaptureError> {
+    ) -> Result<(Intrinsics, Cut)> {
         let [width, height] = [self.side("WIDTH", size_px[0])?, self.side("HEIGHT", size_px[1])?];
         let (focals, rest) = parameters.split_at(model.focals.min(parameters.len()));
         let (fx, fy, cx, cy, coefficients) = match (focals, rest) {
@@ -70,7 +70,7 @@ impl Place<'_> {
         self.refuse("PARAMS", format!("{found} numbers"), expected)
     }
 
-    fn side(&self, field: &'static str, px: u64) -> Result<usize, CaptureError> {
+    fn side(&self, field: &'static str, px: u64) -> Result<usize> {
         match usize::try_from(px) {
             Ok(side @ 1..=MAX_SIDE_PX) => Ok(side),
             _ => Err(self.refuse(field, px, format!("1 to {MAX_SIDE_PX} px"))),
@@ -78,11 +78,7 @@ impl Place<'_> {
     }
 
     /// The pose of an image. The quaternion, wxyz, may have any non-zero length.
-    pub(in crate::capture) fn pose(
-        &self,
-        quaternion: [f64; 4],
-        translation: [f64; 3],
-    ) -> Result<DAffine3, CaptureError> {
+    pub(in crate::capture) fn pose(&self, quaternion: [f64; 4], translation: [f64; 3]) -> Result<DAffine3> {
         for (field, value) in ["QW", "QX", "QY", "QZ"].into_iter().zip(quaternion) {
             if !value.is_finite() {
                 return Err(self.refuse(field, value, "a finite number"));
@@ -100,19 +96,19 @@ impl Place<'_> {
     }
 
     /// A position or translation.
-    pub(super) fn vector(&self, fields: [&'static str; 3], xyz: [f64; 3]) -> Result<DVec3, CaptureError> {
+    pub(super) fn vector(&self, fields: [&'static str; 3], xyz: [f64; 3]) -> Result<DVec3> {
         for (field, value) in fields.into_iter().zip(xyz) {
             self.check_magnitude(field, value, "a finite number of at most 1e15")?;
         }
         Ok(DVec3::from_array(xyz))
     }
 
-    fn check_magnitude(&self, field: &'static str, value: f64, expected: &'static str) -> Result<(), CaptureError> {
+    fn check_magnitude(&self, field: &'static str, value: f64, expected: &'static str) -> Result<()> {
         if value.abs() <= MAX_MAGNITUDE { Ok(()) } else { Err(self.refuse(field, value, expected)) }
     }
 
     /// The name of a picture. It becomes part of a path, so it must stay below the folder of pictures.
-    pub(super) fn name(&self, name: &str) -> Result<String, CaptureError> {
+    pub(super) fn name(&self, name: &str) -> Result<String> {
         if below(name).is_some() && !name.contains('\0') {
             return Ok(name.to_owned());
         }

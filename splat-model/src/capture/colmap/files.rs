@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use super::{CaptureError, binary, parse, text};
+use super::{CaptureError, Result, binary, parse, text};
 
 pub(in crate::capture) const SPARSE: &str = "sparse";
 
@@ -35,7 +35,7 @@ pub(in crate::capture) fn is_complete(model: &Path) -> bool {
 ///
 /// # Errors
 /// If there is none, or the photographs of one of several cannot be counted.
-pub(super) fn find(models: &[PathBuf]) -> Result<(ModelFiles, Option<String>), CaptureError> {
+pub(super) fn find(models: &[PathBuf]) -> Result<(ModelFiles, Option<String>)> {
     let complete: Vec<(&PathBuf, ModelFiles)> =
         models.iter().filter_map(|model| Some((model, of_model(model).ok()?))).collect();
     let [_, _, ..] = complete.as_slice() else {
@@ -77,7 +77,7 @@ pub(in crate::capture) fn models_in(folder: &Path) -> Vec<PathBuf> {
 
 /// The model's files, binary before text. Cameras and images must be of one encoding, because a stale file of the other
 /// may lie beside them; points refer to nothing and are taken as they come.
-pub(super) fn of_model(model: &Path) -> Result<ModelFiles, CaptureError> {
+pub(super) fn of_model(model: &Path) -> Result<ModelFiles> {
     let [binary, text] = ["bin", "txt"].map(|extension| ModelFiles::encoded(model, extension));
     for (files, other) in [(&binary, &text), (&text, &binary)] {
         if files.cameras.exists() && files.images.exists() {

@@ -4,10 +4,10 @@ use std::path::Path;
 use std::str::FromStr;
 
 use super::{CameraRecord, ImageRecord, PointRecord, TrackElement};
-use crate::capture::CaptureError;
+use crate::capture::Result;
 use crate::capture::read::{Place, PlaceInFile, quoted};
 
-pub(super) fn cameras(file: &Path, bytes: &[u8]) -> Result<Vec<CameraRecord>, CaptureError> {
+pub(super) fn cameras(file: &Path, bytes: &[u8]) -> Result<Vec<CameraRecord>> {
     let entries = lines(file, "camera", bytes)?.filter(is_entry);
     entries
         .map(|mut line| {
@@ -25,7 +25,7 @@ pub(super) fn cameras(file: &Path, bytes: &[u8]) -> Result<Vec<CameraRecord>, Ca
         .collect()
 }
 
-pub(super) fn images(file: &Path, bytes: &[u8]) -> Result<Vec<ImageRecord>, CaptureError> {
+pub(super) fn images(file: &Path, bytes: &[u8]) -> Result<Vec<ImageRecord>> {
     let mut lines = lines(file, "image", bytes)?;
     let mut images = Vec::new();
     while let Some(mut line) = lines.find(is_entry) {
@@ -43,7 +43,7 @@ pub(super) fn images(file: &Path, bytes: &[u8]) -> Result<Vec<ImageRecord>, Capt
     Ok(images)
 }
 
-pub(super) fn points(file: &Path, bytes: &[u8]) -> Result<Vec<PointRecord>, CaptureError> {
+pub(super) fn points(file: &Path, bytes: &[u8]) -> Result<Vec<PointRecord>> {
     let entries = lines(file, "point", bytes)?.filter(is_entry);
     entries
         .map(|mut line| {
@@ -69,7 +69,7 @@ pub(super) fn points(file: &Path, bytes: &[u8]) -> Result<Vec<PointRecord>, Capt
 
 /// The keypoints of a line. A line that cannot hold keypoints is the next image, in a file without keypoint lines: skipping
 /// it would lose every second photograph.
-fn keypoints(mut line: TextLine) -> Result<Vec<[f32; 2]>, CaptureError> {
+fn keypoints(mut line: TextLine) -> Result<Vec<[f32; 2]>> {
     let count = line.rest.split_whitespace().count();
     let last_is_id = line.rest.split_whitespace().next_back().is_none_or(|last| last.parse::<i64>().is_ok());
     if !(count.is_multiple_of(3) && last_is_id) {
@@ -91,11 +91,7 @@ fn is_entry(line: &TextLine) -> bool {
 }
 
 /// The lines of a file, trimmed and numbered from one.
-fn lines<'a>(
-    file: &'a Path,
-    kind: &'static str,
-    bytes: &'a [u8],
-) -> Result<impl Iterator<Item = TextLine<'a>>, CaptureError> {
+fn lines<'a>(file: &'a Path, kind: &'static str, bytes: &'a [u8]) -> Result<impl Iterator<Item = TextLine<'a>>> {
     let place = move |line| Place::new(file, PlaceInFile::Line(kind, line));
     let text = str::from_utf8(bytes).map_err(|error| {
         let line = 1 + bytes[..error.valid_up_to()].iter().filter(|&&byte| byte == b'\n').count();
@@ -111,7 +107,7 @@ struct TextLine<'a> {
 }
 
 impl<'a> TextLine<'a> {
-    fn field(&mut self, field: &'static str) -> Result<&'a str, CaptureError> {
+    fn field(&mut self, field: &'static str) -> Result<&'a str> {
         if self.rest.is_empty() {
             return Err(self.place.refuse(field, "missing: the line ends before it", "a value"));
         }
@@ -120,12 +116,12 @@ impl<'a> TextLine<'a> {
         Ok(value)
     }
 
-    fn parse<T: FromStr>(&mut self, field: &'static str, expected: &'static str) -> Result<T, CaptureError> {
+    fn parse<T: FromStr>(&mut self, field: &'static str, expected: &'static str) -> Result<T> {
         let value = self.field(field)?;
         value.parse().map_err(|_| self.place.refuse(field, quoted(value), expected))
     }
 
-    fn numbers<const N: usize>(&mut self, fields: [&'static str; N]) -> Result<[f64; N], CaptureError> {
+    fn numbers<const N: usize>(&mut self, fields: [&'static str; N]) -> Result<[f64; N]> {
         let mut numbers = [0.0; N];
         for (number, field) in numbers.iter_mut().zip(fields) {
             *number = self.parse(field, "a number")?;

@@ -14,10 +14,10 @@ use glam::{DMat3, DMat4, DVec3, DVec4};
 use roxmltree::{Document, Node};
 
 use super::{Format, Photographs, frame, with_lens};
-use crate::capture::CaptureError;
 use crate::capture::read::{Place, PlaceInFile, quoted};
 use crate::capture::transforms::camera::{EQUIRECTANGULAR, THIN_PRISM_FISHEYE};
 use crate::capture::transforms::{Fields, holds, text};
+use crate::capture::{CaptureError, Result};
 
 pub(super) const FORMAT: Format = Format {
     name: "Metashape",
@@ -28,7 +28,7 @@ pub(super) const FORMAT: Format = Format {
 /// How far a skew that is ignored may move a pixel at the border, px.
 const MOST_SKEW_PX: f64 = 0.1;
 
-fn frames(file: &Path, photographs: &mut Photographs) -> Result<Vec<Fields>, CaptureError> {
+fn frames(file: &Path, photographs: &mut Photographs) -> Result<Vec<Fields>> {
     let text = text(file)?;
     let text = String::from_utf8_lossy(&text);
     let document = Document::parse(&text).map_err(|error| {
@@ -73,14 +73,14 @@ fn child<'a, 'b>(node: Node<'a, 'b>, name: &str) -> Option<Node<'a, 'b>> {
     node.children().find(|child| child.has_tag_name(name))
 }
 
-fn numbers<const N: usize>(place: &Place, field: &'static str, of: Node) -> Result<[f64; N], CaptureError> {
+fn numbers<const N: usize>(place: &Place, field: &'static str, of: Node) -> Result<[f64; N]> {
     let text = of.text().unwrap_or_default();
     let all: Option<Vec<f64>> = text.split_whitespace().take(N + 1).map(|number| number.parse().ok()).collect();
     all.and_then(|all| all.try_into().ok()).ok_or_else(|| place.refuse(field, quoted(text), format!("{N} numbers")))
 }
 
 /// A pose in the chunk, moved to the world.
-fn moved(place: &Place, to_world: Node, cam: DMat4) -> Result<DMat4, CaptureError> {
+fn moved(place: &Place, to_world: Node, cam: DMat4) -> Result<DMat4> {
     let of = |name| child(to_world, name);
     let rotation = of("rotation").map_or(Ok(DMat3::IDENTITY.to_cols_array()), |of| numbers(place, "rotation", of))?;
     let translation = of("translation").map_or(Ok([0.0; 3]), |of| numbers(place, "translation", of))?;
@@ -93,7 +93,7 @@ fn moved(place: &Place, to_world: Node, cam: DMat4) -> Result<DMat4, CaptureErro
     Ok(DMat4 { w_axis: DVec4::from((centre, turned.w_axis.w)), ..turned })
 }
 
-fn of_sensor(place: &Place, sensor: Node, name: String, pose: DMat4) -> Result<Fields, CaptureError> {
+fn of_sensor(place: &Place, sensor: Node, name: String, pose: DMat4) -> Result<Fields> {
     let side = |field| {
         let value = child(sensor, "resolution").and_then(|size| size.attribute(field)).unwrap_or_default();
         value.parse().map_err(|_| place.refuse(field, quoted(value), "the `resolution` of the sensor, px"))

@@ -17,7 +17,7 @@ use glam::DMat4;
 
 use super::names::{Names, PICTURES, below, children, parent};
 use super::transforms::{Fields, each, of_frames};
-use super::{Capture, CaptureError, CaptureFormat, Pictures};
+use super::{Capture, CaptureFormat, Pictures, Result};
 
 /// The formats, in the order in which they are tried.
 pub(super) fn formats() -> impl Iterator<Item = Arc<dyn CaptureFormat>> {
@@ -29,7 +29,7 @@ struct Format {
     name: &'static str,
     /// Whether a file, or for Polycam a folder, is cameras of the format.
     is: fn(&Path) -> bool,
-    frames: fn(&Path, &mut Photographs) -> Result<Vec<Fields>, CaptureError>,
+    frames: fn(&Path, &mut Photographs) -> Result<Vec<Fields>>,
 }
 
 impl CaptureFormat for Format {
@@ -49,7 +49,7 @@ impl CaptureFormat for Format {
         if (self.is)(file) { vec![file.to_owned()] } else { Vec::new() }
     }
 
-    fn load(&self, cameras: &[PathBuf], pictures: &Pictures) -> Result<Capture, CaptureError> {
+    fn load(&self, cameras: &[PathBuf], pictures: &Pictures) -> Result<Capture> {
         let mut photographs = Photographs::around(&cameras[0], pictures);
         let frames = (self.frames)(&cameras[0], &mut photographs)?;
         of_frames(photographs.folder, &cameras[0], frames, photographs.remarks)

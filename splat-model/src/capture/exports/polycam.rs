@@ -10,7 +10,7 @@ use glam::DMat4;
 use serde_json::{Map, Value};
 
 use super::{Format, Photographs, frame};
-use crate::capture::CaptureError;
+use crate::capture::Result;
 use crate::capture::names::entries;
 use crate::capture::read::{Place, PlaceInFile};
 use crate::capture::transforms::{Fields, holds, read_json};
@@ -45,7 +45,7 @@ fn files(folder: &Path) -> Vec<PathBuf> {
     files
 }
 
-fn frames(cameras: &Path, photographs: &mut Photographs) -> Result<Vec<Fields>, CaptureError> {
+fn frames(cameras: &Path, photographs: &mut Photographs) -> Result<Vec<Fields>> {
     let images = images(cameras).unwrap_or_default();
     let one = |file: PathBuf| {
         let of: Map<String, Value> = read_json(&file)?;

@@ -19,12 +19,12 @@ use glam::{DMat4, DVec3};
 use super::{Format, Photographs, frame, with_lens};
 use crate::capture::read::{Place, PlaceInFile, quoted};
 use crate::capture::transforms::{Fields, holds, text};
-use crate::capture::{CaptureError, image};
+use crate::capture::{Result, image};
 
 pub(super) const FORMAT: Format =
     Format { name: "RealityScan", is: |file| holds(file, "csv", &["#name,", ",alt,", ",pitch,roll,f"]), frames };
 
-fn frames(file: &Path, photographs: &mut Photographs) -> Result<Vec<Fields>, CaptureError> {
+fn frames(file: &Path, photographs: &mut Photographs) -> Result<Vec<Fields>> {
     let (mut columns, mut frames, text) = (Vec::new(), Vec::new(), text(file)?);
     for (line, number) in String::from_utf8_lossy(&text).lines().zip(1..) {
         let values: Vec<&str> = line.split(',').map(str::trim).collect();
@@ -39,12 +39,7 @@ fn frames(file: &Path, photographs: &mut Photographs) -> Result<Vec<Fields>, Cap
     Ok(frames)
 }
 
-fn of_line(
-    place: &Place,
-    columns: &[String],
-    values: &[&str],
-    photographs: &mut Photographs,
-) -> Result<Fields, CaptureError> {
+fn of_line(place: &Place, columns: &[String], values: &[&str], photographs: &mut Photographs) -> Result<Fields> {
     let fix = "Export \"Internal/External camera parameters\" again";
     if values.len() != columns.len() {
         let expected = format!("{}, as in the header", columns.len());

@@ -10,7 +10,7 @@ use glam::DMat4;
 use serde::Deserialize;
 
 use super::{Format, Photographs, frame};
-use crate::capture::CaptureError;
+use crate::capture::Result;
 use crate::capture::read::{Place, PlaceInFile};
 use crate::capture::transforms::{Fields, holds, read_json};
 
@@ -37,7 +37,7 @@ fn is(file: &Path) -> bool {
     kind.is_some_and(|kind| images(file).is_some() && holds(file, kind, &["\"K\"", "\"poses\""]))
 }
 
-fn frames(file: &Path, photographs: &mut Photographs) -> Result<Vec<Fields>, CaptureError> {
+fn frames(file: &Path, photographs: &mut Photographs) -> Result<Vec<Fields>> {
     let Metadata { matrix: [fx, _, _, _, fy, _, cx, cy, _], w, h, poses, lenses } = read_json(file)?;
     let images = images(file).unwrap_or_default();
     let one = |(index, [qx, qy, qz, qw, x, y, z]): (usize, [f64; 7])| {

@@ -7,7 +7,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::{Scale, ScaleError};
 use crate::capture::exif::{Exif, Gps};
-use crate::capture::{Capture, CaptureError, Cut};
+use crate::capture::{Capture, Cut, Result};
 use crate::quantile::quantile;
 
 /// Fewest photographs with GPS. Three fit any triangle of the same shape, so that a fourth is the first that can disagree.
@@ -37,7 +37,7 @@ const SQUARINGS: usize = 40;
 /// # Errors
 /// A [`CaptureError`] if a picture cannot be opened; otherwise the [`ScaleError`] if fewer than four placed photographs have a position, or
 /// their noise leaves the scale uncertain by more than a tenth.
-pub fn from_gps(capture: &Capture) -> Result<Result<Scale, ScaleError>, CaptureError> {
+pub fn from_gps(capture: &Capture) -> Result<Result<Scale, ScaleError>> {
     let mut pairs = Vec::new();
     // The views of a panorama have one place.
     let places = capture.views.iter().filter(|view| !matches!(&view.cut, Cut::Face(face) if face.number > 0));

@@ -13,8 +13,8 @@ use thiserror::Error;
 
 pub use gps::from_gps;
 
-use super::CaptureError;
 use super::read::read;
+use super::{CaptureError, Result};
 use crate::replace::replace;
 
 /// The file beside a reconstruction that holds its scale.
@@ -44,7 +44,7 @@ impl Scale {
     ///
     /// # Errors
     /// A [`CaptureError`] if the file cannot be read or does not hold a positive number of metres.
-    pub fn load(folder: &Path) -> Result<Option<Self>, CaptureError> {
+    pub fn load(folder: &Path) -> Result<Option<Self>> {
         let file = folder.join(SCALE_FILE);
         if !file.exists() {
             return Ok(None);
@@ -66,7 +66,7 @@ impl Scale {
     ///
     /// # Errors
     /// A [`CaptureError`] if the file cannot be written.
-    pub fn save(&self, folder: &Path) -> Result<(), CaptureError> {
+    pub fn save(&self, folder: &Path) -> Result<()> {
         let file = folder.join(SCALE_FILE);
         let text = serde_json::to_string_pretty(self).expect("numbers and text are JSON");
         replace(&file, |out| writeln!(out, "{text}")).map_err(|reason| CaptureError::unwritable(&file, &reason))

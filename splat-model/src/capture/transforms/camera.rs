@@ -9,7 +9,7 @@ use splat_op::{CameraModel, Intrinsics};
 
 use super::json::{self, Fields};
 use crate::capture::read::{MAX_MAGNITUDE, Place, quoted};
-use crate::capture::{CaptureError, Cut, image};
+use crate::capture::{Cut, Result, image};
 
 /// How far `RᵀR` may be from the identity. Exporters that round to three digits stay below; a scale or a shear is far above.
 const RIGID: f64 = 1e-2;
@@ -32,7 +32,7 @@ pub(in crate::capture) const THIN_PRISM_FISHEYE: &str = "THIN_PRISM_FISHEYE";
 /// ```
 ///
 /// `R` is first replaced by the nearest rotation, because files are rounded.
-pub(super) fn pose(place: &Place, field: &'static str, rows: [[f64; 4]; 4]) -> Result<DAffine3, CaptureError> {
+pub(super) fn pose(place: &Place, field: &'static str, rows: [[f64; 4]; 4]) -> Result<DAffine3> {
     let [x, y, z, last] = rows;
     let shown = |row: [f64; 4]| row.map(|value| value.to_string()).join(" ");
     if last != [0.0, 0.0, 0.0, 1.0] {
@@ -88,7 +88,7 @@ pub(super) struct Lenses<'a> {
 
 impl<'a> Lenses<'a> {
     /// Size and projection, and whether it is a panorama. A missing size comes from the picture's header.
-    pub fn intrinsics(&self, picture: &Path) -> Result<(Intrinsics, Cut), CaptureError> {
+    pub fn intrinsics(&self, picture: &Path) -> Result<(Intrinsics, Cut)> {
         let (width, height) = match (self.side("w", |of| of.w)?, self.side("h", |of| of.h)?) {
             (Some(width), Some(height)) => (width, height),
             (width, height) => {
@@ -123,7 +123,7 @@ impl<'a> Lenses<'a> {
         of(self.frame).or_else(|| of(self.file))
     }
 
-    fn side(&self, field: &'static str, of: Field) -> Result<Option<usize>, CaptureError> {
+    fn side(&self, field: &'static str, of: Field) -> Result<Option<usize>> {
         let Some(px) = self.number(of) else { return Ok(None) };
         let whole = px >= 1.0 && px <= MAX_SIDE_PX as f64 && px.fract() == 0.0;
         let refuse = || self.place.refuse(field, px, format!("a whole number of px, 1 to {MAX_SIDE_PX}"));
@@ -132,7 +132,7 @@ impl<'a> Lenses<'a> {
 
     /// A focal length in px, or from the field of view over `side` px, `f = side / (2 tan(angle/2))`. The length takes precedence over
     /// the angle, and the frame over the file.
-    fn focal(&self, from: &FocalFields, side: usize) -> Result<Option<f64>, CaptureError> {
+    fn focal(&self, from: &FocalFields, side: usize) -> Result<Option<f64>> {
         let FocalFields { length: (length, length_of), angle: (angle, angle_of) } = *from;
         for fields in [self.frame, self.file] {
             if let Some(focal) = length_of(fields) {
@@ -152,9 +152,9 @@ impl<'a> Lenses<'a> {
 
     /// The model and its coefficients, as nerfstudio defines them: OpenCV's for slopes, of which a pinhole is the case without
     /// coefficients, and OpenCV's for angles. `FULL_OPENCV` adds the denominator.
-    fn lens(&self) -> Result<(CameraModel, [f64; 8]), CaptureError> {
+    fn lens(&self) -> Result<(CameraModel, [f64; 8])> {
         let place = &self.place;
-        let number = |field, of: Field| -> Result<f64, CaptureError> {
+        let number = |field, of: Field| -> Result<f64> {
             match self.number(of) {
                 Some(value) if value.abs() <= MAX_COEFFICIENT => Ok(value),
                 Some(value) => Err(place.refuse(field, value, "a coefficient of the lens from -1e9 to 1e9")),
@@ -196,7 +196,7 @@ impl<'a> Lenses<'a> {
         Ok((model, all))
     }
 
-    fn model(&self) -> Result<&'a str, CaptureError> {
+    fn model(&self) -> Result<&'a str> {
         for fields in [self.frame, self.file] {
             if let Some(name) = fields.camera_model.as_deref() {
                 let others = ["OPENCV_FISHEYE", "FULL_OPENCV", THIN_PRISM_FISHEYE, EQUIRECTANGULAR];

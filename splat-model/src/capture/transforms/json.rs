@@ -7,8 +7,8 @@ use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use serde_json::error::Category;
 
-use crate::capture::CaptureError;
 use crate::capture::read::{Place, quoted};
+use crate::capture::{CaptureError, Result};
 use crate::ply::brief;
 
 /// The expected form of a `transform_matrix`.
@@ -50,7 +50,7 @@ pub(in crate::capture) struct Fields {
 
 impl Fields {
     /// Four rows; a missing last row is 0 0 0 1.
-    pub fn matrix(&self, place: &Place) -> Result<[[f64; 4]; 4], CaptureError> {
+    pub fn matrix(&self, place: &Place) -> Result<[[f64; 4]; 4]> {
         let refuse = |found: String| place.refuse("transform_matrix", found, MATRIX);
         let rows = self.transform_matrix.as_deref().ok_or_else(|| refuse("missing".into()))?;
         let four = |row: &Vec<f64>| {
@@ -65,7 +65,7 @@ impl Fields {
 }
 
 /// Reads JSON. Errors say where the file is wrong.
-pub(super) fn parse<T: DeserializeOwned>(file: &Path, bytes: &[u8]) -> Result<T, CaptureError> {
+pub(super) fn parse<T: DeserializeOwned>(file: &Path, bytes: &[u8]) -> Result<T> {
     let mut input = serde_json::Deserializer::from_slice(bytes);
     let read = serde_path_to_error::deserialize(&mut input);
     let ended = |value| input.end().map(|()| value).map_err(|error| (String::new(), error));

@@ -6,7 +6,7 @@ use glam::{DAffine3, DMat4};
 use serde::Deserialize;
 
 use super::{camera, read_json};
-use crate::capture::CaptureError;
+use crate::capture::Result;
 use crate::capture::read::{Place, PlaceInFile};
 
 #[derive(Deserialize)]
@@ -32,7 +32,7 @@ struct Frame {
 ///
 /// # Errors
 /// If the file cannot be read or is no camera path, has fewer than two cameras, or a matrix is no rigid motion.
-pub fn read_keyframes(file: &Path) -> Result<Vec<(DAffine3, Option<f64>)>, CaptureError> {
+pub fn read_keyframes(file: &Path) -> Result<Vec<(DAffine3, Option<f64>)>> {
     let PathFile { camera_path } = read_json(file)?;
     if camera_path.len() < 2 {
         let (place, found) = (Place::new(file, PlaceInFile::Whole), format!("a list of {}", camera_path.len()));

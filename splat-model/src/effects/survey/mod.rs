@@ -24,7 +24,7 @@ mod tests;
 
 use serde::Serialize;
 
-use crate::capture::{Capture, CaptureError};
+use crate::capture::{Capture, Result};
 use crate::quantile::quantile;
 
 pub use self::blur::BlurEvidence;
@@ -89,7 +89,7 @@ impl Survey {
     ///
     /// # Errors
     /// A [`CaptureError`] if a picture is missing, cannot be decoded, or has another size than its camera.
-    pub fn of(capture: &Capture) -> Result<Self, CaptureError> {
+    pub fn of(capture: &Capture) -> Result<Self> {
         Self::of_views(capture, &(0..capture.views.len()).collect::<Vec<_>>())
     }
 
@@ -98,7 +98,7 @@ impl Survey {
     ///
     /// # Errors
     /// Errors of [`Self::of`].
-    pub fn of_views(capture: &Capture, views: &[usize]) -> Result<Self, CaptureError> {
+    pub fn of_views(capture: &Capture, views: &[usize]) -> Result<Self> {
         capture.check_photographs(views)?;
         let size = |&view: &usize| capture.views[view].intrinsics.width * capture.views[view].intrinsics.height;
         let pixels: usize = views.iter().map(size).sum();

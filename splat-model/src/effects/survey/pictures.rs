@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use super::detail::Detail;
 use super::observations::{ColourSample, PointObservations};
 use crate::capture::image::load;
-use crate::capture::{Capture, CaptureError, Photo};
+use crate::capture::{Capture, Photo, Result};
 use crate::effects::masks;
 
 pub(super) struct Glance {
@@ -20,11 +20,7 @@ pub(super) struct Glance {
 }
 
 /// Decodes each photograph once, stores the samples of its observations, and discards its pixels.
-pub(super) fn look(
-    capture: &Capture,
-    surveyed: &[usize],
-    observations: &mut PointObservations,
-) -> Result<Vec<Glance>, CaptureError> {
+pub(super) fn look(capture: &Capture, surveyed: &[usize], observations: &mut PointObservations) -> Result<Vec<Glance>> {
     let mut places: Vec<Vec<(usize, usize)>> = vec![Vec::new(); capture.views.len()];
     for (point, seen) in observations.points.iter().enumerate() {
         for (i, observation) in seen.iter().enumerate() {
@@ -46,7 +42,7 @@ pub(super) fn look(
         };
         Ok((glance, samples))
     };
-    let seen: Vec<(Glance, Vec<_>)> = surveyed.par_iter().map(one).collect::<Result<_, CaptureError>>()?;
+    let seen: Vec<(Glance, Vec<_>)> = surveyed.par_iter().map(one).collect::<Result<_>>()?;
     let (glances, samples): (Vec<Glance>, Vec<Vec<_>>) = seen.into_iter().unzip();
     for (point, i, sample) in samples.into_iter().flatten() {
         observations.points[point][i].sample = sample;

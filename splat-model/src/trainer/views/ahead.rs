@@ -5,13 +5,13 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, channel};
 
 use super::at_size;
-use crate::capture::{CaptureError, Photo, Photograph};
+use crate::capture::{Photo, Photograph, Result};
 
 /// Largest number of photographs in decoding or waiting. On a fast GPU a step takes less time than decoding, and several threads keep up.
 pub const MOST: usize = 8;
 
 /// A photograph at a size of the run, or why there is none.
-type Decoded = Result<Arc<Photo>, CaptureError>;
+type Decoded = Result<Arc<Photo>>;
 
 /// Photographs whose decoding has begun, by their index and the divisor of their sides.
 #[derive(Default)]
