@@ -54,7 +54,6 @@ pub mod train;
 pub mod view;
 
 pub mod accuracy;
-mod as_text;
 pub mod device;
 pub mod effects;
 pub mod input;

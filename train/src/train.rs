@@ -16,6 +16,7 @@ use anyhow::{Result, bail};
 use clap::ValueEnum;
 use clap::builder::{PossibleValue, PossibleValuesParser, RangedU64ValueParser, TypedValueParser};
 use serde::{Deserialize, Serialize};
+use serde_with::{As, DisplayFromStr};
 use splat_model::density::DensityConfig;
 use splat_model::optim::{LearningRates, MomentBits, sh_every_for};
 use splat_model::trainer::{Resolution, TrainConfig, Trainer};
@@ -82,14 +83,14 @@ pub struct TrainArgs {
     /// steps is chosen and corrected so that training ends in time; reading the capture and scoring come on top. Two such
     /// runs differ, because machines are never equally fast twice
     #[arg(long = "for", value_name = "TIME", value_parser = parse_time, conflicts_with = "steps")]
-    #[serde(with = "crate::as_text::optional", default, rename = "for")]
+    #[serde(with = "As::<Option<DisplayFromStr>>", default, rename = "for")]
     pub time: Option<humantime::Duration>,
     #[command(flatten, next_help_heading = "Capture")]
     #[serde(default)]
     pub cameras: CameraArgs,
     /// Device to compute on: auto, cpu, flex, ndarray, gpu, gpu:N and what else `splat devices` lists
     #[arg(long, value_name = "NAME", default_value_t, help_heading = USUAL)]
-    #[serde(with = "crate::as_text")]
+    #[serde(with = "As::<DisplayFromStr>")]
     pub device: DeviceName,
     /// Random seed
     #[arg(long, value_name = "S", default_value_t = TrainConfig::default().seed, help_heading = OPTIMISER)]
@@ -105,7 +106,7 @@ pub struct TrainArgs {
     pub max_splats: usize,
     /// Density strategy: how splats are added, moved and removed
     #[arg(long, value_name = "NAME", default_value_t, value_parser = strategies(), help_heading = DENSITY)]
-    #[serde(with = "crate::as_text")]
+    #[serde(with = "As::<DisplayFromStr>")]
     pub strategy: StrategyName,
     /// Loss; `l1-ssim` is L1 + D-SSIM, `l2` the mean square, and `surfaces` makes depth smooth for `splat mesh`
     #[arg(long, value_name = "NAME", default_value = USUAL_LOSS, value_parser = PossibleValuesParser::new(parts::names(Part::Loss)), help_heading = OPTIMISER)]
@@ -144,7 +145,7 @@ pub struct TrainArgs {
     /// Bits of each of Adam's moments, 32 or 8: they take 472 or 124 bytes of a Gaussian of degree 3 (see docs/ACCURACY.md for what
     /// fewer bits cost)
     #[arg(long, value_name = "BITS", default_value_t, help_heading = MEMORY)]
-    #[serde(with = "crate::as_text", default)]
+    #[serde(with = "As::<DisplayFromStr>", default)]
     pub moment_bits: MomentBits,
     #[command(flatten, next_help_heading = ACCURACY)]
     pub model: ModelArgs,
@@ -168,7 +169,7 @@ pub struct TrainArgs {
     /// environment or environment:D (learned light from infinity, spherical harmonics of degree D) [default: black, or
     /// the background that the effects call for]
     #[arg(long, value_name = "WHAT", help_heading = USUAL)]
-    #[serde(with = "crate::as_text::optional", default)]
+    #[serde(with = "As::<Option<DisplayFromStr>>", default)]
     pub background: Option<TrainBackground>,
     /// Effects to simulate: auto, none, a list, or +NAME and -NAME
     ///
@@ -176,7 +177,7 @@ pub struct TrainArgs {
     /// and `-NAME` to adjust `auto`. Names: antialias, alpha, exposure, bilateral-grid, masks, pose-refinement,
     /// environment, motion-blur, rolling-shutter, depth-supervision
     #[arg(long, value_name = "LIST", default_value_t, allow_hyphen_values = true, help_heading = USUAL)]
-    #[serde(with = "crate::as_text")]
+    #[serde(with = "As::<DisplayFromStr>")]
     pub effects: EffectsArg,
     /// Score the scene on at most four held-out views every N steps, before the refinement of the same step, for the curve in
     /// report.html and for --json; 0: never [default: ten times where that takes at most 2% of the run]
