@@ -2,8 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use burn::backend::{Backend, Dispatch};
-use burn::tensor::{Device, Tensor};
+use burn::tensor::Tensor;
 
 pub use crate::abilities::buffer_limit;
 pub use crate::counters::{
@@ -58,11 +57,6 @@ pub fn launches(work: impl FnOnce()) -> BTreeMap<&'static str, usize> {
     drop(observation);
     let counts = counts.0.lock().unwrap_or_else(PoisonError::into_inner);
     counts.clone()
-}
-
-/// Returns Burn's name of a device's backend, including its wrappers.
-pub fn backend_name(device: &Device) -> String {
-    Dispatch::name(device.as_dispatch())
 }
 
 /// Does nothing without GPU kernels.

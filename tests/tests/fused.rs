@@ -1,6 +1,7 @@
 //! Tests that every stage on a GPU executes kernels and no CPU twin, with Burn's fusion where it is built in. The test is a
 //! process of its own, because the counters are global.
 
+use burn::backend::{Backend, Dispatch};
 use burn::tensor::{DType, Tensor};
 use splat_op::{Extras, Intrinsics, Projection, RenderOptions, evaluate_sh, intersect, project, rasterize, test_hooks};
 use splat_tests::gpu;
@@ -10,7 +11,7 @@ use splat_tests::scene::{Scene, SceneTensors, host};
 #[test]
 fn every_stage_executes_kernels_and_no_twin() {
     let Some(device) = gpu() else { return };
-    let name = test_hooks::backend_name(&device);
+    let name = Dispatch::name(device.as_dispatch());
     assert_eq!(name.contains("fusion"), cfg!(feature = "fusion"), "{name}");
     assert!(name.contains("wgpu") || name.contains("cuda") || name.contains("hip"), "{name}");
 

@@ -20,9 +20,4 @@ impl LpipsArgs {
     pub fn read(&self, device: &Device) -> Result<Option<Lpips>> {
         Ok(self.lpips.as_deref().map(|path| Lpips::read(path, device)).transpose()?)
     }
-
-    /// Returns the options with an absolute path, which holds in any working directory.
-    pub fn from_anywhere(self) -> Self {
-        Self { lpips: self.lpips.map(|path| std::path::absolute(&path).unwrap_or(path)) }
-    }
 }

@@ -86,8 +86,7 @@ pub fn line(value: &impl Serialize) {
     }
 }
 
-/// Returns a counter of things that take a moment each, such as pictures. It disappears when it is dropped, and is hidden without a
-/// terminal.
+/// Returns a counter of things that take a moment each, such as pictures. It disappears when it is dropped, and is hidden without a terminal.
 pub fn counter(what: &'static str, total: usize) -> ProgressBar {
     let bar = bar(Some(total), "{msg} [{bar:32}] {pos}/{len}");
     bar.map_or_else(ProgressBar::hidden, |bar| bar.with_message(what))

@@ -98,9 +98,8 @@ impl Capture {
     /// folder of the result is that of the whole capture, and so are its origin, masks and depth maps. A file of cameras may be named
     /// instead of its folder.
     ///
-    /// Pictures are not opened, except for the sizes in their headers where a JSON file lacks them. A picture in
-    /// JSON is named by its path below the folder, with its extension. Names may differ from the files' in letter case and Unicode form, and
-    /// have `\` for `/`.
+    /// Pictures are not opened, except for the sizes in their headers where a JSON file lacks them. A picture in JSON is named by its path
+    /// below the folder, with its extension. Names may differ from the files' in letter case and Unicode form, and have `\` for `/`.
     ///
     /// Without points the point cloud is empty. A capture whose mean camera centre lies further from zero than 100
     /// times its extent is moved next to zero; [`Capture::origin`] says by how much. `scale.json` gives the size of a scene unit.

@@ -1,12 +1,11 @@
 //! Cameras in JSON: `transforms.json` of instant-ngp and nerfstudio, `transforms_train.json` and its siblings of
 //! NeRF-synthetic (Mildenhall et al. 2020).
 //!
-//! Formats: <https://docs.nerf.studio/quickstart/data_conventions.html>, and instant-ngp's `docs/nerf_dataset_tips.md`. Each of
-//! `frames` has a `file_path` and a `transform_matrix`, which takes the camera's coordinates to the world's, with
-//! OpenGL's axes: +x right, +y up, +z back (see [`camera::pose`]). Lens parameters stand beside `frames` or in a
-//! frame, where they apply to that frame alone; pixel centres are at +0.5. The world is that of the file:
-//! `applied_transform`, `applied_scale`, `scale`, `offset` and `aabb_scale`, which record how it was made or how one
-//! program frames it, are ignored, and so are depth maps (`depth_file_path`).
+//! Formats: <https://docs.nerf.studio/quickstart/data_conventions.html>, and instant-ngp's `docs/nerf_dataset_tips.md`. Each of `frames`
+//! has a `file_path` and a `transform_matrix`, which takes the camera's coordinates to the world's, with OpenGL's axes: +x right, +y up, +z
+//! back (see [`camera::pose`]). Lens parameters stand beside `frames` or in a frame, where they apply to that frame alone; pixel centres
+//! are at +0.5. The world is that of the file: `applied_transform`, `applied_scale`, `scale`, `offset` and `aabb_scale`, which record how
+//! it was made or how one program frames it, are ignored, and so are depth maps (`depth_file_path`).
 //!
 //! A name in JSON is a path relative to the file's folder and may not leave it. A `file_path` without an extension
 //! means the `.png`, `.jpg` or `.jpeg` that exists, and one that exists only with a second extension or in another letter case means that

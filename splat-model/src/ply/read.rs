@@ -74,8 +74,7 @@ impl<'a> PlyReader<'a> {
         Ok((input, header))
     }
 
-    /// Skips the elements before the vertices. Refuses a header that claims more rows than the file can hold, before memory is
-    /// reserved for them.
+    /// Skips the elements before the vertices. Refuses a header that claims more rows than the file can hold, before it reserves memory.
     pub fn begin(&mut self, header: &Header) -> Result<(), FileError> {
         self.check_size(header, VERTEX)?;
         for element in header.elements.values().take_while(|element| element.name != VERTEX) {

@@ -6,8 +6,7 @@ use super::checked::Checked;
 use crate::backend::custom_grad::{constant, plain};
 use crate::{Camera, CameraModel, RenderOptions, Result, Splats};
 
-/// Returns the unit normal of each Gaussian, `[N, 3]`, world frame: its shortest axis, turned towards the camera. Of equally short axes it
-/// is the first.
+/// Returns the unit normal of each Gaussian, `[N, 3]`, world frame: its shortest axis, turned towards the camera. Of equally short axes the first.
 ///
 /// Differentiable in the rotations; which axis it is, and which way it is turned, are constants. As
 /// [`Colour::Features`](crate::Colour::Features) the normals become a plane of normals, weighted as colours are; divide it by alpha for

@@ -105,7 +105,7 @@ pub fn plan(args: &PlanArgs) -> Result<()> {
     for (name, block) in names.iter().zip(&planned) {
         let (path, run) = (folder.join(name), planned_folder.run(name));
         let mut options = TrainArgs { start: start.clone(), ..job::training(&path, &planned_folder.plan.options)? };
-        options.lpips = options.lpips.from_anywhere();
+        options.lpips.lpips = options.lpips.lpips.map(std::path::absolute).transpose()?;
         if block.test.is_empty() {
             options.photos.test_every = Some(0);
         }

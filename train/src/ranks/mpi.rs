@@ -21,8 +21,7 @@ const PIECE: usize = 1 << 18;
 /// Numbers in one broadcast, below the largest count of MPI.
 const BROADCAST: usize = 1 << 28;
 
-/// The connection of the process, which ends when it is taken out. A static is never dropped, so that a panic does not wait for
-/// other ranks.
+/// The connection of the process, which ends when it is taken out. A static is never dropped, so a panic waits for no other rank.
 static UNIVERSE: OnceLock<Mutex<Option<Universe>>> = OnceLock::new();
 
 /// All processes that were started together.

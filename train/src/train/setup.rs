@@ -59,7 +59,7 @@ impl Setup {
             let found = if input::lacks_cameras(&source) { &capture.folder } else { &source };
             args.capture = Some(std::path::absolute(found)?);
         }
-        args.lpips = args.lpips.from_anywhere();
+        args.lpips.lpips = args.lpips.lpips.map(std::path::absolute).transpose()?;
         args.start = args.start.map(std::path::absolute).transpose()?;
         let (split, photos) = args.photos.split(&capture);
         let train = split.require_train()?.to_vec();

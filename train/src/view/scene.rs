@@ -75,8 +75,7 @@ impl ShownScene {
     }
 }
 
-/// Returns the bytes of a Gaussian in a file: centre, normal, opacity, scales, rotation, and spherical harmonics of
-/// three channels.
+/// Returns the bytes of a Gaussian in a file: centre, normal, opacity, scales, rotation, and spherical harmonics of three channels.
 fn bytes_per_row(sh_degree: usize) -> usize {
     4 * (3 + 3 + 1 + 3 + 4 + 3 * (sh_degree + 1) * (sh_degree + 1))
 }

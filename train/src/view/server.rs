@@ -129,8 +129,7 @@ impl Server {
         headers(request, "Host").all(|host| self.is_own_host(host))
     }
 
-    /// Whether the page that sent a request is one of this server: it has the token, or else its origin; programs that are no browsers name
-    /// no origin.
+    /// Whether the page that sent a request is one of this server: it has the token, or else its origin; only browsers name an origin.
     fn is_from_us(&self, request: &Request) -> bool {
         !self.token.is_empty()
             || headers(request, "Origin")

@@ -1,5 +1,4 @@
-//! The files as written. Other fields are skipped while they are read, because a tree of the whole file would take up to a hundred
-//! times its size.
+//! The files as written. Other fields are skipped while they are read, because a tree of the file may take a hundred times its size.
 
 use std::path::Path;
 

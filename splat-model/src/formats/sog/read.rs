@@ -15,8 +15,7 @@ use crate::formats::{Format, SceneFile, extras, opacity, quaternion};
 use crate::gaussians::GaussianRows;
 use crate::ply::{TrainedAs, WorldFrame, brief};
 
-/// Largest number of Gaussians for each byte of an archive. Scenes have one for ten bytes; the limit keeps a small file from asking for any
-/// amount of memory.
+/// Largest number of Gaussians for each byte of an archive. Scenes have one for ten bytes; the limit bounds what a small file asks for.
 const GAUSSIANS_PER_BYTE: u64 = 16;
 
 /// Largest size of a file in an archive, as a multiple of the archive's: it may be deflated.

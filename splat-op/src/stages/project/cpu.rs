@@ -8,8 +8,7 @@ use super::{COLUMNS, Ellipse, Geometry, ProjectSpec, WIDTHS};
 use crate::simd::{Columns, ROW_BLOCK, Real, dispatch, each, width};
 use crate::{CameraModel, tasks};
 
-/// Number of Gaussians per task. Sums over all Gaussians add one partial sum per chunk in order, so the number of threads never
-/// changes a result.
+/// Number of Gaussians per task. Sums over all Gaussians add one partial sum per chunk in order, so threads never change a result.
 const CHUNK: usize = 1024;
 
 /// The parameters of up to [`ROW_BLOCK`] Gaussians, column by column.

@@ -141,8 +141,7 @@ pub(crate) struct ProjectionTermsSimd<S: Simd, F: Real> {
     /// Whether each Gaussian is not culled.
     pub seen: MaskOf<S, F>,
     pub mean_cam: Vector<S, F>,
-    /// `x/z, y/z`, or their distorted values with a lens; the slopes at which the Jacobian is evaluated; whether each slope is free
-    /// (not clamped).
+    /// `x/z, y/z`, or their distorted values with a lens; the slopes at which the Jacobian is evaluated; whether each slope is unclamped.
     pub(super) ratio: [F::Lanes<S>; 2],
     pub slope: [F::Lanes<S>; 2],
     pub(super) slope_free: [MaskOf<S, F>; 2],

@@ -1,5 +1,4 @@
-//! The formulas of the module's documentation, for the kernels and the CPU twin. Values of culled Gaussians are meaningless; both mask
-//! them.
+//! The formulas of the module's documentation, for the kernels and the CPU twin. Values of culled Gaussians are meaningless; both mask these.
 
 use super::{DEPTH_SLOPE, LensFrame, RAY_SPACE, THICKNESS_MAX};
 use crate::linalg::{Matrix3, Number, add, cross, dot, hadamard, scale, sub};

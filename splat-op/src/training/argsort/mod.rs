@@ -1,5 +1,4 @@
-//! Stable sorts of the rows of a scene by a key, on the device of the keys. Burn's sorts read the keys back to the host on GPUs. Not
-//! differentiable.
+//! Stable sorts of the rows of a scene by a key, on the device of the keys. Burn's sorts read keys back from GPUs. Not differentiable.
 //!
 //! `order[k]` is the row of the `k`-th smallest key; rows of equal keys keep their order. On a GPU this is the radix sort of
 //! `stages/intersect/sort.rs`, on a CPU a parallel sort whose result does not depend on the number of threads.
