@@ -1,5 +1,4 @@
-//! The installed programs, and what they can do. Options are looked up in a program's own help, because COLMAP renames them
-//! between versions.
+//! The installed programs, and what they can do. Options are looked up in a program's own help, because COLMAP renames them.
 
 use std::collections::BTreeSet;
 use std::io::ErrorKind;

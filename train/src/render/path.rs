@@ -61,7 +61,8 @@ pub fn along(
     let mut rotations: Vec<DQuat> = keyframes.iter().map(|(pose, _)| DQuat::from_mat3(&pose.matrix3)).collect();
     for i in 1..rotations.len() {
         // Of a rotation's two quaternions, the nearer to the one before: the spline then stays away from zero.
-        rotations[i] = rotations[i] * rotations[i - 1].dot(rotations[i]).signum();
+        let sign = rotations[i - 1].dot(rotations[i]).signum();
+        rotations[i] *= sign;
     }
     let camera = |i: usize| {
         let at = (i * (keyframes.len() - 1)) as f64 / count.saturating_sub(1).max(1) as f64;

@@ -30,8 +30,7 @@ pub(crate) trait Splat: CubeType + Send + Sync + 'static {
     /// Whether its depth differs from pixel to pixel.
     const ALONG_RAYS: bool;
 
-    /// Reads a Gaussian, for the tile whose first row has its centres at `top` px. One without a defined alpha becomes one that
-    /// does not show.
+    /// Reads a Gaussian, for the tile whose first row has its centres at `top` px. One without a defined alpha does not show.
     fn of(inputs: &SplatInputs, gaussian: usize, top: f32, frame: &RasterFrame) -> Self;
 
     /// Stores it as entry `index` of a list in shared memory.
