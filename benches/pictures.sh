@@ -49,6 +49,12 @@ train small --out less --steps 2000 --sh-degree 0 --max-splats 8000 --effects no
 parts all 0008 && parts less 0008
 beside memory-splats all-0.png all-1.png less-1.png
 
+for loss in l1-ssim surfaces; do
+  train small --out "loss-$loss" --steps 2000 --sh-degree 0 --effects none --loss "$loss"
+  "$splat" render --capture small --scene "loss-$loss/scene.ply" --view 0008.png --pass normals --out "normals-$loss" --device cpu
+done
+beside mesh-surfaces small/images/0008.png normals-l1-ssim/0008.png normals-surfaces/0008.png
+
 train --out demo
 convert demo/views/0008.png -strip "$docs/demo.png"
 page "file://$work/demo/report.html" 825,1312 "$docs/report.png"

@@ -13,7 +13,7 @@ use splat_model::trainer::{TrainConfig, Trainer};
 use splat_op::{Camera, Colour, Extras, Intrinsics, RenderOptions, SplatError, Splats, evaluate_sh, project, render};
 
 use crate::limit::Sizes;
-use crate::{LARGE, Load, MEDIUM, SMALL, SyntheticView, TINY, share_apart, values};
+use crate::{HUGE, LARGE, Load, MEDIUM, SMALL, SyntheticView, TINY, WIDE, share_apart, values};
 
 /// Options of all renders.
 pub const OPTIONS: RenderOptions = RenderOptions::standard();
@@ -40,12 +40,17 @@ pub enum JobSize {
     FoxColmap,
     /// [`MEDIUM`].
     Medium,
+    /// [`WIDE`].
+    Wide,
     /// [`LARGE`].
     Large,
+    /// [`HUGE`].
+    Huge,
 }
 
 impl JobSize {
-    pub const ALL: [Self; 6] = [Self::Tiny, Self::Small, Self::FoxSmall, Self::FoxColmap, Self::Medium, Self::Large];
+    pub const ALL: [Self; 8] =
+        [Self::Tiny, Self::Small, Self::FoxSmall, Self::FoxColmap, Self::Medium, Self::Wide, Self::Large, Self::Huge];
 
     /// Returns the sizes named on the command line, or `standard` if there are none.
     ///
@@ -79,7 +84,9 @@ impl JobSize {
             Self::Tiny => Some(TINY),
             Self::Small => Some(SMALL),
             Self::Medium => Some(MEDIUM),
+            Self::Wide => Some(WIDE),
             Self::Large => Some(LARGE),
+            Self::Huge => Some(HUGE),
             Self::FoxSmall | Self::FoxColmap => None,
         }
     }
@@ -88,7 +95,7 @@ impl JobSize {
 impl Display for JobSize {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         // In the order of the variants.
-        f.write_str(["tiny", "small", "fox_small", "fox_colmap", "medium", "large"][*self as usize])
+        f.write_str(["tiny", "small", "fox_small", "fox_colmap", "medium", "wide", "large", "huge"][*self as usize])
     }
 }
 

@@ -14,7 +14,7 @@ mod scene;
 pub mod step;
 
 pub use load::Load;
-pub use scene::{LARGE, MEDIUM, SMALL, SyntheticView, TINY};
+pub use scene::{HUGE, LARGE, MEDIUM, SMALL, SyntheticView, TINY, WIDE};
 
 use burn::tensor::Tensor;
 

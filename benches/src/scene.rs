@@ -40,10 +40,16 @@ pub const SMALL: SyntheticView =
 pub const MEDIUM: SyntheticView =
     SyntheticView { splats: 100_000, width: 960, height: 540, sigma_px: 3.05, opacity: [0.02, 0.7] };
 
+/// [`MEDIUM`] at full HD.
+pub const WIDE: SyntheticView = SyntheticView { width: 1920, height: 1080, sigma_px: 6.1, ..MEDIUM };
+
 /// A million Gaussians at full HD. With four tiles each, they lie a hundred deep, and the nearer ones are opaque enough
 /// to hide those beyond the first forty.
 pub const LARGE: SyntheticView =
     SyntheticView { splats: 1_000_000, width: 1920, height: 1080, sigma_px: 2.65, opacity: [0.65, 0.99] };
+
+/// Four million Gaussians of half the width of [`LARGE`]'s.
+pub const HUGE: SyntheticView = SyntheticView { splats: 4_000_000, sigma_px: 1.325, ..LARGE };
 
 impl SyntheticView {
     /// Creates the camera, at the origin, looking along +z.

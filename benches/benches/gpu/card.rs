@@ -36,8 +36,14 @@ pub struct Options {
     #[arg(long, default_value_t = 2000)]
     pub steps: usize,
     /// Scenes of the benches.
-    #[arg(long, value_delimiter = ',', default_value = "small,medium,large")]
+    #[arg(long, value_delimiter = ',', default_value = "wide,large,huge")]
     pub scenes: Vec<String>,
+    /// Captures to train on, such as bonsai and fox_colmap.
+    #[arg(long, value_delimiter = ',')]
+    pub captures: Vec<PathBuf>,
+    /// Steps of training on a capture.
+    #[arg(long, default_value_t = 7000)]
+    pub capture_steps: usize,
 }
 
 /// A part of the page: a process and its time limit.
@@ -49,11 +55,13 @@ struct Part {
     limit: Duration,
 }
 
-/// Folders of the demo capture and of the runs on it.
+/// Folders of the demo capture and of runs.
 struct Folders {
     demo: String,
     gpu: String,
     cpu: String,
+    /// Of the runs on captures.
+    captures: Vec<String>,
     frontier: String,
     cases: String,
     times: String,
@@ -68,7 +76,7 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     fs::create_dir_all(out)?;
     let start = Instant::now();
     let whole = Duration::from_secs(options.seconds);
-    let folders = Folders::of(out);
+    let folders = Folders::of(options);
     let mut results = Vec::new();
     for (number, part) in parts(options, &folders)?.into_iter().enumerate() {
         let part = Part { limit: part.limit * options.patience, ..part };
@@ -76,19 +84,20 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
         println!("{:>6.1} s  {}: {}", result.seconds, result.title, page::outcome(&result.outcome));
         results.push(result);
         // After each part: what is known is kept if the machine stops.
-        page::write(out, &options.commit, &results, &read_files(&folders))?;
+        page::write(out, &options.commit, &results, &read_files(options, &folders))?;
     }
     println!("wrote {} in {:.0} s", out.join("card.md").display(), start.elapsed().as_secs_f64());
     Ok(())
 }
 
 impl Folders {
-    fn of(out: &Path) -> Self {
-        let path = |name: &str| out.join(name).display().to_string();
+    fn of(options: &Options) -> Self {
+        let path = |name: &str| options.out.join(name).display().to_string();
         Self {
             demo: path("demo"),
             gpu: path("train_gpu"),
             cpu: path("train_cpu"),
+            captures: (0..options.captures.len()).map(|number| path(&format!("train_capture{number}"))).collect(),
             frontier: path("frontier"),
             cases: path("hard_cases"),
             times: path("times.json"),
@@ -96,12 +105,12 @@ impl Folders {
     }
 }
 
-fn read_files(folders: &Folders) -> Files {
-    let read = |folder: &str, name: &str| fs::read_to_string(Path::new(folder).join(name)).ok();
-    Files {
-        times: fs::read_to_string(&folders.times).ok(),
-        metrics: [&folders.gpu, &folders.cpu].map(|folder| read(folder, "metrics.json")),
-    }
+fn read_files(options: &Options, folders: &Folders) -> Files {
+    let read = |folder: &str| fs::read_to_string(Path::new(folder).join("metrics.json")).ok();
+    let demo = [("demo, GPU", &folders.gpu), ("demo, CPU", &folders.cpu)].map(|(run, folder)| (run.into(), folder));
+    let captures = options.captures.iter().map(|capture| format!("{}, GPU", capture.display())).zip(&folders.captures);
+    let runs = captures.chain(demo).filter_map(|(run, folder)| Some((run, read(folder)?)));
+    Files { times: fs::read_to_string(&folders.times).ok(), metrics: runs.collect() }
 }
 
 /// Returns the parts, those that tell most first. Limits are for a graphics card, where hardly one is reached.
@@ -121,21 +130,10 @@ fn parts(options: &Options, folders: &Folders) -> Result<Vec<Part>, Box<dyn Erro
     let runtimes: Vec<&str> = ["wgpu", "vulkan"].into_iter().filter(|of| built().any(|built| built == *of)).collect();
     let side = options.side.to_string();
     let (height, steps) = ((options.side * 3 / 4).to_string(), options.steps.to_string());
-    let train = |device: &'static str, out: &str, limit| {
-        let arguments = [
-            "train",
-            &folders.demo,
-            "--device",
-            device,
-            "--steps",
-            &steps,
-            "--out",
-            out,
-            "--effects",
-            "none",
-            "--quiet",
-        ];
-        splat(&format!("training on the demo capture, --device {device}"), &arguments, limit)
+    let train = |capture: &str, device: &'static str, steps: &str, out: &str, limit| {
+        let arguments =
+            ["train", capture, "--device", device, "--steps", steps, "--out", out, "--effects", "none", "--quiet"];
+        splat(&format!("training on {capture}, --device {device}"), &arguments, limit)
     };
     // `gpu` alone would be the best adapter of any runtime, and that of SPIR-V is preferred.
     let devices = runtimes.iter().map(|runtime| if *runtime == "wgpu" { "gpu:0" } else { *runtime });
@@ -154,11 +152,15 @@ fn parts(options: &Options, folders: &Folders) -> Result<Vec<Part>, Box<dyn Erro
         }));
     }
     parts.push(Part::new("times of all passes", &own, &compare, 240));
+    let capture_steps = options.capture_steps.to_string();
+    for (capture, out) in options.captures.iter().zip(&folders.captures) {
+        parts.push(train(&capture.display().to_string(), "gpu", &capture_steps, out, 120));
+    }
     let demo = ["demo", "--out", &folders.demo, "--width", &side, "--height", &height];
     parts.push(splat("the demo capture", &demo, 30));
-    parts.push(train("gpu", &folders.gpu, 60));
+    parts.push(train(&folders.demo, "gpu", &steps, &folders.gpu, 60));
     parts.push(splat("hard cases", &["hard-cases", "--device", "gpu", "--out", &folders.cases], 90));
-    parts.push(train("cpu", &folders.cpu, 90));
+    parts.push(train(&folders.demo, "cpu", &steps, &folders.cpu, 90));
     let scene = format!("{}/scene.ply", folders.gpu);
     let frontier = ["pareto", &folders.demo, "--scene", &scene, "--device", "gpu", "--budget", "30", "--out"];
     let frontier: Vec<&str> = frontier.into_iter().chain([folders.frontier.as_str()]).collect();
@@ -187,15 +189,16 @@ impl Part {
         let limit = self.limit.min(left);
         let command =
             [self.program.display().to_string()].into_iter().chain(self.arguments.clone()).collect::<Vec<_>>();
-        let result = |outcome, seconds, output| PartResult {
+        let result = |outcome, seconds, memory_mib, output| PartResult {
             title: self.title.clone(),
             command: command.join(" "),
             outcome,
             seconds,
+            memory_mib,
             output,
         };
         if limit < Duration::from_secs(5) {
-            return Ok(result(Outcome::Skipped("no time was left".into()), 0.0, String::new()));
+            return Ok(result(Outcome::Skipped("no time was left".into()), 0.0, None, String::new()));
         }
         // Output goes to a file, because a pipe that nobody reads stops its writer.
         let file = File::create(log)?;
@@ -211,9 +214,10 @@ impl Part {
             Ok(child) => child,
             Err(error) => {
                 let why = format!("{} does not start: {error}", self.program.display());
-                return Ok(result(Outcome::Skipped(why), 0.0, String::new()));
+                return Ok(result(Outcome::Skipped(why), 0.0, None, String::new()));
             }
         };
+        let (mut memory_mib, mut asked) = (None, start);
         let outcome = loop {
             if let Some(status) = child.try_wait()? {
                 break ended(status);
@@ -223,11 +227,22 @@ impl Part {
                 child.wait()?;
                 break Outcome::Stopped(limit.as_secs());
             }
+            if asked.elapsed() > Duration::from_secs(2) {
+                asked = Instant::now();
+                memory_mib = memory_mib.max(used_mib());
+            }
             thread::sleep(Duration::from_millis(50));
         };
         let output = String::from_utf8_lossy(&fs::read(log)?).into_owned();
-        Ok(result(outcome, start.elapsed().as_secs_f64(), output))
+        Ok(result(outcome, start.elapsed().as_secs_f64(), memory_mib, output))
     }
+}
+
+/// Returns the memory in use on the first card, MiB, by `nvidia-smi`; `None` where that is not installed.
+fn used_mib() -> Option<u64> {
+    let query = ["--query-gpu=memory.used", "--format=csv,noheader,nounits"];
+    let output = Command::new("nvidia-smi").args(query).stderr(Stdio::null()).output().ok()?;
+    String::from_utf8_lossy(&output.stdout).lines().next()?.trim().parse().ok()
 }
 
 fn ended(status: ExitStatus) -> Outcome {

@@ -31,6 +31,8 @@ pub struct PartResult {
     pub command: String,
     pub outcome: Outcome,
     pub seconds: f64,
+    /// Most memory in use on the card while it ran, MiB, of all processes; `None` where no tool tells.
+    pub memory_mib: Option<u64>,
     /// Its output, standard error after standard output.
     pub output: String,
 }
@@ -38,8 +40,8 @@ pub struct PartResult {
 /// Files that parts wrote, for the page; `None` for those that are missing.
 pub struct Files {
     pub times: Option<String>,
-    /// `metrics.json` of training on the GPU and on the CPU.
-    pub metrics: [Option<String>; 2],
+    /// Names of training runs, and their `metrics.json`.
+    pub metrics: Vec<(String, String)>,
 }
 
 /// Content of `card.json`.
@@ -48,9 +50,8 @@ struct Record<'a> {
     commit: &'a str,
     parts: &'a [PartResult],
     times: &'a [TimedPass],
-    /// `metrics.json` of the two training runs.
-    gpu: Option<Value>,
-    cpu: Option<Value>,
+    /// `metrics.json` of the training runs, by their names.
+    runs: Vec<(&'a str, Value)>,
 }
 
 /// Writes the page of the parts that have run to the folder `out`.
@@ -59,9 +60,9 @@ struct Record<'a> {
 /// If a file cannot be written, or a part wrote a file that is not JSON.
 pub fn write(out: &Path, commit: &str, parts: &[PartResult], files: &Files) -> Result<(), Box<dyn Error>> {
     let times: Vec<TimedPass> = files.times.as_deref().map(serde_json::from_str).transpose()?.unwrap_or_default();
-    let json = |text: &Option<String>| text.as_deref().map(serde_json::from_str).transpose();
-    let [gpu, cpu] = [json(&files.metrics[0])?, json(&files.metrics[1])?];
-    let record = Record { commit, parts, times: &times, gpu, cpu };
+    let runs = files.metrics.iter().map(|(run, text)| Ok((run.as_str(), serde_json::from_str(text)?)));
+    let runs = runs.collect::<serde_json::Result<_>>()?;
+    let record = Record { commit, parts, times: &times, runs };
     let page = markdown(&record);
     fs::write(out.join("card.json"), serde_json::to_string_pretty(&record)?)?;
     fs::write(out.join("card.md"), page)?;
@@ -83,9 +84,10 @@ fn markdown(record: &Record) -> String {
     if record.times.iter().any(|pass| pass.device.contains("software")) {
         page += "**The device is a driver in software.** It shows that the kernels run, not how fast a card is.\n\n";
     }
-    page += "| part | result | seconds |\n|---|---|---|\n";
+    page += "| part | result | seconds | memory of the card, MiB |\n|---|---|---|---|\n";
     for part in record.parts {
-        row(&mut page, &[part.title.clone(), outcome(&part.outcome), format!("{:.1}", part.seconds)]);
+        let memory = part.memory_mib.map_or("-".into(), |mib| mib.to_string());
+        row(&mut page, &[part.title.clone(), outcome(&part.outcome), format!("{:.1}", part.seconds), memory]);
     }
     page += &passes(record.times);
     page += &training(record);
@@ -136,21 +138,19 @@ fn passes(times: &[TimedPass]) -> String {
     text
 }
 
-/// Returns the table of the two training runs.
+/// Returns the table of the training runs.
 fn training(record: &Record) -> String {
     let mut text = String::new();
-    for (device, metrics) in [("GPU", &record.gpu), ("CPU", &record.cpu)] {
-        let Some(metrics) = metrics else { continue };
+    for (run, metrics) in &record.runs {
         if text.is_empty() {
-            text +=
-                "\n## Training on the demo capture\n\n| device | PSNR, dB | Gaussians | seconds |\n|---|---|---|---|\n";
+            text += "\n## Training\n\n| capture and device | PSNR, dB | Gaussians | seconds |\n|---|---|---|---|\n";
         }
         let number = |keys: &[&str], digits| {
             let found = keys.iter().try_fold(metrics, |value, key| value.get(key)).and_then(Value::as_f64);
             found.map_or("-".into(), |found| format!("{found:.digits$}"))
         };
         let cells =
-            [device.into(), number(&["test", "psnr"], 2), number(&["splats"], 0), number(&["seconds", "train"], 1)];
+            [(*run).to_owned(), number(&["test", "psnr"], 2), number(&["splats"], 0), number(&["seconds", "train"], 1)];
         row(&mut text, &cells);
     }
     text
