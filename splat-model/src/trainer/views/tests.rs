@@ -2,6 +2,7 @@ use std::collections::BTreeMap;
 use std::sync::Mutex;
 
 use super::*;
+use crate::capture::CaptureError;
 use crate::gaussians::values_of;
 use crate::trainer::testing::{HEIGHT, WIDTH, photos};
 

@@ -9,7 +9,7 @@ use crate::capture::testing::assert_says;
 const ALONG_X: &str = "[0, 0, -1, 1, -1, 0, 0, 2, 0, 1, 0, 3, 0, 0, 0, 1]";
 const UNTURNED: &str = "[1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]";
 
-fn read(text: &str) -> Result<Vec<(DAffine3, Option<f64>)>, CaptureError> {
+fn read(text: &str) -> Result<Vec<(DAffine3, Option<f64>)>> {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("camera_path.json");
     fs::write(&file, text).unwrap();
