@@ -43,7 +43,7 @@ impl Exif {
     /// Reads the EXIF of a JPEG or PNG picture. Without EXIF, or with damaged EXIF, all is `None`.
     ///
     /// # Errors
-    /// A [`CaptureError`] if the file cannot be opened or is not a picture.
+    /// A [`CaptureError`](crate::capture::CaptureError) if the file cannot be opened or is not a picture.
     pub fn read(file: &Path) -> Result<Self> {
         let raw = header(file)?.exif_metadata().ok().flatten();
         Ok(raw.map(Self::parse).unwrap_or_default())

@@ -60,7 +60,7 @@ pub(super) fn by_name(
 /// `[H, W]` row-major: whether each pixel of a view counts.
 ///
 /// # Errors
-/// A [`CaptureError`] if the file cannot be decoded or has another size than the view's photograph.
+/// A [`CaptureError`](crate::capture::CaptureError) if the file cannot be decoded or has another size than the view's photograph.
 pub fn load(file: &Path, view: &View) -> Result<Vec<bool>> {
     let picture = image::decode(file, view.file_size())?;
     let levels = |values: Vec<u16>| {

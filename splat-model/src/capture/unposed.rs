@@ -35,7 +35,7 @@ impl PhotographFolder {
     /// files and the folders of masks and depth maps are left out. No file is opened.
     ///
     /// # Errors
-    /// A [`CaptureError`] if a folder cannot be listed.
+    /// A [`CaptureError`](crate::capture::CaptureError) if a folder cannot be listed.
     pub fn list(folder: &Path) -> Result<Self> {
         let images = folder.join("images");
         let root = if images.is_dir() { images } else { folder.to_owned() };
@@ -61,7 +61,7 @@ impl PhotographFolder {
     /// `progress` receives 1 for each, from any thread.
     ///
     /// # Errors
-    /// A [`CaptureError`] that names a photograph that cannot be read or decoded.
+    /// A [`CaptureError`](crate::capture::CaptureError) that names a photograph that cannot be read or decoded.
     pub fn look(&self, progress: impl Fn(u64) + Sync) -> Result<Vec<Unposed>> {
         let one = |name: &String| {
             let found = Unposed::look(name, &self.path(name))?;

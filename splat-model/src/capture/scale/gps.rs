@@ -35,7 +35,7 @@ const SQUARINGS: usize = 40;
 /// (Rousseeuw 1984) says which positions are outliers, and the others are fitted together.
 ///
 /// # Errors
-/// A [`CaptureError`] if a picture cannot be opened; otherwise the [`ScaleError`] if fewer than four placed photographs have a position, or
+/// A [`CaptureError`](crate::capture::CaptureError) if a picture cannot be opened; otherwise the [`ScaleError`] if fewer than four placed photographs have a position, or
 /// their noise leaves the scale uncertain by more than a tenth.
 pub fn from_gps(capture: &Capture) -> Result<Result<Scale, ScaleError>> {
     let mut pairs = Vec::new();

@@ -88,7 +88,7 @@ impl Survey {
     /// Surveys all photographs of `capture`.
     ///
     /// # Errors
-    /// A [`CaptureError`] if a picture is missing, cannot be decoded, or has another size than its camera.
+    /// A [`CaptureError`](crate::capture::CaptureError) if a picture is missing, cannot be decoded, or has another size than its camera.
     pub fn of(capture: &Capture) -> Result<Self> {
         Self::of_views(capture, &(0..capture.views.len()).collect::<Vec<_>>())
     }
