@@ -30,8 +30,8 @@ impl Quantity {
         if self == Self::Depth { value } else { value.recip() }
     }
 
-    /// Replaces the levels of the map of a photograph by camera z, scene units, not a number where it is unknown. The quantity is `scale ·
-    /// level + shift`. Of the depths of sparse points in the photograph, the scale is the median over pairs, and the shift that over points
+    /// Replaces the levels of the map of a photograph by camera z, scene units, not a number where it is unknown. The quantity is
+    /// `scale · level + shift`. Of the depths of sparse points in the photograph, the scale is the median over pairs, and the shift that over points
     /// (Theil 1950, Sen 1968), so that a quarter of the points may be wrong. The error says why there is none: too few points, or a map
     /// that does not grow with the quantity or does not tell their depths.
     pub fn solve(self, map: &mut DepthMap, points: &[DepthSample]) -> Result<(), String> {

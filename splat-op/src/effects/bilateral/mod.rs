@@ -5,8 +5,9 @@
 //! picture of `W` × `H` px and with the luma `ℓ` (Rec. 601, limited to 0 to 1) lies at
 //! `((L − 1) ℓ, (R − 1) y / H, (C − 1) x / W`) in the grid. Trilinear interpolation gives its map, and `out = M (r, g, b, 1)ᵀ`.
 //!
-//! With `g = ∂out`: `∂M = g (r, g, b, 1)`, which the eight corners share by their weights, and `∂(r, g, b) = Mᵀ g + (L − 1) ⟨∂M, M₁ − M₀⟩
-//! luma weights`, with `M₁` and `M₀` the maps on the levels above and below the pixel. The second term is zero where the luma is limited.
+//! With `g = ∂out`: `∂M = g (r, g, b, 1)`, which the eight corners share by their weights, and
+//! `∂(r, g, b) = Mᵀ g + (L − 1) ⟨∂M, M₁ − M₀⟩ luma weights`, with `M₁` and `M₀` the maps on the levels above and below the pixel.
+//! The second term is zero where the luma is limited.
 //!
 //! As tensor code the interpolation takes 96 numbers per pixel. This operation keeps none. The gradient of the grid is summed
 //! in a fixed order, so it has the same bits in every run.

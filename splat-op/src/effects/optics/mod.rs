@@ -21,8 +21,8 @@
 //! # Motion
 //!
 //! A twist `(ω, τ)`, `[6]`, is the motion of the scene in the camera's frame: a point `p` moves along `exp(t ξ) p`, `t` from −½ to ½. The
-//! velocity of a centre in the picture follows from the image Jacobian of a pinhole (Longuet-Higgins and Prazdny 1980). With the slopes `s
-//! = (x − c_x)/f_x, (y − c_y)/f_y`, of a centre clamped to a margin around the picture, because velocities grow without bound there,
+//! velocity of a centre in the picture follows from the image Jacobian of a pinhole (Longuet-Higgins and Prazdny 1980). With the slopes
+//! `s = (x − c_x)/f_x, (y − c_y)/f_y`, of a centre clamped to a margin around the picture, because velocities grow without bound there,
 //!
 //! ```text
 //! v_x = f_x ( (τ_x − s_x τ_z)/z + ω_y (1 + s_x²) − ω_x s_x s_y − ω_z s_y )

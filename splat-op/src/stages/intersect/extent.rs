@@ -122,8 +122,8 @@ impl<F: Real> Default for ExtentScratch<F> {
 
 /// The extents of a vector of Gaussians.
 ///
-/// The part of the ellipse `u² + v² <= r²` on a row of tiles spans an interval of `x`. With `V` its standard deviation along `y` and `c =
-/// dy / V`, the ends of its chord at `dy` are `sigma_u (c k ± h √(r² − c²))`, where `k = shear sigma_u / V` and `h = sigma_v / V`. The
+/// The part of the ellipse `u² + v² <= r²` on a row of tiles spans an interval of `x`. With `V` its standard deviation along `y` and
+/// `c = dy / V`, the ends of its chord at `dy` are `sigma_u (c k ± h √(r² − c²))`, where `k = shear sigma_u / V` and `h = sigma_v / V`. The
 /// farthest ends lie at `c = ± r k`, or, if that is outside the row, at the row's nearer edge.
 struct ExtentsSimd<S: Simd, F: Real> {
     mean: [F::Lanes<S>; 2],

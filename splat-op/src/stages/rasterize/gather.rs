@@ -22,8 +22,8 @@ fn store_shape(out: &mut [f32], to: usize, row: &Array<f32>, projected: &[f32], 
     out[to + 4] = row[5] / sigma_v;
 }
 
-/// Turns rows into gradients. With `e = −(u² + v²)/2`: `∂e/∂sigma_u = u²/sigma_u`, `∂e/∂sigma_v = v²/sigma_v`, `∂e/∂shear = u v
-/// sigma_u/sigma_v`, `∂e/∂mean = (u/sigma_u − v shear/sigma_v, v/sigma_v)`; and `∂α/∂opacity = α/opacity`.
+/// Turns rows into gradients. With `e = −(u² + v²)/2`: `∂e/∂sigma_u = u²/sigma_u`, `∂e/∂sigma_v = v²/sigma_v`,
+/// `∂e/∂shear = u v sigma_u/sigma_v`, `∂e/∂mean = (u/sigma_u − v shear/sigma_v, v/sigma_v)`; and `∂α/∂opacity = α/opacity`.
 ///
 /// With `per_intersection`, the Gaussians have the ranks `first_rank..end_rank` in `order`, and `rows` holds the rows of their
 /// intersections, `first_row..end_row`; the gradients of other Gaussians are not written: the buffers must hold zeros. Otherwise

@@ -2,8 +2,8 @@
 //!
 //! Layers are composited front to back, with `gᵢ = exp(−(u² + v²)/2)` and `αᵢ = min(alpha_max, opacityᵢ gᵢ)` (skipped below `alpha_min`):
 //! `C = Σ wᵢ cᵢ + T background`, `wᵢ = αᵢ Tᵢ`, `Tᵢ = Πⱼ₍ⱼ₌₁‥ᵢ₋₁₎ (1 − αⱼ)` (equation 3 of Kerbl et al. 2023). The Gaussian that would bring
-//! `T` to `transmittance_min` or below is left out, and so are all Gaussians behind it. The backward pass goes back to front: `∂C/∂αᵢ = Tᵢ
-//! (cᵢ − Rᵢ₊₁)`, `Rᵢ = αᵢ cᵢ + (1 − αᵢ) Rᵢ₊₁`, `Rₙ₊₁ = background`. `Tᵢ` is recomputed front to back from checkpoints. Nothing is divided
+//! `T` to `transmittance_min` or below is left out, and so are all Gaussians behind it. The backward pass goes back to front:
+//! `∂C/∂αᵢ = Tᵢ (cᵢ − Rᵢ₊₁)`, `Rᵢ = αᵢ cᵢ + (1 − αᵢ) Rᵢ₊₁`, `Rₙ₊₁ = background`. `Tᵢ` is recomputed front to back from checkpoints. Nothing is divided
 //! by `1 − α`, and no prefix sum is subtracted from a total: both lose all digits under many layers.
 //!
 //! Both passes are written once over a trait of splats, for kernels and for the CPU twin. A splat says its alpha at a pixel, and what a

@@ -5,8 +5,8 @@
 //! of 2.0 s). This operation computes the same loss in two sweeps on a CPU and four passes on a GPU: the window is
 //! separable, and a strip of pixels in registers can be filtered, multiplied and differentiated at once.
 //!
-//! With `K` the window (11 × 11 taps, σ = 1.5 px, zero outside), the index of Wang et al. 2004, eq. 13, is `S = A1 A2 / (B1 B2)`, `A1 = 2
-//! μx μy + C1`, `A2 = 2 σxy + C2`, `B1 = μx² + μy² + C1`, `B2 = σx² + σy² + C2`, where `μx = Kx`, `σx² = Kx² − μx²`, `σxy = Kxy − μx μy`.
+//! With `K` the window (11 × 11 taps, σ = 1.5 px, zero outside), the index of Wang et al. 2004, eq. 13, is `S = A1 A2 / (B1 B2)`,
+//! `A1 = 2 μx μy + C1`, `A2 = 2 σxy + C2`, `B1 = μx² + μy² + C1`, `B2 = σx² + σy² + C2`, where `μx = Kx`, `σx² = Kx² − μx²`, `σxy = Kxy − μx μy`.
 //!
 //! Variances are differences of moments, which lose the digits that both share. So the moments here are not squares but
 //! `P = K x(1 − x)` and `Q = K (x(1 − y) + y(1 − x))`, with `σx² = μx(1 − μx) − P` and `2 σxy = μx(1 − μy) + μy(1 − μx) − Q`.
