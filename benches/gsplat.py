@@ -1,5 +1,6 @@
 #!/usr/bin/env python3
-"""Measures gsplat on the scenes and captures that `gpu export FOLDER ...` wrote, and prints ratios to a card.json of `benches/card.sh run`.
+"""Measures gsplat on the scenes and captures that `gpu export FOLDER ...` wrote, and prints splat's times over gsplat's, where
+`benches/card.sh run` left a card.json.
 
 Synthetic scenes: a render, and a training step (activation, render, loss, backward pass, Adam), medians in ms. Captures: training with gsplat's
 default strategy and the settings of its example `simple_trainer.py`, and the PSNR of held-out photographs. SSIM is by the package `fused_ssim`
