@@ -158,7 +158,8 @@ def train(name, capture, steps, device):
     views = [(entry["camera"], photograph(entry).to(device), entry["test"]) for entry in capture["photographs"]]
     seen = [view for view in views if not view[2]]
     splats = trainable(from_points(capture["points"], device), device)
-    extent = 1.1 * capture["extent"]
+    # As there, 1.1 times the radius of the cameras.
+    extent = capture["extent"]
     optimizers = optimizers_of(splats, extent)
     schedule = torch.optim.lr_scheduler.ExponentialLR(optimizers["means"], 0.01 ** (1 / steps))
     strategy = DefaultStrategy()

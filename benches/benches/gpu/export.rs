@@ -43,6 +43,7 @@ struct Photographs {
     photographs: Vec<Photograph>,
     /// Position, scene units, and colour, 0 to 255.
     points: Vec<([f32; 3], [u8; 3])>,
+    /// 1.1 times the radius of the cameras, scene units.
     extent: f64,
 }
 
